@@ -145,7 +145,7 @@ def test_another_sweep_on_the_machine_is_not_in_the_way(
         (["--table", "nowhere"], "no sweep here"),
         (["--table", "out", "--sort", "energy.finl"], 'did you mean "energy.final"'),
         (["--table", "out", "--filter", "energy.final"], "expected a comparison"),
-        (["--table", "out", "--filter", "energy.final<few"], "column energy.final is numeric; got few"),
+        (["--table", "out", "--filter", "energy.final<few"], 'column energy.final is numeric; got "few"'),
         (["--table", "out", "--plot", "x=name", "y=seed"], "is not a number"),
     ],
 )
@@ -184,6 +184,9 @@ def test_the_table_is_shown_sorted_and_filtered(first: tuple[Path, subprocess.Co
     document = carom("sweep", "--table", "out", "--filter", "contact.restitution>=0.8", "--json", cwd=first[0])
     rows = json.loads(document.stdout)["rows"]
     assert {row["contact.restitution"] for row in rows} == {0.8, 2.0}
+    few = carom("sweep", "--table", "out", "--columns", "energy.final", "--json", cwd=first[0])
+    keys = {key for row in json.loads(few.stdout)["rows"] for key in row}
+    assert keys == {"contact.restitution", "seed", "energy.final", "outcome"}
 
 
 def test_a_figure_is_drawn_of_one_column_over_another(swept: Path) -> None:

@@ -515,6 +515,11 @@ def test_a_text_that_the_parser_refuses_is_told_with_its_line_and_what_would_be_
         Scene.load(tmp_path / "scene.toml")
 
 
+def test_an_unknown_section_of_an_override_is_the_fault_of_the_override() -> None:
+    with pytest.raises(SceneError, match=r"^the override foo\.bar=1: unknown key foo"):
+        scene_from_text("[[body]]\n", "scene.toml", ["foo.bar=1"])
+
+
 def test_a_title_is_shown_in_one_line() -> None:
     assert Scene.from_dict({"title": "a\nb", "body": [{"radius": 1.0}]}).title == "a b"
 

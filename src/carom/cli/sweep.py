@@ -135,7 +135,7 @@ def sweep(
         if not ending.ok:
             raise typer.Exit(1)
     elif as_json:
-        look.print_json(folder, conditions or [], sort)
+        look.print_json(folder, conditions or [], sort, columns)
     elif figure is not None:
         typer.echo(f"{figure} written.")
     else:

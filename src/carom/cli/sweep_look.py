@@ -24,14 +24,12 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     from rich.table import Table
 
     from carom.cli.terminal import Terminal
-    from carom.experiment.sweep.table import chosen, known
+    from carom.experiment.sweep.table import chosen
 
     rows, stored = _rows(folder)
-    wanted = [known(key, rows) for key in columns.split(",")] if columns else [key for key in SHOWN if key in rows[0]]
+    keys = _keys(rows, stored, sort, columns or ",".join(key for key in SHOWN if key in rows[0]))
     found = chosen(rows, conditions, sort)
-    named = [*stored["varied"], *wanted, *([known(sort.removeprefix("-"), rows)] if sort else []), "outcome"]
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    keys = list(dict.fromkeys(named))
     for key in keys:
         table.add_column(key, justify="right" if _is_numeric(rows, key) else "left", overflow="fold")
     for row in found:
@@ -45,14 +43,25 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     console.print(f"{counts}; recordings in {folder / 'runs'}, all columns in {folder / 'table.csv'}", soft_wrap=True)
 
 
-def print_json(folder: Path, conditions: list[str], sort: str | None) -> None:
-    """Print the rows of a sweep."""
+def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
+    """Print the rows of a sweep, with all columns or with those that the table would have."""
     from carom.experiment.sweep.table import chosen
 
     rows, stored = _rows(folder)
-    head = {"title": stored["title"], "units": stored.get("units"), "varied": stored["varied"]}
-    document = {**head, "rows": chosen(rows, conditions, sort)}
-    say_json(document)
+    found = chosen(rows, conditions, sort)
+    if columns:
+        keys = _keys(rows, stored, sort, columns)
+        found = [{key: row[key] for key in keys} for row in found]
+    say_json({"title": stored["title"], "units": stored.get("units"), "varied": stored["varied"], "rows": found})
+
+
+def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: str) -> list[str]:
+    """Return the columns of a table: what varies, those asked for, what it is sorted by, and the outcome."""
+    from carom.experiment.sweep.table import known
+
+    wanted = [known(key, rows) for key in columns.split(",") if key]
+    sorted_by = [known(sort.removeprefix("-"), rows)] if sort else []
+    return list(dict.fromkeys([*stored["varied"], *wanted, *sorted_by, "outcome"]))
 
 
 def refuse_plot(plot: tuple[str, str]) -> None:

@@ -32,9 +32,13 @@ class KeyPlaces:
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
                 return f"the override {text}: "
+        line = line_of(self.text, path)
+        if not line:  # a section that an override makes
+            for overridden, text in self.overrides.items():
+                if path and overridden[: len(path)] == path:
+                    return f"the override {text}: "
         if not self.file:
             return ""
-        line = line_of(self.text, path)
         return f"{self.file}:{line}: " if line else f"{self.file}: "
 
 

@@ -103,7 +103,7 @@ def _meets(row: Row, key: str, compare: Callable[[Any, Any], Any], wanted: str) 
     try:
         return bool(compare(value, float(wanted)))
     except ValueError:
-        raise ExperimentError(f"--filter {key}: column {key} is numeric; got {wanted}") from None
+        raise ExperimentError(f'--filter {key}: column {key} is numeric; got "{wanted}"') from None
 
 
 def _order(value: Any) -> tuple[bool, Any]:
