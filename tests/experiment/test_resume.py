@@ -95,6 +95,7 @@ def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Pa
     assert run.time < 1.503
     outcome = resume(run, run.space(threads=1), tmp_path / "resumed.rrd")
     assert_same_recording(long, Recording.open(outcome.path))
+    assert outcome.begin == run.time
     assert Recording.open(tmp_path / "short.rrd").frames == short.frames, "the first recording is as it was"
 
 

@@ -71,10 +71,9 @@ class Progress(LiveLine):
         moments, units = outcome.moments, self._scene.unit_system
         table = Table.grid(padding=(0, 2))
         table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
-        simulated = units.text(outcome.sim_time, TIME)
-        table.add_row(
-            "run", f"{counted(outcome.steps, 'step')}, {simulated} simulated in {duration_text(outcome.wall_time)}"
-        )
+        simulated = f"{counted(outcome.steps, 'step')}, {units.text(outcome.sim_time, TIME)} simulated"
+        part = f", the part from t = {units.text(outcome.begin, TIME)} on" if outcome.begin > 0.0 else ""
+        table.add_row("run", f"{simulated}{part} in {duration_text(outcome.wall_time)}")
         if moments.energy_error:
             table.add_row(
                 "energy", f"integration error at most {error_text(moments.energy_error.value)} of the energy scale"

@@ -52,7 +52,7 @@ class Outcome:
     frames: int
     steps: int
     sim_time: float  # s
-    wall_time: float  # s
+    wall_time: float  # s, of the part from `begin` on
     size: int  # bytes
     payload: int  # bytes of the arrays alone
     moments: Extremes = field(repr=False)
@@ -61,6 +61,7 @@ class Outcome:
     impacts_counted: str = EACH  # see `contact_counts`
     impacts: RecordedImpacts | None = None  # None: none were to be recorded
     accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was asked for
+    begin: float = 0.0  # s, from which on a resumed run was simulated
 
     @property
     def ok(self) -> bool:
@@ -199,7 +200,7 @@ def _simulate(
     member: SweepMember | None,
     interrupts: Interrupts,
 ) -> Outcome:
-    began = time.perf_counter()
+    began, begin = time.perf_counter(), space.time
     header = header_of(space)
     if properties is not None:
         header = replace(header, properties=properties)
@@ -241,6 +242,7 @@ def _simulate(
         impacts_counted=_impacts_counted(space),
         impacts=recorder.impacts,
         accuracy=kept_accuracy(space.scene),
+        begin=begin,
     )
 
 
