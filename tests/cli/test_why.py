@@ -44,7 +44,7 @@ def test_json_has_the_sum_the_causes_the_chain_and_the_cone(folder: Path) -> Non
         (("--body", "0", "--event", "impact"), "give one of them"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
         (("--body", "0", "--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
-        (("--body", "0", "--at", "0"), "nothing happened before"),
+        (("--body", "0", "--at", "0"), "nothing is known before it"),
         (("--body", "0", "--at", "1", "--from", "1.5"), "is after 1 s, the moment asked about"),
         (("--event", "bang"), 'has no event "bang"; it has'),
         (("--event", "contacts"), "ask about one with --body"),

@@ -91,7 +91,7 @@ def why(
         if as_json:
             say_json(_document(answer, names, units))
         else:
-            _print(answer, names, units, file)
+            _print(answer, names, units, file, next(iter(recording.checkpoint_times)))
             if output is not None:
                 say(f"{output} written; {command('view', output)}")
 
@@ -184,7 +184,8 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
     }
 
 
-def _print(answer: Answer, names: Names, units: UnitSystem, file: Path) -> None:
+def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
+    """Print an answer; the recording's first checkpoint is of the step ``oldest``."""
     from carom.cli.terminal import Terminal
     from carom.recording.read.moment import tolerance
 
@@ -201,7 +202,7 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path) -> None:
     for line in _behind(answer, names, units):
         say(line)
     say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
-    if answer.begin_step > 0:
+    if answer.begin_step > oldest:
         say("What is older is not looked at; --from 0 goes back to the beginning.")
     best = _to_look_at(answer)
     if best is not None:

@@ -168,7 +168,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Rows, list[Floa
     """Return the step asked about, its impulses and kicks before the moment, and the impulses from it on."""
     time = question.units.text(question.time, TIME, ".9g")
     if not history.steps:
-        raise ExperimentError(f"t = {time} is the beginning of the recording: nothing happened before")
+        raise ExperimentError(f"t = {time} is not after the beginning of the recording: nothing is known before it")
     last = history.steps[-1]
     if question.ends is None:
         return last, last.impulses, last.kicks, last.impulses[:0]
