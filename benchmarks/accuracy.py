@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from carom.experiment.work_precision.settings_grid import Point, knobs
 from carom.physics.error import PhysicsError
-from carom.physics.look_ahead.settle import settled
+from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
@@ -208,12 +208,12 @@ class Case:
         asked = scene_from_text(scene.toml, scene.title, [f"time.accuracy={request!r}"])
         try:
             began = time.process_time()
-            found = settled(asked, 1)
+            found = with_promise(asked, 1)
             ahead = time.process_time() - began
         except (SceneError, PhysicsError) as refusal:
             return row | {"refused": str(refusal)}
         if ahead < 10.0 * REPEATED_BELOW:  # the first one of a process loads kernels
-            ahead = least(lambda: settled(asked, 1))
+            ahead = least(lambda: with_promise(asked, 1))
         assert found.promise is not None
         kept = found.promise.kept_until
         path, own, steps = follow(found, self.times)

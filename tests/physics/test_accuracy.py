@@ -17,8 +17,8 @@ from carom.experiment.work_precision.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.integrators.radau_twin import part
+from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.look_ahead.scale import Scale
-from carom.physics.look_ahead.settle import settled
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.placement import place
 from carom.physics.schedule import at, every
@@ -246,7 +246,7 @@ def test_a_longer_run_than_was_looked_ahead_takes_the_same_steps() -> None:
 
 def test_no_promise_is_made_where_none_is_asked_for() -> None:
     scene = scene_of(SPHERES, time={"duration": 4.0}, gravity=NO_PULL)
-    assert settled(scene) is scene
+    assert with_promise(scene) is scene
 
 
 def chaotic(accuracy: float) -> Scene:
@@ -289,13 +289,13 @@ def test_planets_keep_an_accuracy_by_the_integrator_that_costs_less(accuracy: fl
 
 
 def test_planets_of_a_given_wisdom_holman_get_the_step_that_keeps_an_accuracy() -> None:
-    promise = settled(planets(1e-10, integrator="wisdom-holman")).promise
+    promise = with_promise(planets(1e-10, integrator="wisdom-holman")).promise
     assert promise is not None
     assert promise.integrator is None and promise.refinement > 1.0
 
 
 def test_twins_part_as_two_runs_of_their_own_do() -> None:
-    scene = settled(kepler(0.5, 1e-6))
+    scene = with_promise(kepler(0.5, 1e-6))
     start = place(scene)
     moved = start.position + np.array([[0.0, 0.0, 0.0], [1e-8, 0.0, 0.0]])
     times = np.linspace(0.0, scene.time.duration, 9)[1:]
@@ -354,7 +354,7 @@ def test_the_run_says_when_the_promise_ends_and_records_the_error() -> None:
 
 
 def test_the_lyapunov_exponent_of_a_regular_orbit_is_small_and_that_of_colliding_balls_is_not() -> None:
-    regular, irregular = settled(kepler(0.5, 1e-6)).promise, settled(chaotic(1e-4)).promise
+    regular, irregular = with_promise(kepler(0.5, 1e-6)).promise, with_promise(chaotic(1e-4)).promise
     assert regular is not None and irregular is not None
     # errors of an orbit grow in proportion to time, by a factor of some hundred in ten orbits
     assert 0.0 <= regular.lyapunov < math.log(1e3) / (20.0 * math.pi)
@@ -463,8 +463,8 @@ def test_a_look_ahead_ends_where_shorter_steps_would_not_extend_the_promise(monk
         compared.append(len(apart))
         return -1, 0.5 * float(times[-1]), np.where(times <= 0.5 * times[-1], 0.0, 1.0)
 
-    monkeypatch.setattr("carom.physics.look_ahead.settle.extrapolate", cliff)
-    promise = settled(scene, 1).promise
+    monkeypatch.setattr("carom.physics.look_ahead.find_step.extrapolate", cliff)
+    promise = with_promise(scene, 1).promise
     assert promise is not None and promise.refinement == 4.0
     assert compared == [1, 2, 3], "the first cannot tell an order, and one of the others may be chance"
 
@@ -500,7 +500,7 @@ def test_a_look_ahead_does_not_end_at_a_step_that_is_longer_than_it_needs_by_cha
         contact={"restitution": 0.6, "static_friction": 0.3, "kinetic_friction": 0.3},
         plane=[{"point": [0.0, 0.0, 0.0]}],
     )
-    promise = settled(scene, 1).promise
+    promise = with_promise(scene, 1).promise
     assert promise is not None and promise.kept_until == 3.0
 
 
@@ -544,8 +544,8 @@ def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monk
             super().__init__(*arguments)
             runs.append(self)
 
-    monkeypatch.setattr("carom.physics.look_ahead.settle.TrialRun", Remembered)
-    promise = settled(chattering_cube(), 1).promise
+    monkeypatch.setattr("carom.physics.look_ahead.find_step.TrialRun", Remembered)
+    promise = with_promise(chattering_cube(), 1).promise
     assert promise is not None and promise.kept_until < 30.0
     assert promise.refinement == 1.0, "shorter steps cost even more"
     assert any(run.is_given_up for run in runs)

@@ -117,7 +117,7 @@ def test_a_file_sink_writes_into_a_pipe_and_closes_it_when_it_is_disconnected(tm
     times = [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=steps)]
     stream.send_columns("a", times, rr.Scalars.columns(scalars=np.sqrt(steps)))
     stream.flush(timeout_sec=60.0)
-    sink.settle()
+    sink.drain()
     assert sink.written == (tmp_path / "x.rrd").stat().st_size > 800  # what was flushed is in the file
     stream.disconnect()
     sink.close()

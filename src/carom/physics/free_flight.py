@@ -28,7 +28,7 @@ from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.parallel.jit import borrowing, entry_of, inline, unowned
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn_one
-from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, settle, target
+from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target
 from carom.physics.time_step import Timestep
 from carom.physics.vector import square, write
 from carom.physics.world import World
@@ -244,11 +244,11 @@ def _choose(
     """Choose a step; return it in s, its limit, and the new average in s. ``remaining`` is the time left, in s."""
     P, R = laws.plan[0], laws.rule[0]
     if P.fixed_dt > 0.0:
-        length, limit, _ = settle(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
+        length, limit, _ = smooth_and_cut(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
         return length, limit, average
     bodies = (moved.position, moved.velocity, moved.acceleration, kept.radius, kept.mass, kept.inverse_mass)
     length, limit = target(laws.rule, *bodies, kept.borne, kept.field, room.found, False)
-    return settle(length, limit, R.smoothing, average, remaining)
+    return smooth_and_cut(length, limit, R.smoothing, average, remaining)
 
 
 @inline

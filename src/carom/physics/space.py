@@ -13,7 +13,7 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.event import Event
-from carom.physics.look_ahead.settle import settled
+from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy
 from carom.physics.schedule import at
@@ -70,7 +70,7 @@ class Space(Simulation):
             )
         refuse_impossible(scene)
         start = start or place(scene)
-        super().__init__(settled(scene, threads, start), start, threads, stride, record_contacts)
+        super().__init__(with_promise(scene, threads, start), start, threads, stride, record_contacts)
 
     @property
     def foreseen(self) -> dict[str, float]:

@@ -58,7 +58,9 @@ LIMITS = np.dtype(
 
 
 @kernel
-def settle(dt: float, limit: int, smoothing: float, previous: float, remaining: float) -> tuple[float, int, float]:
+def smooth_and_cut(
+    dt: float, limit: int, smoothing: float, previous: float, remaining: float
+) -> tuple[float, int, float]:
     """Smooth a step where it grows, and cut the last one; return it in s, its limit, and the new average in s.
 
     Parameters

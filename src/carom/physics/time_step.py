@@ -28,7 +28,7 @@ from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.motion import centre_velocity
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.pull_time import PullTime
-from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, settle, target
+from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, smooth_and_cut, target
 from carom.plan.step_limits import HELD_PART, StepLimits
 from carom.scene.schema import Scene, Time
 
@@ -138,10 +138,10 @@ class Timestep:
             "growth" (the average), "fixed" or "end".
         """
         if self.fixed_dt is not None:
-            dt, limit, _ = settle(self.fixed_dt, FIXED, 1.0, 0.0, remaining)
+            dt, limit, _ = smooth_and_cut(self.fixed_dt, FIXED, 1.0, 0.0, remaining)
         else:
             allowed, limit = self._target(bodies, borne)
-            dt, limit, self.previous = settle(allowed, limit, self._smoothing, self.previous, remaining)
+            dt, limit, self.previous = smooth_and_cut(allowed, limit, self._smoothing, self.previous, remaining)
         return dt, LIMIT_NAMES[limit]
 
     def first(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> float:

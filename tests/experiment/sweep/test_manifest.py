@@ -27,7 +27,7 @@ def begin(folder: Path, runs: int = 3) -> Manifest:
 def finish(manifest: Manifest, name: str) -> None:
     path = manifest.folder.whole(name)
     path.write_bytes(b"whole")
-    manifest.settle(name, {"status": DONE, "outcome": "completed", "file": f"runs/{path.name}", "size": 5})
+    manifest.enter(name, {"status": DONE, "outcome": "completed", "file": f"runs/{path.name}", "size": 5})
 
 
 def test_a_saved_manifest_is_read_again(tmp_path: Path) -> None:

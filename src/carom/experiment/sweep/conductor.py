@@ -99,10 +99,10 @@ class Conductor:
                 ended.append(self._ended.get())
         except queue.Empty:
             return False
-        entered = [self._settle(future) for future in ended]
+        entered = [self._enter(future) for future in ended]
         return any(entered)
 
-    def _settle(self, future: Future[Report]) -> bool:
+    def _enter(self, future: Future[Report]) -> bool:
         """Enter one run; tell whether there was one."""
         if self._waiting.pop(str(future.key), None) is None:
             return False
@@ -113,7 +113,7 @@ class Conductor:
         if report is None:
             self._dropped += 1
             return False
-        self._watch.ended(self._manifest.settle(self._names[str(future.key)], report))
+        self._watch.ended(self._manifest.enter(self._names[str(future.key)], report))
         return True
 
     def _save(self) -> None:

@@ -106,7 +106,7 @@ class Manifest:
         for point in points:
             self._enter(Run(point.name, point.parameters, point.seed))
 
-    def settle(self, name: str, report: dict[str, Any]) -> Run:
+    def enter(self, name: str, report: dict[str, Any]) -> Run:
         """Enter the report of a worker on a run: fields of `Run`."""
         run = replace(self.runs[name], **report)
         self._enter(run)

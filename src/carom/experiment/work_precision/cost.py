@@ -6,7 +6,7 @@ import time
 
 from carom.experiment.engines.engine import engine_called
 from carom.experiment.work_precision.settings_grid import Setting
-from carom.physics.look_ahead.settle import settled
+from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.parallel.cores import cores
 from carom.physics.schedule import at
 from carom.physics.space import Space
@@ -24,7 +24,7 @@ def cost_of(setting: Setting, scene: Scene, threads: int | None) -> float:
     clock = time.thread_time if threads == 1 else time.perf_counter
     asked = setting.apply(scene)
     began = clock()
-    settled_scene = settled(asked, threads)
+    settled_scene = with_promise(asked, threads)
     ahead = clock() - began
     space = Space(settled_scene, threads)
     began = clock()

@@ -112,7 +112,7 @@ SETTINGS = np.dtype(
         ("impacts_only", "?"),  # whether resting contacts are skipped
         ("refines", "?"),  # whether conjugate gradients follow the iterations
         ("as_needed", "?"),  # whether small changes and small overlaps end the iterations
-        ("settles", "?"),  # whether more iterations follow conjugate gradients that did not converge
+        ("keeps_iterating", "?"),  # whether more iterations follow conjugate gradients that did not converge
         ("keeps_sliding", "?"),  # whether contacts that slid may not stick again
         ("islands_known", "?"),  # whether the bodies' islands are found
         ("measures", "?"),  # whether the audit writes `MEASURED`

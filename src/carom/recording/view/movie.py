@@ -21,7 +21,7 @@ from carom.recording.schema.timelines import STEP
 from carom.recording.view.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.view.camera import CameraFit, corners_of
 from carom.recording.view.canvas import Canvas
-from carom.recording.view.picture import headless, note_ends, settled, window_of
+from carom.recording.view.picture import headless, note_ends, stable_picture, window_of
 from carom.recording.view.presentation import asked
 from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.recorded_header import header_of_recording
@@ -167,7 +167,7 @@ class _Studio:
         self._view = None if self._whole else self._viewer.only_view()
         self._started = True
         time.sleep(max(0.0, self._noted - time.monotonic()))
-        settled(self._viewer, self._view)
+        stable_picture(self._viewer, self._view)
         return self._picture()
 
     def _picture(self) -> bytes:

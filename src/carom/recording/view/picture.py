@@ -84,7 +84,7 @@ def render(
         if extra is not None:
             viewer.add(extra)
         time.sleep(max(0.0, noted - time.monotonic()))
-        png = settled(viewer, None if whole else viewer.only_view())
+        png = stable_picture(viewer, None if whole else viewer.only_view())
         reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:
         raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
@@ -139,7 +139,7 @@ def note_ends(theme: str) -> float:
     return time.monotonic() + (_NOTE if theme == "light" else 0.0)
 
 
-def settled(viewer: Viewer, view: str | None) -> bytes:
+def stable_picture(viewer: Viewer, view: str | None) -> bytes:
     """Take pictures until they stay the same, because the viewer loads in parts; return the last."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT

@@ -87,7 +87,7 @@ class Writer:
     def flush(self) -> None:
         """Wait until everything sent is in the file; raises if it cannot be written."""
         self._stream.flush(timeout_sec=FLUSH)
-        self._sink.settle()
+        self._sink.drain()
         self._fail_if_full()
 
     def _check(self) -> None:

@@ -84,7 +84,7 @@ class DurableSink:
         except FileNotFoundError:
             return True
 
-    def settle(self) -> None:
+    def drain(self) -> None:
         """Wait until all flushed data is in the file."""
         while self._thread.is_alive():
             with self._turn:
@@ -109,7 +109,7 @@ class DurableSink:
         while size:
             select.select([self._source], [], [])
             time.sleep(_GATHER)
-            with self._turn:  # `settle` may then conclude from an empty pipe that all is written
+            with self._turn:  # `drain` may then conclude from an empty pipe that all is written
                 size = os.readv(self._source, [self._piece])
                 if self.error is None:  # or else drain the pipe: Rerun's sink would block for ever
                     self._write_whole(self._piece[:size])

@@ -116,7 +116,7 @@ class Stream:
     def flush(self) -> None:
         """Wait until everything sent is in the file; raises if it cannot be written."""
         self._stream.flush(timeout_sec=FLUSH)
-        self._sink.settle()
+        self._sink.drain()
         self._sink.reserve(self._reserve + _FOOTER_BYTES * self._sink.messages)
         if self._live is not None:
             self._live.flush()

@@ -86,7 +86,7 @@ class ContactSolver:
         self._settings["spins"] = friction
         self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
-        self._settings["settles"] = sweeps == "auto" or alternates
+        self._settings["keeps_iterating"] = sweeps == "auto" or alternates
         self._code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work` for systems of this solver
 

@@ -46,7 +46,7 @@ Records = NDArray[np.void]
 
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round
-MAX_SETTLING = 256  # Gauss-Seidel iterations after the last round
+MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
 GROWN = 1e6  # times the largest impulse before the search; impulses beyond it show that there is no solution
 MOST_LEFT = 0.5  # of the violation before; a round that leaves more is the last
 SOLVED = 1e-3  # of r·z at the start of a round
@@ -178,11 +178,11 @@ def _refine(board: IntArray, phases: Phases) -> int:
         rounds += 1
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
         before, missed = missed, _largest_residual(phases)
-    return passes + _settle(board, phases) if missed > 0.0 and phases.settings[0].settles else passes
+    return passes + _iterate_on(board, phases) if missed > 0.0 and phases.settings[0].keeps_iterating else passes
 
 
 @inner
-def _settle(board: IntArray, phases: Phases) -> int:
+def _iterate_on(board: IntArray, phases: Phases) -> int:
     """Iterate after conjugate gradients that did not converge; return the number of iterations.
 
     If kinetic friction is less than static friction, contacts may stick and slide in alternation without end. Here a
@@ -191,7 +191,7 @@ def _settle(board: IntArray, phases: Phases) -> int:
     pieces, settings, iterations = len(phases.found), phases.settings[0], 0
     settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
-    while _largest_residual(phases) > 0.0 and iterations < MAX_SETTLING:
+    while _largest_residual(phases) > 0.0 and iterations < MAX_FURTHER_ITERATIONS:
         _iterate(board, phases, True)
         iterations += 1
         _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)

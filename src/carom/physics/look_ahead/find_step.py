@@ -74,7 +74,7 @@ RADAU_LONG = 0.25  # refinement of the run whose distance from that one is its e
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
 
-def settled(scene: Scene, threads: int | None = None, start: Start | None = None) -> Scene:
+def with_promise(scene: Scene, threads: int | None = None, start: Start | None = None) -> Scene:
     """Return a scene with the step that its accuracy takes, as a [promise]; others are returned as they are.
 
     Raises
@@ -86,7 +86,7 @@ def settled(scene: Scene, threads: int | None = None, start: Start | None = None
     """
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
-    return _LookAhead(scene, scene.time.accuracy, threads, start or place(scene)).settle()
+    return _LookAhead(scene, scene.time.accuracy, threads, start or place(scene)).find()
 
 
 class _LookAhead:
@@ -109,32 +109,32 @@ class _LookAhead:
                 ROUNDING * self._last_bit / DISPLACEMENT,
             )
 
-    def settle(self) -> Scene:
+    def find(self) -> Scene:
         if integrator(self._scene).hierarchical:
-            return self._settle_orbits(persists=True) or self._scene
+            return self._find_for_orbits(persists=True) or self._scene
         if self._is_rough and orbits_often(self._scene, HILL_RADII) >= FEWEST_ORBITS:
-            promised = self._settle_orbits(persists=False)
+            promised = self._find_for_orbits(persists=False)
             if promised is not None:
                 return promised
         if integrator(self._scene).controls_error:
-            return self._settle_radau()
+            return self._find_for_radau()
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
             _, twins = self._part_at_impacts(EXACT if self._scene.count <= EXACT_UP_TO else EXACT_OF_MANY)
             return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
-        return self._settle_steps(integrator(self._scene).order)
+        return self._find_for_steps(integrator(self._scene).order)
 
     @property
     def _is_rough(self) -> bool:
         """Whether Wisdom–Holman integration may keep the accuracy for less than Gauss–Radau integration."""
         return self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
 
-    def _settle_radau(self) -> Scene:
+    def _find_for_radau(self) -> Scene:
         needs, rests_from = require(self._scene), math.inf
         run: TrialRun | Orbits
         if needs.contact.modelled:
             run, twins = self._part_at_impacts(RADAU_AHEAD if needs.gravity.modelled else RADAU_LONG)
             if run.is_given_up:
-                return self._settle_steps(INTEGRATORS["leapfrog"].order)
+                return self._find_for_steps(INTEGRATORS["leapfrog"].order)
             rests_from, rounding = run.rests_from, SPREAD * twins.apart
         else:
             run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, 1)
@@ -149,7 +149,7 @@ class _LookAhead:
             errors = ((each, rounding + share * missed) for each, share in RADAU_ERRORS)
             refinement, error = next((each, e) for each, e in errors if SAFETY * e[-1] <= self._accuracy)
         if rests_from < kept_until(self._times, error, self._accuracy):
-            return self._settle_steps(INTEGRATORS["leapfrog"].order)
+            return self._find_for_steps(INTEGRATORS["leapfrog"].order)
         return self._promise(refinement, error, twins.exponent)
 
     def _missed_by_long_steps(self, run: TrialRun | Orbits) -> FloatArray:
@@ -169,7 +169,7 @@ class _LookAhead:
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
-    def _settle_orbits(self, persists: bool) -> Scene | None:
+    def _find_for_orbits(self, persists: bool) -> Scene | None:
         """Return the scene with a promise of Wisdom–Holman integration; None if that is not worth it."""
         times, most = samples(self._scene, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
         found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists)
@@ -179,7 +179,7 @@ class _LookAhead:
         chosen: Literal["wisdom-holman"] | None = "wisdom-holman" if self._scene.time.integrator == AUTO else None
         return self._promise(found.refinement, MARGIN * error, found.exponent, chosen)
 
-    def _settle_steps(self, order: int) -> Scene:
+    def _find_for_steps(self, order: int) -> Scene:
         refinement = LONGEST
         coarse, apart, idle, enough = self._run(refinement), list[FloatArray](), 0, 0
         while True:
