@@ -136,11 +136,11 @@ def iterate(motion: Motion, eps2: float, dt: float) -> float:
         for i in range(len(start)):
             for k in range(3):
                 c = 3 * i + k
-                missing = (pull[i, k] - start[i, k]) - expected[i, k]
-                delta = missing * TO_DIFFERENCE[s]
+                residual = (pull[i, k] - start[i, k]) - expected[i, k]  # δ
+                difference = residual * TO_DIFFERENCE[s]
                 for j in range(WIDTH):
-                    b[c, j] += POWERS[s - 1, j] * delta
-                most = max(most, abs(missing))
+                    b[c, j] += POWERS[s - 1, j] * difference
+                most = max(most, abs(residual))
                 largest = max(largest, abs(pull[i, k]))
     return most / largest if largest > 0.0 else 0.0
 
@@ -153,12 +153,12 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
     for i in range(len(x)):
         for k in range(3):
             c = 3 * i + k
-            bent, more = 0.0, 0.0
+            position_sum, acceleration_sum = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                bent += ON_POSITION[s, j] * b[c, j]
-                more += ON_ACCELERATION[s, j] * b[c, j]
-            motion.expected[i, k] = more
-            curved = 0.5 * t * t * acceleration_at_start(motion, i, k) + square * bent
+                position_sum += ON_POSITION[s, j] * b[c, j]
+                acceleration_sum += ON_ACCELERATION[s, j] * b[c, j]
+            motion.expected[i, k] = acceleration_sum
+            curved = 0.5 * t * t * acceleration_at_start(motion, i, k) + square * position_sum
             motion.at[i, k] = x[i, k] + (motion.position_rest[i, k] + (t * v[i, k] + curved))
 
 
@@ -192,16 +192,17 @@ def move(motion: Motion, dt: float) -> None:
     for i in range(len(x)):
         for k in range(3):
             c = 3 * i + k
-            bent, turned = 0.0, 0.0
+            position_sum, velocity_sum = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                bent += b[c, j] / ((j + 2) * (j + 3))  # division, because the rounding of reciprocals would accumulate
-                turned += b[c, j] / (j + 2)
+                # division, because the rounding of reciprocals would accumulate
+                position_sum += b[c, j] / ((j + 2) * (j + 3))
+                velocity_sum += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]
                 motion.accepted[c, j] = b[c, j]
             a = acceleration_at_start(motion, i, k)
-            step = (bent + 0.5 * a) * (dt * dt) + v[i, k] * dt
+            step = (position_sum + 0.5 * a) * (dt * dt) + v[i, k] * dt
             _add(x, motion.position_rest, i, k, step)
-            _add(v, motion.velocity_rest, i, k, (turned + a) * dt)
+            _add(v, motion.velocity_rest, i, k, (velocity_sum + a) * dt)
 
 
 @unowned
