@@ -43,10 +43,17 @@ def refuse_name(path: Path) -> None:
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
     """Refuse to replace what an output is made from, even where files may be replaced.
 
+    Parameters
+    ----------
+    path, source
+        The output, and what it is made from.
+    what
+        The source, in a word.
+
     Raises
     ------
     RecordingError
-        If both are one file; ``what`` it is.
+        If both are one file.
     """
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")

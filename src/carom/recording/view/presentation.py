@@ -140,9 +140,9 @@ def presentation(
     trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
-    seen = camera.view()
-    statics = [*plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())]  # the recorded ones are
-    statics += list(close.statics(header)) if close else []  # about the bodies at the start
+    seen = camera.view()  # recorded grids lie about the bodies at the start
+    statics = list(plane_grids(header, recording.origin, seen.target, 0.5 * seen.height()))
+    statics += list(close.statics(header)) if close else []
     if trails is not None:
         if not _meet(recording, header):  # orbits: the paths must be inside the view
             trails.show(camera, step.time)
