@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -96,3 +97,13 @@ def test_asking_for_a_step_without_a_checkpoint_says_so(tmp_path: Path) -> None:
     recording = record(tmp_path / "run.rrd", merry, list(merry.frames(10)))
     with pytest.raises(RecordingError, match="no checkpoint at step 12345"):
         recording.checkpoint(12345)
+
+
+@pytest.mark.parametrize("step", ["a", 1.5, None, True])
+def test_a_step_that_is_not_a_number_is_refused_without_blaming_the_file(
+    step: Any, tmp_path: Path, merry: Merry
+) -> None:
+    recording = record(tmp_path / "run.rrd", merry, list(merry.frames(20)))
+    with pytest.raises(RecordingError, match=r"^checkpoint .*: give one of checkpoint_steps") as refused:
+        recording.checkpoint(step)
+    assert "damaged" not in str(refused.value)

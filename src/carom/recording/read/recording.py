@@ -219,7 +219,11 @@ class Recording(FrameTables):
         """
         from carom.recording.read.checkpoint import checkpoint_at  # noqa: PLC0415 - loads Numba, which looking at a file does not need
 
-        return checkpoint_at(self, self._entities, self._start, step)
+        if isinstance(step, bool) or not isinstance(step, (int, np.integer)):
+            raise RecordingError(
+                f"checkpoint {step!r}: give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"
+            )
+        return checkpoint_at(self, self._entities, self._start, int(step))
 
     def checkpoints(self) -> Iterator[Checkpoint]:
         """All exact states, in order."""
