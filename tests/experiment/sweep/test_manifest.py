@@ -163,3 +163,13 @@ def test_a_file_that_is_no_manifest_is_refused(text: str, tmp_path: Path) -> Non
     manifest.folder.manifest.write_bytes(text.encode("utf-8", "surrogatepass"))
     with pytest.raises(ExperimentError, match=r"manifest\.json: not a manifest of carom's"):
         read(manifest.folder)
+
+
+def test_a_file_that_does_not_fit_on_the_disk_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left") as failed:
+        put(tmp_path / "scene.toml", "x")
+    assert failed.value.filename == str(tmp_path / "scene.toml") and not list(tmp_path.iterdir())

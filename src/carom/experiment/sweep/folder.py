@@ -120,10 +120,10 @@ def put(path: Path, content: str | bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         move(beside, path)
-    except OSError:
+    except OSError as error:
         with contextlib.suppress(OSError):
             beside.unlink(missing_ok=True)
-        raise
+        raise OSError(error.errno, error.strerror, str(path)) from error  # that of a full disk names no file
 
 
 def put_copy(path: Path, source: Path) -> None:
