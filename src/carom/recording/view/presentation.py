@@ -140,9 +140,10 @@ def presentation(
     trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
-    seen = camera.view()  # recorded grids lie about the bodies at the start
-    statics = list(plane_grids(header, recording.origin, seen.target, 0.5 * seen.height()))
-    statics += list(close.statics(header)) if close else []
+    statics = list(close.statics(header)) if close else []
+    if header.walls is None and header.box is None:  # recorded grids lie about the bodies at the start
+        seen = camera.view()
+        statics += plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())
     if trails is not None:
         if not _meet(recording, header):  # orbits: the paths must be inside the view
             trails.show(camera, step.time)
