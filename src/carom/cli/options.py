@@ -13,8 +13,6 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
 _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
-
-
 OptionalTime = float | None  # what `seconds` read, or None
 
 

@@ -90,7 +90,7 @@ def shrink(
     """
     from dataclasses import asdict
 
-    from carom.experiment.output import refuse_scene_output
+    from carom.experiment.output import refuse_output, refuse_scene_output
     from carom.experiment.shrink.condition import condition_from
     from carom.experiment.shrink.result import earlier, key_of
     from carom.experiment.shrink.source import source_of
@@ -116,7 +116,7 @@ def shrink(
     if known:
         given, reducer.before = source_of(str(path), []), known.before
     else:
-        refuse_scene_output(path, source, force)
+        refuse_output(path, force)
     result = _reduced(reducer, given, path, key, _command(source, condition, while_command, overrides), quiet=as_json)
     if as_json:
         document = asdict(result) | {"file": str(path), "condition": asked.text, "minimal": result.minimal}

@@ -125,9 +125,6 @@ def _replacing(folder: Path) -> Iterator[Path]:
     shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
     try:
         part.mkdir()
-    except OSError as error:
-        raise RecordingError(f"cannot write {folder}: {error.strerror}") from None
-    try:
         yield part
         if folder.exists():
             folder.rename(old)
@@ -139,6 +136,6 @@ def _replacing(folder: Path) -> Iterator[Path]:
             raise
         shutil.rmtree(old, ignore_errors=True)
     except OSError as error:
-        raise RecordingError(f"cannot write {folder}: {error.strerror}") from error
+        raise RecordingError(f"cannot write {folder}: {error.strerror}") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)

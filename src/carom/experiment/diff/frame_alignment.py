@@ -110,7 +110,8 @@ class FrameAlignment:
         """Return the periodic images of other positions that are nearest to some positions."""
         if self._box is None:
             return other
-        return one + minimum_images(other - one, self._box)
+        apart = other - one
+        return other + (minimum_images(apart, self._box) - apart)  # exactly `other` where that is nearest
 
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².

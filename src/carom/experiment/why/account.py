@@ -94,7 +94,7 @@ class Account:
         held = sum(cause.size for cause in self.causes if cause.holds)
         return held > sum(cause.size for cause in self.causes if not cause.holds)
 
-    def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows) -> None:
+    def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows, contacts: Rows) -> None:
         """Go back over a step, or its beginning.
 
         Parameters
@@ -105,11 +105,10 @@ class Account:
             Its impulses on this body up to the moment, in order.
         kicks
             (3,) m/s each, those that forces gave this body up to the moment.
-        impacts
-            (k,) `CONTACT_ROW`, of this step.
+        impacts, contacts
+            (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
         """
-        is_whole = len(rows) == len(impulses_on(self.body, step.impulses))
-        self._lost = self._lost_at_rest(step.contacts, impacts) if is_whole else {}
+        self._lost = self._lost_at_rest(contacts, impacts)
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         now = self._velocity_after(step, rows, first + last if late else first)
@@ -134,6 +133,8 @@ class Account:
     def _lost_at_rest(self, contacts: Rows, impacts: Rows) -> dict[int, float]:
         """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
         lost: dict[int, float] = {}
+        if len(contacts) == 0:
+            return lost
         for rows, sign in ((contacts, 1.0), (impacts, -1.0)):
             for row in impulses_on(self.body, rows):
                 lost[self._other(row)] = lost.get(self._other(row), 0.0) + sign * _loss(row)

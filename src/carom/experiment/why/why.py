@@ -147,9 +147,10 @@ class _Backwards:
 
     def _take(self, history: History, step: Step, rows: Rows, kicks: list[FloatArray], velocity: FloatArray) -> None:
         impacts = self._impacts.get(step.step, history.impacts[:0])
+        contacts = step.contacts if rows is step.impulses else step.contacts[:0]
         for place, account in enumerate(self._accounts):
             own = [kick[place] for kick in kicks]
-            account.take(step, impulses_on(account.body, rows), own, impacts)
+            account.take(step, impulses_on(account.body, rows), own, impacts, contacts)
         self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
 
     def _shares(self, late: Rows, velocity: FloatArray) -> dict[int, float]:

@@ -111,13 +111,14 @@ class FrameTables(Statics):
     @named
     def drawn_planes(self) -> HalfSpaces:
         """Return the planes as drawn, without names and sides; none if they are not drawn as grids."""
-        ends = np.asarray(self._entities.static(paths.PLANES)["LineStrips3D:strips"], dtype=np.float64)
+        ends = np.asarray(self._entities.static(paths.PLANES).get("LineStrips3D:strips", []), dtype=np.float64)
         if ends.size % (2 * paths.PLANE_LINES * 2 * 3):
             return HalfSpaces([], np.zeros((0, 3)), np.zeros(0))
         lines = ends.reshape(-1, 2, paths.PLANE_LINES, 2, 3)
-        sides = lines[:, :, 0, 1] - lines[:, :, 0, 0]
-        normal = np.cross(sides[:, 0], sides[:, 1])
-        size = np.sqrt((normal * normal).sum(axis=1))
+        with np.errstate(invalid="ignore", over="ignore"):  # of a damaged file
+            sides = lines[:, :, 0, 1] - lines[:, :, 0, 0]
+            normal = np.cross(sides[:, 0], sides[:, 1])
+            size = np.sqrt((normal * normal).sum(axis=1))
         drawn = (size > 0.0) & np.isfinite(size)
         normal = normal[drawn] / size[drawn, None]
         point = lines[drawn].mean(axis=(1, 2, 3)) + self.origin

@@ -54,14 +54,14 @@ def summary(recording: Recording) -> dict[str, Any]:
     if materials := materials_of(recording):
         found["materials"] = materials.described
     if clip:
-        steps = clip["first_step"], found["steps"]
+        first, last = found["first_step"], found["steps"]
         shown = set(recording.shown)
         inside = {
             name: moment
             for name, moment in found["moments"].items()
-            if steps[0] <= moment["step"] <= steps[1] and shown.issuperset(moment["bodies"])
+            if first <= moment["step"] <= last and shown.issuperset(moment["bodies"])
         }
-        return found | {"clip": clip, "moments": inside}
+        return found | {"clip": clip | {"first_step": first}, "moments": inside}
     for section in ("energy", "momentum", "angular_momentum", "contacts"):
         found[section] |= _below(recording.closing, section)
     if "contacts.total" in recording.closing:
@@ -84,10 +84,9 @@ def _clip(recording: Recording) -> dict[str, Any]:
     """Describe the part of the run in a clip; empty for a whole run."""
     if not recording.clip:
         return {}
-    first = int(recording.fingerprints()["step"][0].as_py()) if recording.frames else 0
     shown = list(recording.shown)
     called = [body_called(body, recording.bodies.name[body]) for body in shown]
-    return dict(recording.clip) | {"bodies": shown, "names": called, "first_step": first}
+    return dict(recording.clip) | {"bodies": shown, "names": called}
 
 
 def _impacts(recording: Recording) -> dict[str, int]:
