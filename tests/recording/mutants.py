@@ -27,11 +27,11 @@ from carom.experiment import report
 from carom.experiment.diff.diff import diff
 from carom.experiment.replay import replay
 from carom.recording.edit.clip import clip
+from carom.recording.layout.blueprint import ALL
+from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
-from carom.recording.view.blueprint import ALL
-from carom.recording.view.canvas import Canvas
 from carom.recording.view.movie import _layout, frame_times
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request

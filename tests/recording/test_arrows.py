@@ -1,6 +1,6 @@
 import numpy as np
 
-from carom.recording.view import arrows
+from carom.recording.style import arrows
 
 
 def test_magnitudes_neither_overflow_nor_underflow() -> None:

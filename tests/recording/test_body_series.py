@@ -10,10 +10,10 @@ import pytest
 from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
+from carom.recording.layout.canvas import Area
 from carom.recording.read.body_series import QUANTITIES, asked_quantities, body_series, needs_replay
 from carom.recording.read.recording import Recording
 from carom.recording.view.body_plots import BodyPlots
-from carom.recording.view.canvas import Area
 from examples import scene_of
 
 BODIES = [

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.recording.view import camera
-from carom.recording.view.camera import CameraFit, View, corners_of
+from carom.recording.layout import camera
+from carom.recording.layout.camera import CameraFit, View, corners_of
 from merry import Merry
 
 FloatArray = NDArray[np.float64]

@@ -6,13 +6,14 @@ import pytest
 import carom
 from carom.experiment.replay import replay
 from carom.recording.errors import RecordingError
+from carom.recording.layout.camera import CameraFit
+from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.timelines import STEP
-from carom.recording.view import colouring, trails
-from carom.recording.view.camera import CameraFit
+from carom.recording.style import colouring
+from carom.recording.view import trails
 from carom.recording.view.presentation import presentation
-from carom.recording.view.recorded_header import header_of_recording
 from carom.scene.schema import Scene
 from examples import cloud
 

@@ -11,7 +11,7 @@ import pytest
 import rerun as rr
 
 from carom.physics.event import Event
-from carom.recording.edit.continuation import Continuation
+from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.recording.view.curve import Curve
+from carom.recording.layout.curve import Curve
 
 
 @settings(deadline=None)  # the machine may be busy

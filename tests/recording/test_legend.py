@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.recording.view.canvas import Area
-from carom.recording.view.curve import Curve
-from carom.recording.view.legend import place_legend, time_beside_legend
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.curve import Curve
+from carom.recording.layout.legend import place_legend, time_beside_legend
 
 FloatArray = NDArray[np.float64]
 

@@ -8,10 +8,10 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from carom.recording.view.camera import View
-from carom.recording.view.eye import eye, space_of
+from carom.recording.layout.camera import View
+from carom.recording.layout.eye import eye, space_of
+from carom.recording.layout.magnification import NEAREST, scale, space
 from carom.recording.write.chunk_writer import Writer
-from carom.recording.write.magnification import NEAREST, scale, space
 
 
 @pytest.mark.parametrize("distance", [1e-12, 3e-3, 0.0499, 0.05, 0.499])

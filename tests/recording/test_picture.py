@@ -9,7 +9,7 @@ from PIL import Image
 from carom import Scene, run
 from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
-from carom.recording.view import impulse_scale
+from carom.recording.style import impulse_scale
 from carom.recording.view.picture import render
 from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder

@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.legend import place_legend
+from carom.recording.layout.plot_views import energy_view
+from carom.recording.read.recorded_curves import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
-from carom.recording.view.canvas import Area
-from carom.recording.view.legend import place_legend
 from carom.recording.view.picture import render
-from carom.recording.view.plot_views import energy_view
-from carom.recording.view.recorded_curves import recorded_curves
 from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
 from merry import Merry

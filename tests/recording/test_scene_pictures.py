@@ -8,7 +8,7 @@ from PIL import Image
 
 import carom
 from carom.recording.schema import palette
-from carom.recording.view import impulse_scale
+from carom.recording.style import impulse_scale
 from carom.recording.view.picture import render
 from carom.recording.view.request import Request
 from carom.scene.schema import Scene

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.recording.layout.curve import Curve
+from carom.recording.layout.plot_views import shown_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, recorded
-from carom.recording.view.curve import Curve
-from carom.recording.view.plot_views import shown_series
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 

@@ -14,8 +14,8 @@ from carom.experiment.mismatch import Mismatch, different, same
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
 from carom.recording.read.damage import reading
+from carom.recording.read.recorded_rows import RecordedRows
 from carom.recording.read.recording import Recording
-from carom.recording.read.rows import RecordedRows, checkpoints_of, rows_of
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
@@ -24,6 +24,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.series import SERIES, Past
 from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 
 # compared together: encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000

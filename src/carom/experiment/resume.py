@@ -13,8 +13,8 @@ from carom.experiment.output import claimed_output, refuse_name, refuse_output
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
+from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene, space_of
 from carom.recording.schema.header import Scalar

@@ -25,8 +25,8 @@ from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
+from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember
 from carom.recording.schema.impacts import RecordedImpacts

@@ -1,1 +1,1 @@
-"""Files made from recordings: clips, repairs, continuations, bundles."""
+"""Files made from recordings: clips, repairs, bundles."""

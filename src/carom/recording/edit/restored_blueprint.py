@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import rerun.blueprint as rrb
 
+from carom.recording.layout.blueprint import blueprint
+from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.view.blueprint import blueprint
-from carom.recording.view.camera import CameraFit, corners_of
-from carom.recording.view.recorded_curves import recorded_curves
-from carom.recording.view.recorded_header import header_of_recording
 
 _LOOKS = 50  # frames by which the camera is placed
 

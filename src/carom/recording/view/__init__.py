@@ -1,1 +1,1 @@
-"""How a recording looks: blueprint, camera, arrows, pictures and the viewer itself."""
+"""Recordings shown: pictures, movies, close-ups, the viewer itself and its page."""

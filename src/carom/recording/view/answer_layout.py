@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import rerun.blueprint as rrb
 
+from carom.recording.layout.camera import View
+from carom.recording.layout.eye import background, eye, space_of
 from carom.recording.schema.timelines import SIM_TIME
-from carom.recording.view.camera import View
-from carom.recording.view.eye import background, eye, space_of
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:

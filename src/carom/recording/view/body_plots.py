@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import rerun as rr
 import rerun.blueprint as rrb
 
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.curve import Curve
+from carom.recording.layout.plot_views import time_series_view
 from carom.recording.read.body_series import BodySeries
 from carom.recording.schema.palette import LINES
-from carom.recording.view.canvas import Area
-from carom.recording.view.curve import Curve
-from carom.recording.view.plot_views import time_series_view
+from carom.recording.style.curve_style import curve_style
 from carom.recording.write.rows import Index, Rows
-from carom.recording.write.statics import curve_style
 from carom.scene.units.system import SI, UnitSystem
 
 TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}

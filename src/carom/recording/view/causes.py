@@ -13,13 +13,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.recording.layout.camera import CameraFit, View
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import STEP
 from carom.recording.view.answer_layout import beside_bodies
-from carom.recording.view.camera import CameraFit, View
 from carom.recording.write.chunk_writer import Writer
 
 FloatArray = NDArray[np.float64]

@@ -16,20 +16,20 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.graph_view import faint_bodies
+from carom.recording.layout.surroundings import surroundings
 from carom.recording.read.names import names_of
 from carom.recording.read.positions import DrawnPaths, drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.camera import CameraFit, View
-from carom.recording.view.eye import background, eye, space_of
-from carom.recording.view.graph_view import faint_bodies
-from carom.recording.view.line_radii import line_radii
+from carom.recording.style.line_radii import line_radii
 from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
-from carom.recording.write import encoder as entities
 from carom.recording.write.rows import Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
@@ -100,7 +100,7 @@ class CloseUp:
 
     def view(self, header: Header) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
-        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *entities.surroundings(header)]
+        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
         return rrb.Spatial3DView(
             name=f"Close-up: {self.names}",
             origin=space_of(self.eye),

@@ -12,14 +12,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.plot_views import whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
+from carom.recording.style.curve_style import curve_style
 from carom.recording.view.answer_layout import beside_bodies
-from carom.recording.view.camera import CameraFit, View
-from carom.recording.view.plot_views import whole_time
 from carom.recording.write.chunk_writer import Writer
-from carom.recording.write.statics import curve_style
 from carom.scene.units.dimension import LENGTH
 
 FloatArray = NDArray[np.float64]

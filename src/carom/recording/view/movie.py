@@ -14,17 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
+from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.canvas import Canvas
 from carom.recording.read.positions import RecordedPositions
+from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.blueprint import ALL, CLOSE_UP, blueprint
-from carom.recording.view.camera import CameraFit, corners_of
-from carom.recording.view.canvas import Canvas
 from carom.recording.view.picture import headless, note_ends, stable_picture, window_of
 from carom.recording.view.presentation import asked
-from carom.recording.view.recorded_curves import recorded_curves
-from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.request import Request
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.viewer import Viewer

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from carom.recording.errors import RecordingError
+from carom.recording.layout.blueprint import ALL
+from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
-from carom.recording.view.blueprint import ALL
-from carom.recording.view.canvas import Canvas
 from carom.recording.view.light_theme import light_theme
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request

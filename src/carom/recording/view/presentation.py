@@ -8,24 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.recording.errors import RecordingError
+from carom.recording.layout.additions import Additions
+from carom.recording.layout.blueprint import ALL, PLOT, WINDOW, blueprint, close_up_area
+from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.canvas import Canvas
+from carom.recording.layout.curve import Curve
 from carom.recording.read.body_series import asked_quantities, body_series
+from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.additions import Additions
-from carom.recording.view.blueprint import ALL, PLOT, WINDOW, blueprint, close_up_area
 from carom.recording.view.body_plots import BodyPlots
-from carom.recording.view.camera import CameraFit, corners_of
-from carom.recording.view.canvas import Canvas
 from carom.recording.view.close_up import close_up
-from carom.recording.view.curve import Curve
 from carom.recording.view.named_event import NamedEvent, named_event
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.recoloured import colour_rows
-from carom.recording.view.recorded_curves import recorded_curves
-from carom.recording.view.recorded_header import header_of_recording
 from carom.recording.view.request import Request
 from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
 from carom.recording.view.supplement import Supplement

@@ -14,9 +14,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
-from carom.recording.view import colouring
+from carom.recording.style import colouring
+from carom.recording.style.body_shape import shape
 from carom.recording.view.shown_step import ShownStep
-from carom.recording.write import encoder as entities
 from carom.recording.write.rows import Index, Rows
 
 FloatArray = NDArray[np.float64]
@@ -53,7 +53,7 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
     steps, times, colours = (list(column) for column in zip(*found, strict=True))
     flat = np.concatenate(colours)
     # Rerun prefers static values of the same component, so these colours belong to another archetype
-    archetype = rr.Points3D if entities.shape(header) != "points" else rr.Ellipsoids3D
+    archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
     return [
         Rows(
             paths.BODIES,

@@ -6,21 +6,17 @@ from collections.abc import Iterable
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
-from rerun.blueprint.api import VisualizerLike
-from rerun.encodings import EntityPathLike
 
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.visible_trails import TRAILS
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import SIM_TIME, STEP
-from carom.recording.view.camera import CameraFit
-from carom.recording.view.colouring import STATIC
+from carom.recording.schema.timelines import STEP
+from carom.recording.style.colouring import STATIC
 from carom.recording.view.supplement import Static
 from carom.recording.write.rows import Index, Rows
-
-TRAILS = "trails"
 
 _MOST_BODIES = 40
 _MOST_FRAMES = 2000  # longer paths take every k-th frame
@@ -83,10 +79,3 @@ class Trails:
 def has_trails(recording: Recording) -> bool:
     """Return whether a recording has few enough bodies for their paths to be legible."""
     return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
-
-
-def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
-    """Return the override by which a view shows all pieces up to the cursor."""
-    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
-    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
-    return {TRAILS: rrb.VisibleTimeRanges(ranges)}

@@ -13,17 +13,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.recording.layout.blueprint import WINDOW
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.legend import time_beside_legend
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
 from carom.recording.schema.series import THICK, THIN
+from carom.recording.style.curve_style import curve_style
 from carom.recording.view.answer_layout import paused
-from carom.recording.view.blueprint import WINDOW
-from carom.recording.view.camera import CameraFit, View
-from carom.recording.view.eye import background, eye, space_of
-from carom.recording.view.legend import time_beside_legend
 from carom.recording.write.chunk_writer import Writer
-from carom.recording.write.statics import curve_style
 
 FloatArray = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from carom.physics.aligned import picked
 from carom.physics.contact.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
-from carom.recording.view import impulse_scale
-from carom.recording.view.arrows import part_of_longest
+from carom.recording.style import impulse_scale
+from carom.recording.style.arrows import part_of_longest
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.columns import any_column, vector_column
 from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
@@ -163,7 +163,7 @@ def force_rows(
 
 
 def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[np.float32]:
-    """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.view.arrows`."""
+    """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.style.arrows`."""
     size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
     length = longest * part_of_longest(size, middle)
     scale = np.divide(length, size, out=np.zeros_like(size), where=size > 0.0)

@@ -14,7 +14,7 @@ from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
-from carom.recording.view import arrows, impulse_scale
+from carom.recording.style import arrows, impulse_scale
 from carom.recording.write.columns import any_column
 from carom.recording.write.contact_columns import BatchContacts, contact_columns, force_rows
 from carom.recording.write.impact_frames import orientations_at, positions_at

@@ -13,6 +13,7 @@ from rerun import ComponentColumn
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
+from carom.recording.layout.curve import Curve
 from carom.recording.schema import checkpoint, palette
 from carom.recording.schema.header import Header
 from carom.recording.schema.impacts import RecordedImpacts
@@ -24,18 +25,14 @@ from carom.recording.schema.paths import (
     DT_LIMIT,
     EVENTS,
     FINGERPRINT,
-    FORCE_FRICTION,
-    FORCE_NORMAL,
     MOMENTUM,
-    PERIODIC_BOX,
     PHASE,
-    PLANES,
     TORQUE,
-    WALLS,
 )
 from carom.recording.schema.series import Sample, recorded
-from carom.recording.view import arrows, colouring, impulse_scale
-from carom.recording.view.curve import Curve
+from carom.recording.style import arrows, colouring
+from carom.recording.style.arrow_length import arrow_length
+from carom.recording.style.body_shape import shape
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.columns import any_column, line_column, plain_column, vector_column
 from carom.recording.write.contact_columns import BatchContacts
@@ -43,37 +40,11 @@ from carom.recording.write.contact_encoder import ContactEncoder
 from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
-MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
-
-_REACH = {  # L_max in median body radii
-    TORQUE: arrows.TORQUE_REACH,
-    ANGULAR_ACCELERATION: arrows.ANGULAR_ACCELERATION_REACH,
-    FORCE_NORMAL: impulse_scale.REACH,
-    FORCE_FRICTION: impulse_scale.REACH,
-}
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NO_IMPACTS = RecordedImpacts()
-
-
-def shape(header: Header) -> str:
-    """Return how bodies are drawn: "ellipsoids", or if there are many "mesh" (with orientations) or "points"."""
-    if header.bodies <= MOST_ELLIPSOIDS:
-        return "ellipsoids"
-    return "mesh" if header.has_orientation else "points"
-
-
-def arrow_length(header: Header, path: str) -> float:
-    """Return L_max (m) of the arrows at an entity."""
-    return arrows.longest(header.radius, _REACH[path])
-
-
-def surroundings(header: Header) -> list[str]:
-    """Return the entities of planes, walls and periodic box that the scene has."""
-    parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
-    return [path for path, part in parts if part is not None]
 
 
 class BatchEncoder:

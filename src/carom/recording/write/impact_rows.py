@@ -9,7 +9,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
-from carom.recording.view import impulse_scale
+from carom.recording.style import impulse_scale
 from carom.recording.write.columns import any_column, plain_column, vector_column
 from carom.recording.write.rows import Index, Rows, array_bytes, single
 

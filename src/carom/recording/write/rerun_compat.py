@@ -19,8 +19,8 @@ import rerun.chunk as rrc
 import rerun_bindings
 
 from carom.recording.errors import DamageError
+from carom.recording.layout.magnification import log_spaces
 from carom.recording.rrd.messages import Chunk
-from carom.recording.write.magnification import log_spaces
 
 if TYPE_CHECKING:
     from rerun.notebook import Viewer

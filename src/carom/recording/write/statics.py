@@ -7,18 +7,19 @@ from collections.abc import Iterable
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
-from rerun.components import AggregationPolicy, FillMode
+from rerun.components import FillMode
 
 from carom.recording.schema import palette, paths
 from carom.recording.schema.body_names import stored_names
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.given_bodies import encode
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import THIN, recorded
-from carom.recording.view import colouring
-from carom.recording.view.line_radii import line_radii
-from carom.recording.view.scene_text import scene_document
-from carom.recording.write import encoder as entities
+from carom.recording.schema.series import recorded
+from carom.recording.style import colouring
+from carom.recording.style.body_shape import shape
+from carom.recording.style.curve_style import curve_style
+from carom.recording.style.line_radii import line_radii
+from carom.recording.write.scene_text import scene_document
 
 Static = tuple[str, rr.AsComponents]
 
@@ -68,7 +69,7 @@ def _bodies(header: Header) -> Iterable[Static]:
     is_static = header.coloured_by in colouring.STATIC
     colours = header.static_colours(header.coloured_by) if is_static else None
     radius = header.radius.astype(np.float32)
-    match entities.shape(header):
+    match shape(header):
         case "ellipsoids":
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)
             see_through = header.has_orientation or header.collides
@@ -164,11 +165,6 @@ def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
 def _series(header: Header) -> Iterable[Static]:
     for series in recorded(header):
         yield series.path, curve_style(series.legend, series.colour, series.width)
-
-
-def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
-    """Style a curve. Where many frames share a pixel it shows the lowest and the highest, so that no peak is lost."""
-    return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
 def _states(colours: dict[str, int]) -> rr.StateConfiguration:

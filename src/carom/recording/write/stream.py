@@ -11,14 +11,14 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.physics.event import Event
-from carom.recording.edit.continuation import Continuation
 from carom.recording.errors import RecordingError
+from carom.recording.read.continuation import Continuation
 from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import checkpoint, paths
 from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.write import encoder as entities
+from carom.recording.style.arrow_length import arrow_length
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
@@ -171,10 +171,10 @@ class Stream:
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}
         if header.has_torque:
             for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
-                identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
+                identity[f"arrow_length.{path}"] = arrow_length(header, path)
         if header.records_contacts:
             for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
-                identity[f"arrow_length.{path}"] = entities.arrow_length(header, path)
+                identity[f"arrow_length.{path}"] = arrow_length(header, path)
         if header.box is not None:
             identity["box"] = header.box
         return identity

@@ -7,13 +7,15 @@ import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
 from rerun.encodings import EntityPathLike
 
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.contact_overrides import edges_by_impulse, force_arrows
+from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.surroundings import surroundings
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.camera import CameraFit
-from carom.recording.view.canvas import Area
-from carom.recording.view.contact_overrides import edges_by_impulse, force_arrows
-from carom.recording.view.eye import background, eye, space_of
-from carom.recording.write import encoder as entities
+from carom.recording.style.arrow_length import arrow_length
+from carom.recording.style.body_shape import shape
 
 _GHOST = 0x8A93A630
 _WIRE = 0x8A93A6FF  # bodies behind arrows and edges
@@ -32,7 +34,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
         origin=space_of(view),
         contents=[
             paths.BODIES,
-            *entities.surroundings(header),
+            *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
@@ -51,12 +53,12 @@ def _name(header: Header) -> str:
 
 def _arrows(header: Header) -> float:
     """Return how far (m) arrows of medium length reach out of the bodies."""
-    return entities.arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
+    return arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
 
 
 def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
     """Draw bodies as thin wires, so that they do not hide edges and arrows."""
-    match entities.shape(header):
+    match shape(header):
         case "ellipsoids":
             thin = rr.Radius.ui_points(0.4)
             return {

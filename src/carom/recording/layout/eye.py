@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import rerun.blueprint as rrb
 
+from carom.recording.layout.camera import View
+from carom.recording.layout.magnification import scale, space
 from carom.recording.schema import palette, paths
-from carom.recording.view.camera import View
-from carom.recording.write.magnification import scale, space
 
 
 def eye(view: View, follows: str | None = None) -> rrb.EyeControls3D:

@@ -1,27 +1,21 @@
-"""Rows of single frames, as recorded and as a frame would be recorded: a replay compares the two."""
+"""The recorded rows of single frames."""
 
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.physics.frame import Frame
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
-from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.rows import Rows
+from carom.recording.schema.timelines import STEP
 
 _KEPT = 2  # chunks of an entity in memory
-_INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
-_BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
+BY_EVENT = (paths.PHASE, paths.DT_LIMIT, paths.EVENTS, paths.IMPACTS)  # entities without one row for every frame
 
 
 class RecordedRows:
@@ -40,7 +34,7 @@ class RecordedRows:
     @property
     def entities(self) -> list[str]:
         """Entities with rows of frames, by name."""
-        return sorted(set(self._entries) - set(_BY_EVENT))
+        return sorted(set(self._entries) - set(BY_EVENT))
 
     def at(self, path: str, step: int) -> list[Chunk]:
         """Return an entity's rows of a step, each as a chunk of its own: one, if all is well."""
@@ -79,30 +73,3 @@ class RecordedRows:
             if len(kept) > _KEPT:
                 kept.popitem(last=False)
         return kept[number]
-
-
-def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Iterator[Chunk]:
-    """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
-    for rows in encoder.rows(frames):
-        if rows.path not in _BY_EVENT and len(rows.steps):
-            yield chunk_of(rows, clock)
-
-
-def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Chunk:
-    """Encode the exact state of frames."""
-    return chunk_of(encoder.checkpoints(frames), clock)
-
-
-def chunk_of(rows: Rows, clock: Clock) -> Chunk:
-    """Return rows as a chunk, as if they had been recorded."""
-    columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {}
-    index = rows.index
-    if len(index.impacts):
-        columns[IMPACT] = pa.array(index.impacts, pa.int64()), _INDEX
-    if len(index.steps):
-        times = pa.array(clock.nanoseconds(index.times)).cast(pa.duration("ns"))
-        columns |= {STEP: (pa.array(index.steps, pa.int64()), _INDEX), SIM_TIME: (times, _INDEX)}
-    for column in rows.columns:
-        columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
-    fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]
-    return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))

@@ -11,7 +11,7 @@ from carom.recording.read.materials import materials_of
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.colouring import COLOUR_BY
+from carom.recording.style.colouring import COLOUR_BY
 from carom.scene.forces import FORCES
 
 

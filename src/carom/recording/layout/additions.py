@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from carom.recording.view.body_plots import BodyPlots
-from carom.recording.view.close_up import CloseUp
+if TYPE_CHECKING:
+    from carom.recording.view.body_plots import BodyPlots
+    from carom.recording.view.close_up import CloseUp
 
 
 @dataclass(frozen=True, slots=True)

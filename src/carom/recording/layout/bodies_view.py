@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import rerun.blueprint as rrb
 
+from carom.recording.layout.additions import NONE, Additions
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.contact_overrides import recent_impacts
+from carom.recording.layout.drawn_bodies import drawn_bodies
+from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.surroundings import surroundings
+from carom.recording.layout.visible_trails import TRAILS, up_to_cursor
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.additions import NONE, Additions
-from carom.recording.view.camera import CameraFit
-from carom.recording.view.canvas import Area
-from carom.recording.view.contact_overrides import recent_impacts
-from carom.recording.view.drawn_bodies import drawn_bodies
-from carom.recording.view.eye import background, eye, space_of
-from carom.recording.view.trails import TRAILS, up_to_cursor
-from carom.recording.write import encoder as entities
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
@@ -24,7 +24,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
         origin=space_of(view),
         contents=[
             paths.BODIES,
-            *entities.surroundings(header),
+            *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
             *([paths.IMPACTS] if header.records_contacts else []),

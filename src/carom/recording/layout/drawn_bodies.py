@@ -13,11 +13,11 @@ from rerun.blueprint.api import VisualizerLike
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
+from carom.recording.layout.camera import View
+from carom.recording.layout.canvas import Area
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.view.camera import View
-from carom.recording.view.canvas import Area
-from carom.recording.write import encoder as entities
+from carom.recording.style.body_shape import shape
 
 LEAST = 2.0  # points of the screen, the radius of a dot
 _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enough
@@ -34,7 +34,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
     # negative radii are in points of the screen (Rerun)
     dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
     sizes = np.where(small, -LEAST, header.radius).astype(np.float32)
-    match entities.shape(header):
+    match shape(header):
         case "ellipsoids":
             colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
             spheres = rr.Ellipsoids3D.from_fields().visualizer(mappings=_from({"Ellipsoids3D:colors": colours}))

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import rerun.blueprint as rrb
 
 from carom.recording.errors import RecordingError
+from carom.recording.layout.additions import NONE, Additions
+from carom.recording.layout.bodies_view import bodies_view
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.canvas import Area, Canvas
+from carom.recording.layout.graph_view import graph_view, has_graph
+from carom.recording.layout.plot_views import Curves, energy_view, plot_views, whole_time
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
-from carom.recording.view.additions import NONE, Additions
-from carom.recording.view.bodies_view import bodies_view
-from carom.recording.view.body_plots import BodyPlots
-from carom.recording.view.camera import CameraFit
-from carom.recording.view.canvas import Area, Canvas
-from carom.recording.view.graph_view import graph_view, has_graph
-from carom.recording.view.plot_views import Curves, energy_view, plot_views, whole_time
+
+if TYPE_CHECKING:
+    from carom.recording.view.body_plots import BodyPlots
 
 WINDOW = Canvas()
 ALL = "all"

@@ -8,7 +8,8 @@ from carom.recording.schema import palette
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
-from carom.recording.write.encoder import arrow_length, shape
+from carom.recording.style.arrow_length import arrow_length
+from carom.recording.style.body_shape import shape
 from carom.scene.names import in_series
 from carom.scene.units.dimension import LENGTH, MASS, TIME
 

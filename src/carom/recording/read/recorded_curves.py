@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from carom.recording.layout.curve import Curve
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import ENERGY, STEP
 from carom.recording.schema.series import SERIES
 from carom.recording.schema.timelines import STEP as STEPS
-from carom.recording.view.curve import Curve
 
 
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.view.arrows import part_of_longest
-from carom.recording.view.line_radii import line_radii
+from carom.recording.style.arrows import part_of_longest
+from carom.recording.style.line_radii import line_radii
 
 FloatArray = NDArray[np.float64]
 

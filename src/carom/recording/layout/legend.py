@@ -15,8 +15,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from carom.recording.view.canvas import Area
-from carom.recording.view.curve import Curve
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.curve import Curve
 
 _ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
 _LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured

@@ -8,11 +8,11 @@ from types import MappingProxyType
 import rerun as rr
 import rerun.blueprint as rrb
 
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.curve import Curve
+from carom.recording.layout.legend import place_legend
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import PLOTS, Plot, Series, recorded
-from carom.recording.view.canvas import Area
-from carom.recording.view.curve import Curve
-from carom.recording.view.legend import place_legend
 
 Curves = Mapping[str, Curve]  # by the paths of the series
 

@@ -1,0 +1,1 @@
+"""The layout that a recording opens with: blueprint, cameras, views and plots."""

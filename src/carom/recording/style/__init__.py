@@ -1,0 +1,1 @@
+"""How things are drawn: lengths of arrows, widths of lines, shapes and colours."""
