@@ -212,6 +212,18 @@ def test_a_gap_so_small_that_it_counts_as_touching_is_no_negative_overlap(tmp_pa
     assert contacts["total"] > 0 and contacts["max_overlap"] == 0.0
 
 
+def test_a_point_takes_no_part_in_contacts_and_leaves_the_others_judged(tmp_path: Path) -> None:
+    contacts = []
+    for name, fault in (("right", None), ("wrong", missed_impact)):
+        toy = Toy(fault)
+        toy.model = replace(toy.model, radius=[0.1, 0.1, 0.0])
+        toy.position[2], toy.velocity[2] = [0.0, 0.01, 0.0], [0.0, 0.0, 3.0]  # where the two spheres meet
+        faults = recorded(toy, tmp_path / f"{name}.rrd")
+        assert ("missed-impact" in {fault.law for fault in faults}) == (name == "wrong")
+        contacts.append(Recording.open(tmp_path / f"{name}.rrd").summary()["moments"]["impact"]["bodies"])
+    assert contacts == [[0, 1], [0, 1]]
+
+
 def test_a_recording_of_another_engine_is_read_like_any_other(healthy: Path) -> None:
     recording = Recording.open(healthy)
     assert recording.engine == "toy 1.0" and recording.outcome == "completed" and recording.frames == STEPS + 1

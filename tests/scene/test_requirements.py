@@ -267,6 +267,7 @@ def test_to_force_what_is_required_changes_nothing() -> None:
     [
         ("contact", {"contact": {"enabled": False}}, "contact.enabled = false; set it to true"),
         ("friction", {"contact": {"enabled": False}}, "friction cannot be forced on: contact.enabled = false"),
+        ("accuracy", {}, "it has no value by itself; set time.accuracy"),
         ("gravity", {"gravity": {"method": "none"}}, 'gravity.method = "none"; leave that out'),
         ("tree", {}, 'set gravity.method = "tree"'),
         ("restitution", {"contact": {"restitution": 0}}, "set contact.restitution"),

@@ -104,6 +104,8 @@ def run(
     ------
     SceneError, RecordingError, PhysicsError
         If the scene cannot run, the file cannot be written, or the state stops being finite.
+    ValueError
+        If the number of threads is not whole or less than 1.
     """
     loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
     if path is None:

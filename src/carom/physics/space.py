@@ -52,6 +52,10 @@ class Space(Simulation):
     ------
     SceneError
         If the scene cannot run on this machine or in this version, or its bodies cannot be placed.
+    TypeError
+        If the scene is not a `Scene`.
+    ValueError
+        If the number of threads is not whole or less than 1.
     """
 
     def __init__(

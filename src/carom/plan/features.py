@@ -24,6 +24,7 @@ from carom.plan.auto import (
     pull_fraction,
     target_dx,
     timing,
+    uses_tree,
     why_late,
 )
 from carom.plan.forced import forced_parts
@@ -133,7 +134,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         warm_up=decide(_warm_up(scene)),
         adaptive_step=decide(_adaptive_step(scene)),
         integrator=_integrator(scene),
-        accuracy=_accuracy(scene),
+        accuracy=decide(_accuracy(scene)),
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
@@ -265,7 +266,7 @@ def _integrator(scene: Scene) -> Part:
 def _why_accurate(scene: Scene, chosen: str) -> str:
     """Say why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
-        return "the accuracy, and a tree, whose error gauss-radau15 cannot control"
+        return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
         return "the bodies orbit a dominant one, and its steps keep the accuracy for less than those of gauss-radau15"
     if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
@@ -277,6 +278,15 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"
     return f"gauss-radau15 does not know {_beyond_gauss_radau(scene)}"
+
+
+def _not_by_pairs(scene: Scene) -> str:
+    """Say why bodies that pull each other and never touch are too much for Gauss–Radau integration."""
+    if uses_tree(scene):
+        return "a tree, whose error gauss-radau15 cannot control"
+    if force := pulls.further(scene):
+        return f"the force {force}, which gauss-radau15 does not know"
+    return f"{scene.count} bodies, of which gauss-radau15 would sum all pairs several times a step"
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:

@@ -36,7 +36,7 @@ class FrameTables(Statics):
 
     @named
     def fingerprints(self) -> pa.Table:
-        """Columns step, sim_time, time (s, exact) and fingerprint (uint64)."""
+        """Columns step, sim_time, fingerprint (uint64) and time (s, exact)."""
         return self._fingerprints
 
     @named
@@ -62,7 +62,7 @@ class FrameTables(Statics):
 
     @named
     def events(self) -> pa.Table:
-        """Columns step, sim_time, level, text and kind, in the order of steps.
+        """Columns step, sim_time, text, level and kind, in the order of steps.
 
         Recordings made before events had kinds say only of some, by their texts, which kind they are.
         """

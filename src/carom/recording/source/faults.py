@@ -12,10 +12,10 @@ from carom.recording.errors import RecordingError
 class Tolerances:
     """How much may be wrong before a law counts as broken."""
 
-    energy: float = 1e-3  # of the energy scale, between two frames
+    energy: float = 1e-3  # of the energy of the cluster, between two frames
     drift: float = 1e-2  # of the energy scale, since the start
-    momentum: float = 1e-3  # of Σ m |v|
-    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|)
+    momentum: float = 1e-3  # of Σ m |v| of the cluster
+    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
     overlap: float = 0.05  # of the smaller radius
 
     def __post_init__(self) -> None:

@@ -112,6 +112,7 @@ class Proximity:
         assert self._grid is not None
         radius = self._setup.radius
         pairs = self._grid.pairs(now.position, 1.0 + MARGIN, 4.0 * float(travel.max()))
+        pairs = pairs[self._setup.touches[pairs].all(axis=1)]
         i, j = pairs.T
         apart = self._image(now.position[j] - now.position[i])
         reach = radius[i] + radius[j]
@@ -138,7 +139,8 @@ class Proximity:
         setup = self._setup
         normal, offset = setup.planes.normal[plane], setup.planes.offset[plane]
         height = now.position @ normal - offset
-        close = np.flatnonzero(height - setup.radius <= MARGIN * setup.radius + 2.0 * travel)
+        near = height - setup.radius <= MARGIN * setup.radius + 2.0 * travel
+        close = np.flatnonzero(near & setup.touches)
         earlier, height, radius = before.position[close] @ normal - offset, height[close], setup.radius[close]
         return Near(
             pairs=np.stack((close, np.full(len(close), len(setup) + plane)), axis=1),

@@ -134,6 +134,7 @@ class Setup:
     planes: HalfSpaces
     box: FloatArray  # (3,) m, zeros in open space
     collides: bool
+    touches: NDArray[np.bool_]  # (n,), False for points
     time_step: float
     spins: bool
     turns: bool  # whether orientations are known
@@ -159,7 +160,7 @@ def setup_of(model: Model, first: State) -> Setup:
         raise RecordingError(f"{engine} shows no body: add bodies before the recorder is made")
     radius = _column(engine, "radius", model.radius, n)
     position = array_of(engine, "position", first.position, (n, 3))
-    collides = model.collides and bool((radius > 0.0).all())
+    touches = radius > 0.0
     if mass.max() == 0.0:
         raise RecordingError(f"{engine}: all masses are 0, so that no energy or momentum can be computed")
     extent = float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
@@ -183,7 +184,8 @@ def setup_of(model: Model, first: State) -> Setup:
         softening=_not_negative(engine, "softening", model.softening),
         planes=_planes(engine, model.planes),
         box=_box(engine, model.box),
-        collides=collides and (n > 1 or len(model.planes) > 0),
+        collides=model.collides and bool(touches.any()) and (n > 1 or len(model.planes) > 0),
+        touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
         spins=first.angular_velocity is not None,
         turns=first.orientation is not None,

@@ -20,7 +20,9 @@ class Expect(Section):
         description="largest |integration error| over the energy scale, or energy put in by contacts if that is more",
     )
     energy_gain: NonNegative | None = Field(
-        None, description="largest rise of the total energy above its lowest so far, over the energy scale, at frames"
+        None,
+        description="largest rise of the total energy above its lowest so far, over the energy scale, among the "
+        "checks of the energy",
     )
     momentum_error: NonNegative | None = Field(None, description="largest change of momentum over its scale")
     angular_momentum_error: NonNegative | None = Field(

@@ -40,7 +40,7 @@ class Scene(Forces, Heading):
     Examples
     --------
     >>> scene = Scene.from_dict({"body": [{"radius": 1.0}], "time": {"duration": 1.0}})
-    >>> scene.time.max_dt
+    >>> scene.time.duration
     1.0
     """
 
