@@ -209,14 +209,18 @@ def test_without_the_bodies_outside_the_cone_an_event_stays_and_without_its_firs
 
 
 def test_three_contacts_have_a_colour_each_not_one_together() -> None:
+    sent = []
+
     class Sink:
-        def send_columns(self, *given: object) -> None:
-            pass
+        def send_columns(self, path: str, index: object, columns: Any) -> None:
+            sent.extend(columns)
 
     edge = CauseEdge(0, 1, 0.0, 0.5)
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # Rerun warns of three numbers that may be one colour
         causes._edges(cast(Any, Sink()), [], [edge], np.arange(3.0), np.zeros((3, 2, 3), np.float32))
+    colours = next(column for column in sent if "color" in column.component_descriptor().component)
+    assert [len(row) for row in colours.as_arrow_array()] == [1, 1, 1]
 
 
 def test_each_of_several_impacts_of_a_pair_at_one_moment_has_its_own_loss(tmp_path: Path) -> None:

@@ -108,7 +108,7 @@ def test_a_part_that_is_forced_on_changes_no_bit_of_what_remains(name: str) -> N
 
 @settings(max_examples=30, deadline=None)
 @given(documents(most_bodies=6))
-def test_nor_do_all_that_can_be_forced_in_scenes_that_nobody_chose(document: Document) -> None:
+def test_forcing_all_parts_on_changes_no_bit_of_random_scenes(document: Document) -> None:
     scene = scene_from(document)
     forced = [part for part in left_out(scene) if forced_on(scene, part)]
     everything = scene.model_copy(update={"model": scene.model.model_copy(update={"force": tuple(forced)})})

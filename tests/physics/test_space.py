@@ -49,6 +49,25 @@ def test_a_run_that_is_stopped_hands_out_its_last_step_once() -> None:
         assert steps == sorted(set(steps)) and steps[-1] == space.step
 
 
+def test_after_a_run_that_was_stopped_the_next_one_goes_on() -> None:
+    space, whole = Space(pair()), Space(pair())
+    next(run := space.run())
+    space.stop()
+    list(run)
+    assert space.time < 1.0
+    space.reach(1.0)
+    last = list(space.run(until=2.0))[-1]
+    whole.reach(1.0)
+    assert space.time == last.time == 2.0
+    assert last.fingerprint == list(whole.run(until=2.0))[-1].fingerprint
+
+
+def test_a_run_that_is_stopped_before_it_begins_ends_with_its_first_frame() -> None:
+    space = Space(pair())
+    space.stop()
+    assert [frame.step for frame in space.run()] == [0]
+
+
 def test_frame_0_is_the_scene_as_written() -> None:
     scene = cloud()
     frame = next(Space(scene).run())

@@ -406,7 +406,7 @@ def test_no_two_impacts_of_a_step_that_share_a_body_have_the_same_colour(dt: flo
     assert 1 <= most < 23, "some body is struck twice; few are struck by many"
 
 
-def test_nor_does_an_impact_have_the_colour_of_a_contact_that_one_of_its_bodies_rests_in() -> None:
+def test_an_impact_has_another_colour_than_the_contacts_in_which_its_bodies_rest() -> None:
     # a shower on a pile: contacts at rest keep the colours in which they are resolved
     shower = [
         {

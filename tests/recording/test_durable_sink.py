@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +12,7 @@ import pytest
 
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_HEADER
+from carom.recording.write.durable_sink import DurableSink
 
 LIMITED = """
 import os, resource, sys
@@ -24,6 +27,21 @@ with open(sink.entry, "wb") as entry:
 sink.close()
 print(sink.error.strerror)
 """
+
+
+def test_a_user_whose_pipes_may_grow_no_more_records_through_a_small_one(
+    run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*given: object) -> int:
+        raise PermissionError(errno.EPERM, "too many pages in pipes")
+
+    monkeypatch.setattr(fcntl, "fcntl", refuse)
+    sink = DurableSink(tmp_path / "x.rrd", 0)
+    with Path(sink.entry).open("wb") as entry:
+        sink.opened()
+        entry.write(run_file.read_bytes())
+    sink.close()
+    assert sink.error is None and (tmp_path / "x.rrd").read_bytes() == run_file.read_bytes()
 
 
 @pytest.mark.parametrize("limit", [5_000, 1_500_000])

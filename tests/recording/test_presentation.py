@@ -12,6 +12,7 @@ from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.layout.camera import View
+from carom.recording.layout.visible_trails import TRAILS
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
@@ -20,7 +21,7 @@ from carom.recording.view.named_event import NamedEvent, named_event
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.presentation import asked, presentation
 from carom.recording.view.request import Request
-from carom.recording.view.trails import TRAILS, Trails
+from carom.recording.view.trails import Trails
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from examples import pair, scene_of

@@ -12,7 +12,7 @@ from carom.recording.layout.curve import Curve
 from carom.recording.layout.plot_views import shown_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
-from carom.recording.schema.series import PLOTS, SERIES, recorded
+from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import Recorder
 from merry import Merry
 
@@ -36,6 +36,17 @@ def test_every_plot_shows_at_least_one_series_and_every_plotted_series_has_its_p
     plots = [plot for column in PLOTS for plot in column]
     assert {series.plot for series in SERIES} - {None} == set(plots)
     assert len(set(plots)) == len(plots) and len({series.path for series in SERIES}) == len(SERIES)
+
+
+@pytest.mark.parametrize(("wrong", "said"), [({"part": "spn"}, "no part spn"), ({"path": "momentum/size"}, "begins")])
+def test_a_series_that_no_table_would_have_is_refused_when_it_is_made(wrong: dict[str, str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        replace(SERIES[0], **wrong)  # type: ignore[arg-type]
+
+
+def test_the_columns_of_a_table_of_series_have_different_names() -> None:
+    for root in ("energy", "step"):
+        assert len(set(names_below(root))) == len(names_below(root)) > 0
 
 
 def test_every_plot_has_one_unit() -> None:

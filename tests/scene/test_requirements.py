@@ -329,6 +329,14 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
     assert needs.impact_time.why.startswith("the well presses contacts together")
 
 
+def test_a_second_force_that_depends_on_velocities_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    brake = ForceKind("brake", lambda scene: (True, "of this test"), loss="brake", damps=True)
+    monkeypatch.setattr(pulls, "FORCES", (*FORCES, brake))
+    refuse_impossible(pair())
+    with pytest.raises(SceneError, match=r"^\[drag\] and \[brake\]: a scene has at most one force"):
+        refuse_impossible(pair(drag={"relaxation_time": 2.0}))
+
+
 def test_an_added_force_is_never_left_out_silently(monkeypatch: pytest.MonkeyPatch) -> None:
     def few(**time: Any) -> Scene:
         return cloud(3, contact=POINTS, time={"max_dt": "auto", "cfl": "auto", **time})

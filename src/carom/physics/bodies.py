@@ -33,7 +33,7 @@ class Bodies:
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
+    acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
     orientation: FloatArray  # (n, 4) unit quaternions, xyzw; no rows if not required, like the three below
     angular_velocity: FloatArray  # (n, 3) rad/s
     angular_acceleration: FloatArray  # (n, 3) rad/s², of the last step; no rows without torques

@@ -131,7 +131,7 @@ class Frame:
     dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    acceleration: FloatArray  # (n, 3) m/s², of gravity and the uniform field
+    acceleration: FloatArray  # (n, 3) m/s², of all forces but drag
     orientation: FloatArray | None  # (n, 4) xyzw
     angular_velocity: FloatArray | None  # (n, 3) rad/s
     torque: FloatArray | None  # (n, 3) N m

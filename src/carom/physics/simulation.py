@@ -177,6 +177,7 @@ class Simulation:
             if self._advance(goal, checked=(self.step + 1) % check_every == 0):
                 yield self.frame(store)
                 shown = self.step
+        self._stopping = False
         if self.step != shown:  # stopped
             yield self.frame(store)
 
@@ -185,6 +186,7 @@ class Simulation:
         goal = Goal(time, at(()), most=self.scene.record.check_every, shows_end=False)
         while self.time < time and not self._stopping:
             self._advance(goal, checked=False)
+        self._stopping = False
 
     def pass_by(self, time: float, most_held: float) -> float:
         """Step until a time in s is reached or passed, without frames and without a step that ends there.
@@ -198,6 +200,7 @@ class Simulation:
             self._advance(goal, checked=False)
             if self._contact and not self._stepper.has_solution:
                 held += 1.0 + len(self._contact.impacts) / IMPACTS_PER_STEP
+        self._stopping = False
         return held
 
     def count_no_impacts(self) -> None:
@@ -211,7 +214,10 @@ class Simulation:
         return self._stepper.is_free_flight
 
     def stop(self) -> None:
-        """Let `run` end after the current step, with a last frame; any thread may call it."""
+        """Let `run` end after the current step, with a last frame; any thread may call it.
+
+        Between two runs it ends the next one at its first frame.
+        """
         self._stopping = True
 
     def frame(self, store: FrameStore | None = None) -> Frame:

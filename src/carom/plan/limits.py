@@ -8,7 +8,7 @@ from carom.plan.accuracy import refuse_coarse_tree
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.pulls import damping, further
+from carom.plan.pulls import dampings, further
 from carom.scene.error import SceneError
 from carom.scene.key_places import naming_places
 from carom.scene.lines import KeyPath
@@ -93,9 +93,13 @@ def _refuse_forces_of_mid_step(scene: Scene) -> None:
 
 
 def _refuse_damping(scene: Scene) -> None:
-    """Refuse integrators that do not support a force that depends on velocities."""
-    chosen, force = integrator(scene), damping(scene)
-    if force and not chosen.damps:
+    """Refuse more than one force that depends on velocities, and integrators that support none."""
+    chosen, forces = integrator(scene), dampings(scene)
+    if len(forces) > 1:
+        names = " and ".join(f"[{force.name}]" for force in forces)
+        raise SceneError(f"{names}: a scene has at most one force that depends on velocities; remove one")
+    if forces and not chosen.damps:
+        force = forces[0]
         raise SceneError(
             f'time.integrator = "{chosen.name}" with [{force.name}]: the {force.name} needs one drift between two '
             'equal kicks; use "leapfrog" or "auto"',

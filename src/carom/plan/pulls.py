@@ -30,8 +30,13 @@ def pushing(scene: Scene) -> str:
 
 def damping(scene: Scene) -> Part | None:
     """Return the force that depends on velocities; None if there is none."""
+    return next(iter(dampings(scene)), None)
+
+
+def dampings(scene: Scene) -> list[Part]:
+    """Return all forces that depend on velocities; `carom.plan.limits` refuses more than one."""
     found = (part(kind, scene) for kind in FORCES if kind.damps)
-    return next((force for force in found if force.modelled), None)
+    return [force for force in found if force.modelled]
 
 
 def further(scene: Scene) -> str:

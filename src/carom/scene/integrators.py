@@ -80,6 +80,11 @@ class Integrator:
         return self.drifts_once and self.substeps[0].before == self.substeps[0].after
 
     @property
+    def keeps_accuracy(self) -> bool:
+        """Whether a look ahead can find its step for ``time.accuracy``: its error falls fast enough to be measured."""
+        return self.controls_error or (self.order > 1 and self.ends_with_forces)
+
+    @property
     def force_sums(self) -> int:
         """How many times forces are summed in a step: at least, where iterations follow the error."""
         if self.controls_error:

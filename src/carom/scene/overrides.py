@@ -7,7 +7,6 @@ from collections.abc import Collection
 from typing import Any
 
 import tomlkit
-import tomlkit.exceptions
 
 from carom.scene.error import SceneError
 from carom.scene.hint import hint
@@ -16,6 +15,7 @@ from carom.scene.nesting import DEEPEST
 from carom.scene.renamed import other_name
 from carom.scene.schema import Scene, Time
 from carom.scene.schema.expect import ABOUT_THE_END
+from carom.scene.toml_value import parse_value
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
 _INDEX = re.compile(r"[0-9]{1,9}")
@@ -46,7 +46,7 @@ def apply_override(document: Any, override: str) -> KeyPath:
         if not text.strip() and keys[-1] not in TEXTS:
             node.pop(keys[-1])
         else:
-            node[keys[-1]] = _parse_value(text.strip())
+            node[keys[-1]] = parse_value(text.strip())
         if other := other_name(keys):
             node.pop(other[-1], None)
     except (KeyError, IndexError, TypeError, ValueError):
@@ -83,11 +83,3 @@ def _duration(document: Any) -> float | str | None:
     default = f"{Time().duration!r} s" if isinstance(document.get("units"), dict) else Time().duration
     duration = time.get("duration", default) if isinstance(time, dict) else None
     return duration if isinstance(duration, int | float | str) else None
-
-
-def _parse_value(text: str) -> Any:
-    """Read a TOML value; a bare word is a string."""
-    try:
-        return tomlkit.value(text).unwrap()
-    except (tomlkit.exceptions.TOMLKitError, ValueError):
-        return text

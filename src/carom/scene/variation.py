@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from typing import Any
 
 import tomlkit
-import tomlkit.exceptions
+
+from carom.scene.toml_value import parse_value
 
 Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
 
@@ -39,7 +40,7 @@ def values_of(text: str) -> Values:
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
-    return alike(_value(part) for part in _parts(text))
+    return alike(parse_value(part) for part in _parts(text))
 
 
 def texts_of(text: str) -> list[str]:
@@ -167,14 +168,6 @@ def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> V
 def _are_whole(*numbers: str) -> bool:
     """Tell whether numbers were written without a point, so that a count stays whole."""
     return all(number.lstrip("+-").isdigit() for number in numbers)
-
-
-def _value(text: str) -> Any:
-    """Read a TOML value; a bare word is a string."""
-    try:
-        return tomlkit.value(text).unwrap()
-    except (tomlkit.exceptions.TOMLKitError, ValueError):
-        return text
 
 
 def _split(text: str) -> list[str]:

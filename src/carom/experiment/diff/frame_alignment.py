@@ -15,7 +15,7 @@ from carom.recording.read.recording import Recording
 
 FloatArray = NDArray[np.float64]
 
-_SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
+SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
 _GAPS_AT_THE_END = 2.0  # times the largest gap between common frames: one run may be recorded at two intervals
 _UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
 _SINGLE = float(np.finfo(np.float32).eps)
@@ -42,11 +42,11 @@ class FrameAlignment:
         self._box = None if box is None else np.asarray(box, dtype=np.float64)
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
         self.by = "step"
-        same = np.allclose(self._a.time[first], self._b.time[second], rtol=_SAME_TIME, atol=0.0)
+        same = np.allclose(self._a.time[first], self._b.time[second], rtol=SAME_TIME, atol=0.0)
         if not (same and self._reaches_the_end(first)):
             self.by = "sim_time"
             first = np.flatnonzero((self._a.time >= self._b.time[0]) & (self._a.time <= self._b.time[-1]))
-            second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - _SAME_TIME))
+            second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - SAME_TIME))
         if len(first) == 0:
             raise RecordingError(f"{a.path} and {b.path} have no frame in common")
         self._first, self._second = first, second
@@ -102,7 +102,7 @@ class FrameAlignment:
         """Return the frame of the first recording, that of the second, and the fraction of the way to the latter."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
-        if self.by == "step" or abs(reached - time) <= _SAME_TIME * abs(time) or j == 0:
+        if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
             return i, j, 1.0
         return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.experiment.diff.frame_alignment import SAME_TIME
 from carom.recording.read.impacts import count_at, impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import STEP
@@ -15,7 +16,6 @@ from carom.recording.schema.timelines import STEP
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-_SAME_TIME = 1e-12  # relative; times are sums of dt
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -96,9 +96,9 @@ def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
     """Count all impacts, recorded or not, up to the last frame of one that ends where a frame of the other does."""
     frames = [recording.fingerprints() for recording in (a, b)]
     times = [table["time"].to_numpy() for table in frames]
-    end = min(time[-1] for time in times) * (1.0 + _SAME_TIME)
+    end = min(time[-1] for time in times) * (1.0 + SAME_TIME)
     rows = [int(np.searchsorted(time, end, side="right")) - 1 for time in times]
-    if min(rows) < 0 or abs(times[0][rows[0]] - times[1][rows[1]]) > _SAME_TIME * abs(end):
+    if min(rows) < 0 or abs(times[0][rows[0]] - times[1][rows[1]]) > SAME_TIME * abs(end):
         return None
     counts = [count_at(r, int(f[STEP][row].as_py())) for r, f, row in zip((a, b), frames, rows, strict=True)]
     return counts[0], counts[1]

@@ -15,6 +15,7 @@ from carom.experiment.interrupts import Interrupts
 from carom.experiment.shrink.budget import Budget
 from carom.experiment.shrink.condition import Condition
 from carom.experiment.shrink.literal import Document
+from carom.physics.parallel.cores import cores
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -128,7 +129,7 @@ class Workers:
     def _begin(self) -> None:
         """Start the workers; without `carom[cluster]` there are none."""
         try:
-            from carom.experiment.sweep.cluster import connected, cores  # noqa: PLC0415 - optional
+            from carom.experiment.sweep.cluster import connected  # noqa: PLC0415 - optional
         except ImportError:
             self._count = 1
             return

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import re
 import socket
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from distributed.security import Security
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.task import unfit
+from carom.physics.parallel.cores import cores
 
 _LOOPBACK = "127.0.0.1"
 _CONNECT = 20.0  # s
@@ -125,8 +125,3 @@ def _client_of(address: str) -> Client:
         return Client(address, set_as_default=False, timeout=_CONNECT)  # type: ignore[no-untyped-call]
     except (OSError, OverflowError) as error:
         raise ExperimentError(f"--cluster {address}: no Dask scheduler answers: {error}") from None
-
-
-def cores() -> int:
-    """Return the number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -126,9 +126,9 @@ class Team:
             raise RuntimeError("two threads use one team at once: a Space may be used by one thread at a time")
 
     def _rouse(self) -> None:
-        """Wake sleeping helpers."""
+        """Wake sleeping helpers. One that falls asleep before the work is posted wakes for the next job."""
         assert self._pool is not None
-        with self._falling_asleep:  # a helper either sees the posted work before it sleeps, or is seen asleep here
+        with self._falling_asleep:
             for helper, awake in enumerate(self._awake):
                 if not awake:
                     self._awake[helper] = True

@@ -33,7 +33,7 @@ _LOSSES = tuple(kind.loss for kind in FORCES if kind.loss)
 _POTENTIALS = tuple(kind.potential for kind in FORCES if kind.potential and kind.potential not in _ENERGIES)
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
-_LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
+LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
 _IF_ASKED = ("contact_audit",)  # extremes that only some runs look at
@@ -245,7 +245,7 @@ class _Row:
 
     def vectors(self, name: str, width: int) -> NDArray[np.float64]:
         values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
-        if np.any(np.abs(values) > _LARGEST):
+        if np.any(np.abs(values) > LARGEST):
             raise ValueError(f"{name} has numbers that cannot be squared")
         return values
 

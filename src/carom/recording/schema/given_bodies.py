@@ -12,20 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.recording.errors import DamageError
+from carom.recording.schema.checkpoint import LARGEST
 from carom.scene.data.columns import BodyColumns
+from carom.scene.data.mapping import VECTORS
 
 if TYPE_CHECKING:
     from carom.recording.read.body_table import BodyTable
 
 FloatArray = NDArray[np.float64]
 
-_VECTORS = ("position", "velocity", "angular_velocity")
-_LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
-
 
 def encode(data: Sequence[BodyColumns]) -> dict[str, Any]:
     """Return the components; those that are zero for all bodies are left out."""
-    vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in _VECTORS}
+    vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in VECTORS}
     kept = {name: values for name, values in vectors.items() if name == "position" or values.any()}
     fixed = np.concatenate([columns.fixed for columns in data])
     named = np.array([columns.name is not None for columns in data])
@@ -77,6 +76,6 @@ def decode(
 
 def _vectors(stored: Mapping[str, NDArray[Any] | list[str]], name: str, n: int) -> FloatArray:
     values = np.asarray(stored.get(name, np.zeros(3 * n)))
-    if values.shape != (3 * n,) or values.dtype != np.float64 or not np.all(np.abs(values) <= _LARGEST):
+    if values.shape != (3 * n,) or values.dtype != np.float64 or not np.all(np.abs(values) <= LARGEST):
         raise DamageError(f"{name} of the bodies of its scene is not {n} finite vectors")
     return values.reshape(n, 3)

@@ -26,6 +26,7 @@ _FLAGS = {
     "stabilisation": "stabilises",
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
+RECORDED_PARTS = (*_FLAGS, *_FORCES)  # of the model, that series depend on
 
 
 def flag_of(part: str) -> str:

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from carom.recording.schema.header import Header, flag_of
+from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
 from carom.recording.schema.palette import LINES
-from carom.recording.schema.paths import ENERGY
+from carom.recording.schema.paths import ENERGY, STEP
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.units.system import UnitSystem
 
@@ -83,6 +83,12 @@ class Series:
     width: float = THIN
     inside: bool = False  # whether only the engine that computes the step knows it, so other engines' runs lack it
     flat_is_dull: bool = False  # its plot is left out if it is constant; every series' is if it is 0 throughout
+
+    def __post_init__(self) -> None:
+        if self.path.partition("/")[0] not in (ENERGY, STEP):
+            raise ValueError(f"the series {self.path}: a path begins with {ENERGY}/ or {STEP}/, whose tables have it")
+        if self.part is not None and self.part not in RECORDED_PARTS:
+            raise ValueError(f"the series {self.path}: no part {self.part}; take one of {', '.join(RECORDED_PARTS)}")
 
 
 def _impact_rate(sample: Sample) -> float:

@@ -22,11 +22,12 @@ from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.errors import RecordingError
+from carom.recording.schema.checkpoint import LARGEST
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.audit import Audit
 from carom.recording.source.faults import Fault, Finding, Tolerances
 from carom.recording.source.proximity import Moment, Proximity
-from carom.recording.source.source import LARGEST, Setup, State
+from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.names import Names
 from carom.scene.schema.heading import called

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
-from carom.recording.source.source import LARGEST, Source, State, time_of
+from carom.recording.schema.checkpoint import LARGEST
+from carom.recording.source.source import Source, State, time_of
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` go through Python
 _ARRAYS = ("position", "velocity", "orientation", "angular_velocity")

@@ -15,7 +15,6 @@ from carom.scene.half_space import HalfSpaces
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
-LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
 DRAWN_RADIUS = 0.01  # of the bodies' extent, in place of a point mass's 0
 ROUGHLY = 0.01  # of the length of a quaternion

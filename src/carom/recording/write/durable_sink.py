@@ -8,6 +8,7 @@ message at a time. When the disk is full it releases a reserve, which leaves roo
 from __future__ import annotations
 
 import array
+import contextlib
 import errno
 import fcntl
 import mmap
@@ -25,7 +26,7 @@ from carom.recording.write.disk_reserve import DiskReserve
 
 FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
-_PIPE = 1 << 20  # bytes; the largest pipe that an unprivileged process may ask for
+_PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
 _POLL = 0.001  # s
 _GATHER = 0.002  # s between two reads: each takes the interpreter's lock, for which the physics waits
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
@@ -48,7 +49,8 @@ class DurableSink:
             raise RecordingError(f"cannot write {path}: {error.strerror}") from error
         self._source, self._entry = os.pipe()
         if hasattr(fcntl, "F_SETPIPE_SZ"):  # Linux only
-            fcntl.fcntl(self._entry, fcntl.F_SETPIPE_SZ, _PIPE)
+            with contextlib.suppress(OSError):
+                fcntl.fcntl(self._entry, fcntl.F_SETPIPE_SZ, _PIPE)
         soft_limit = resource.getrlimit(resource.RLIMIT_FSIZE)[0]
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()

@@ -104,10 +104,10 @@ def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
     try:
         array = np.asarray(value)
         fits = array.shape == shape or (array.shape == shape[1:] and quantity != "position")
-        return np.broadcast_to(array, shape) if fits else _refused(array.shape, shape)
+        return np.broadcast_to(array, shape) if fits else _refused(array.shape)
     except ValueError as error:  # rows of different lengths
         raise SceneError(f"{quantity}: {error}; {bodies} bodies need the shape {shape}") from None
 
 
-def _refused(shape: tuple[int, ...], right: tuple[int, ...]) -> NDArray[Any]:
+def _refused(shape: tuple[int, ...]) -> NDArray[Any]:
     raise ValueError(f"an array of the shape {shape}")

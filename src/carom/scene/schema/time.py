@@ -25,7 +25,6 @@ _STEP_KEYS = {
     "smoothing": "auto",
     "velocity_limit": "every-body",
 }  # keys of [time] that set the step, with the values that leave it free
-_UNCONTROLLED = ("euler", "leapfrog-dkd")  # integrators that no look ahead is made for
 
 
 class Time(Section):
@@ -96,9 +95,10 @@ class Time(Section):
                 f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove the one or the other "
                 f"(the {way})"
             )
-        if self.integrator in _UNCONTROLLED:
+        if self.integrator != AUTO and not INTEGRATORS[self.integrator].keeps_accuracy:
+            others = ", ".join(f'"{each.name}"' for each in INTEGRATORS.values() if each.keeps_accuracy)
             raise ValueError(
                 f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
-                '"leapfrog", "yoshida4", "gauss-radau15", "wisdom-holman" or "auto"'
+                f'{others} or "{AUTO}"'
             )
         return self

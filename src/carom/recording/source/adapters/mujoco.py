@@ -51,7 +51,7 @@ class MuJoCo:
         package.mj_comPos(model, data)
         own = [np.flatnonzero(owner == b) for b in moving]
         free = np.array([_is_free_sphere(package, model, b, geoms) for b, geoms in zip(moving, own, strict=True)])
-        radius = np.array([_reach(package, model, data, b, geoms) for b, geoms in zip(moving, own, strict=True)])
+        radius = np.array([_reach(model, data, b, geoms) for b, geoms in zip(moving, own, strict=True)])
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
         self._end_of = _ends(model, moving, still, planes)
@@ -128,7 +128,7 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: NDArray[np.int64
     )
 
 
-def _reach(package: Any, model: Any, data: Any, body: int, geoms: NDArray[np.int64]) -> float:
+def _reach(model: Any, data: Any, body: int, geoms: NDArray[np.int64]) -> float:
     """Return the radius of the sphere about the centre of mass that holds all shapes of a body, in m."""
     if len(geoms) == 0:
         return float(np.sqrt(2.5 * model.body_inertia[body].max() / model.body_mass[body]))
