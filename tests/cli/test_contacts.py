@@ -75,7 +75,7 @@ def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
         (("--body", "1", "--body", "1"), "a body has no contact with itself"),
         (("--json", "--csv"), "choose one of --json, --csv and -o"),
         (("--from", "1"), "add --impacts"),
-        (("--impacts", "--from", "8"), "goes from 0 to 2 s: 8 to inf s is not in it"),
+        (("--impacts", "--from", "8"), "goes from 0 to 2 s, 8 to inf s is not in it"),
         (("-o", "nowhere/c.parquet"), "there is no folder nowhere"),
     ],
 )

@@ -5,11 +5,13 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 from carom.experiment import interrupts
 from carom.experiment.interrupts import Interrupts
+from carom.recording.read.recording import Recording
 
 
 def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_begins(
@@ -21,6 +23,30 @@ def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_beg
     monkeypatch.setattr(interrupts, "_received", [])
     with Interrupts() as seen:
         assert seen.count == 0
+
+
+LOOP = """
+import sys
+from pathlib import Path
+import carom
+
+scene = carom.Scene.load("two-spheres", ["time.duration=1e7", "record.every=1e3"])
+for k in range(3):
+    carom.run(scene, Path(sys.argv[1]) / f"{k}.rrd", watch=lambda status: print("step", flush=True))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_script_of_several_runs_and_leaves_a_complete_recording(number: int, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", LOOP, str(tmp_path)]
+    script = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert script.stdout is not None
+    script.stdout.readline()
+    script.send_signal(number)
+    _, said = script.communicate(timeout=60)
+    assert script.returncode != 0 and said.rstrip().splitlines()[-1].startswith("KeyboardInterrupt: stopped by ")
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["0.rrd"]
+    assert Recording.open(tmp_path / "0.rrd").outcome.startswith("interrupted")
 
 
 CALLBACK = """

@@ -7,12 +7,16 @@ import pytest
 from PIL import Image
 
 from carom import Scene, run
+from carom.physics.placement.initial_state import place
 from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
+from carom.recording.view.glyphs import drawable
 from carom.recording.view.picture import render
 from carom.recording.view.request import Request
+from carom.recording.view.viewer import broken_off
 from carom.recording.write.recorder import Recorder
+from carom.scene.bundled import bundled_scenes
 from merry import Merry
 from pixels import Pixels, of_colour, of_hue, region, view
 
@@ -111,6 +115,27 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 300, "contacts, by impulse"
     for name in ("blue", "red", "purple", "grey"):
         assert of_colour(plots(pixels), palette.LINES[name]) > 50, name
+
+
+@pytest.mark.parametrize(
+    ("log", "said"),
+    [
+        (
+            "wgpu adapter backend: Vulkan\nthread 'main' panicked at 'No glyph for \"名\" (U+540D) in Proportional.",
+            "名",
+        ),
+        ("wgpu adapter backend: Vulkan\nthread 'main' panicked at 'index out of bounds'\n", "index out of bounds"),
+    ],
+)
+def test_a_viewer_that_breaks_off_is_not_said_to_lack_a_driver(log: str, said: str) -> None:
+    told = broken_off(log)
+    assert told is not None and said in told and "Vulkan" not in told
+    assert broken_off("wgpu adapter backend: Vulkan\n") is None
+
+
+def test_the_bundled_scenes_need_no_virtual_screen() -> None:
+    assert all(drawable(text) for name in bundled_scenes() for text in place(Scene.load(name)).name)
+    assert drawable("Ω–½ дом µm² →") and not drawable("名") and not drawable("🎱")
 
 
 def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch) -> None:

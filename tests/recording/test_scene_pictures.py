@@ -76,6 +76,14 @@ def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+def test_bodies_whose_names_the_viewers_font_lacks_have_a_dark_picture_like_others(tmp_path: Path) -> None:
+    scene = Scene.load("two-spheres", ["body.0.name=左", "body.1.name=🎱"])
+    pixels = picture(scene, tmp_path)
+    assert filled(view(pixels, 0, SHARES)) > 0.5
+    assert np.median(pixels) < 40
+
+
+@pytest.mark.slow
 def test_no_box_of_the_mouse_pointer_covers_a_close_up_in_the_light_theme(tmp_path: Path) -> None:
     pixels = picture(Scene.load("rack-break", ["time.duration=0.06"]), tmp_path, view="close-up", theme="light")
     white = np.mean(pixels.min(axis=2) > 250)

@@ -120,9 +120,22 @@ def test_a_body_that_is_not_there_is_named_beside_those_that_are(
         recording.trajectory(body)
 
 
-def test_a_moment_outside_the_recording_is_refused(recording: Recording) -> None:
-    with pytest.raises(RecordingError, match=r"goes from 0 to 4 s, 7 s is not in it"):
-        recording.bodies(7.0)
+def test_a_moment_outside_the_recording_is_refused(recording: Recording, tmp_path: Path) -> None:
+    for at in (7.0, 4.05, -0.05):
+        with pytest.raises(RecordingError, match=rf"goes from 0 to 4 s, {at:g} s is not in it"):
+            recording.bodies(at)
+    clip(recording.path, tmp_path / "one.rrd", 2.0, 2.0)
+    one = Recording.open(tmp_path / "one.rrd")
+    assert one.frames == 1 and one.moment(1.995) == 1.995, "the step to the frame"
+    for at in (1.98, 2.01, 1e9):
+        with pytest.raises(RecordingError, match="is not in it"):
+            one.moment(at)
+
+
+def test_a_number_is_a_body_even_where_another_has_it_as_its_name(tmp_path: Path) -> None:
+    balls = [{"name": name, "position": [3.0 * k, 0.0, 0.0]} for k, name in enumerate(("two", "1", "0"))]
+    named = carom.run(scene_of(balls, gravity={"constant": 0.0}, time={"duration": 0.1}), tmp_path / "named.rrd")
+    assert [named.trajectory(body)["x"][0].as_py() for body in ("0", "#0", 0, "1", "#2")] == [6.0, 0.0, 0.0, 3.0, 6.0]
 
 
 def test_a_clip_has_the_trajectories_of_the_bodies_that_it_shows(recording: Recording, tmp_path: Path) -> None:

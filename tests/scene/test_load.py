@@ -515,6 +515,19 @@ def test_a_text_that_the_parser_refuses_is_told_with_its_line_and_what_would_be_
         Scene.load(tmp_path / "scene.toml")
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[[body]]\n\n[[time]]\nduration = 2\n", r"scene\.toml:3: time = .* must be a section with keys"),
+        ("[[body]]\n[[boddy]]\n", r'scene\.toml:2: unknown key boddy; did you mean "body"'),
+    ],
+)
+def test_a_wrong_list_of_sections_is_refused_with_its_line(text: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(text)
+    with pytest.raises(SceneError, match=said):
+        Scene.load(tmp_path / "scene.toml")
+
+
 def test_an_unknown_section_of_an_override_is_the_fault_of_the_override() -> None:
     with pytest.raises(SceneError, match=r"^the override foo\.bar=1: unknown key foo"):
         scene_from_text("[[body]]\n", "scene.toml", ["foo.bar=1"])

@@ -71,7 +71,7 @@ def clip(
     with opened(file) as source:
         recording = Recording.open(source)
         units, names = recording.units, recording.bodies.name
-        interval = _interval(*(simulated_or_none(time, units) for time in (start, end, around, window)))
+        interval = _interval(units, *(simulated_or_none(time, units) for time in (start, end, around, window)))
         refuse_itself(path, file)
         refuse_output(path, force)
         made = cut(source, path, *interval, bodies=_numbers(source, bodies))
@@ -91,7 +91,7 @@ def _reach(made: Clip, units: UnitSystem) -> str:
 
 
 def _interval(
-    start: OptionalTime, end: OptionalTime, around: OptionalTime, window: OptionalTime
+    units: UnitSystem, start: OptionalTime, end: OptionalTime, around: OptionalTime, window: OptionalTime
 ) -> tuple[float, float]:
     """Return the start and the end of the interval, from either pair of options."""
     from math import inf
@@ -104,11 +104,12 @@ def _interval(
         )
     if around is not None and window is not None:
         if not window >= 0:
-            raise RecordingError(f"--window {window:g}: the length must not be negative")
+            raise RecordingError(f"--window {units.text(window, TIME)}: the length must not be negative")
         return around - window / 2, around + window / 2
     first, last = -inf if start is None else start, inf if end is None else end
     if not first <= last:
-        raise RecordingError(f"--from {first:g} --to {last:g}: the end is before the start")
+        asked = f"--from {units.text(first, TIME)} --to {units.text(last, TIME)}"
+        raise RecordingError(f"{asked}: the end is before the start")
     return first, last
 
 

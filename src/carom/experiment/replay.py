@@ -19,7 +19,7 @@ from carom.experiment.run import Watcher, header_of
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
-from carom.recording.read.moment import tolerance
+from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header
@@ -128,12 +128,13 @@ def replay(
     Raises
     ------
     SceneError, RecordingError, PhysicsError
-        If the recording cannot be run or holds no frame, or the state is no longer finite.
+        If the recording cannot be run or holds no frame, the window lies outside of it, or the state is no longer
+        finite.
     """
     if dense is not None:
         refuse_output(dense, force)
         refuse_itself(dense, recording.path)
-    recording.require_frames()
+    begin, end = interval(recording, begin, end)
     scene = recorded_scene(recording)
     checkpoint = checkpoint_before(recording, begin)
     records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")

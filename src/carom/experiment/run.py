@@ -106,6 +106,8 @@ def run(
         If the scene cannot run, the file cannot be written, or the state stops being finite.
     ValueError
         If the number of threads is not whole or less than 1.
+    KeyboardInterrupt
+        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
     """
     loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
     if path is None:
@@ -124,6 +126,8 @@ def run(
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
+    if outcome.status == "interrupted":  # the file is complete up to there; the caller's program ends, too
+        raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
 
 

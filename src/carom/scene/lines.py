@@ -35,6 +35,8 @@ def line_of(text: str, path: KeyPath) -> int | None:
             written = (*section, *_split(key[1]))
         else:
             continue
+        if header and header[1] == "[[" and path == written[:-1]:  # a section that was written as a list of them
+            written = path
         if path[: len(written)] == written and len(written) > best[0]:
             best = (len(written), number)
     return best[1] or None

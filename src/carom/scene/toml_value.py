@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import tomlkit
 import tomlkit.exceptions
+
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)")  # as people write it, and TOML does not
 
 
 def parse_value(text: str) -> Any:
@@ -13,4 +16,4 @@ def parse_value(text: str) -> Any:
     try:
         return tomlkit.value(text).unwrap()
     except (tomlkit.exceptions.TOMLKitError, ValueError):
-        return text
+        return float(text) if _NUMBER.fullmatch(text) else text

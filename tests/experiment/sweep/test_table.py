@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.experiment.error import ExperimentError
+from carom.experiment.sweep import figure
 from carom.experiment.sweep.folder import Folder
 from carom.experiment.sweep.manifest import Run
 from carom.experiment.sweep.table import chosen, rows_of, write
@@ -36,6 +37,27 @@ def test_rows_are_sorted_and_those_without_a_value_come_last() -> None:
     assert names(sort="e") == "cab" and names(sort="-e") == "acb" and names(sort="-name") == "cba"
     with pytest.raises(ExperimentError, match="no such column"):
         names(sort="nothing")
+
+
+def test_quantities_with_units_are_compared_and_sorted_by_their_sizes() -> None:
+    sizes = {"a": "100 cm", "b": "50 cm", "c": "0.7 m", "d": None}
+    rows = rows_of([Run(name, {"r": size, "kind": "wet"}, 1, "done", "") for name, size in sizes.items()])
+
+    def found(*conditions: str, sort: str | None = None) -> str:
+        return "".join(row["name"] for row in chosen(rows, conditions, sort))
+
+    assert found(sort="r") == "bcad" and found(sort="-r") == "acbd"
+    assert found("r>60 cm") == "ac" and found("r=1 m") == "a" and found("r!=500 mm") == "ac"
+    for condition in ("r>0.6", "r>1 s", "kind>dry"):
+        with pytest.raises(ExperimentError, match=r"column (r has units, such as|kind is text)"):
+            found(condition)
+
+
+def test_a_figure_has_the_unit_of_a_column_of_quantities_on_its_axis() -> None:
+    rows = rows_of([Run("a", {"r": "50 cm"}, 1, "done", ""), Run("b", {"r": "1 m"}, 1, "done", "")])
+    unit = figure._unit(rows, "r")
+    assert figure._labelled("r", unit) == "r (cm)"
+    assert [figure._number(row, "r", unit) for row in rows] == [50.0, 100.0]
 
 
 def test_columns_have_one_type(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.manifest import Run
 from carom.experiment.sweep.plan import SEED
 from carom.scene.nearest import suggestion
+from carom.scene.units.quantity_text import physical
 
 Row = dict[str, Any]
 
@@ -59,7 +60,8 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
     Parameters
     ----------
     conditions
-        Such as ``contact.restitution>=0.5`` or ``outcome=completed``. Missing values meet no condition.
+        Such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``. Missing values meet no
+        condition.
     sort
         A column; with a minus before it the largest comes first. Rows without a value come last.
 
@@ -99,17 +101,31 @@ def _meets(row: Row, key: str, compare: Callable[[Any, Any], Any], wanted: str) 
     if value is None:
         return False
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return bool(compare(_text(value), wanted))
+        return _text_meets(key, _text(value), compare, wanted)
     try:
         return bool(compare(value, float(wanted)))
     except ValueError:
         raise ExperimentError(f'--filter {key}: column {key} is numeric; got "{wanted}"') from None
 
 
-def _order(value: Any) -> tuple[bool, Any]:
-    """Sort numbers before text."""
-    is_number = isinstance(value, (int, float))
-    return (not is_number, value if is_number else _text(value))
+def _text_meets(key: str, text: str, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
+    """Compare a text, or a quantity with a unit by its size."""
+    quantity, other = physical(text), physical(wanted)
+    if quantity and other and quantity.unit.exponents == other.unit.exponents:
+        return bool(compare(quantity.size, other.size))
+    if compare in (eq, ne):
+        return bool(compare(text, wanted))
+    if quantity:
+        raise ExperimentError(f'--filter {key}: column {key} has units, such as "{text}"; got "{wanted}"')
+    raise ExperimentError(f'--filter {key}: column {key} is text, such as "{text}"; compare it by = or !=')
+
+
+def _order(value: Any) -> tuple[int, Any]:
+    """Sort numbers first, then quantities with units by their sizes, then text."""
+    if isinstance(value, (int, float)):
+        return 0, value
+    quantity = physical(_text(value))
+    return (2, _text(value)) if quantity is None else (1, (quantity.unit.exponents, quantity.size))
 
 
 def _column(values: list[Any]) -> pa.Array:

@@ -36,6 +36,7 @@ from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
 from carom.scene.error import SceneError
 from carom.scene.integrators import AUTO, INTEGRATORS
+from carom.scene.key_places import naming_places
 from carom.scene.schema import Promise, Scene
 from carom.scene.start import Start
 
@@ -86,7 +87,9 @@ def with_promise(scene: Scene, threads: int | None = None, start: Start | None =
     """
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
-    return _LookAhead(scene, scene.time.accuracy, threads, start or place(scene)).find()
+    with naming_places(scene):
+        ahead = _LookAhead(scene, scene.time.accuracy, threads, start or place(scene))
+    return ahead.find()
 
 
 class _LookAhead:
@@ -99,7 +102,8 @@ class _LookAhead:
         if accuracy < least:
             raise SceneError(
                 f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
-                "where this scene has them"
+                f"where this scene has them; set {least:.1e} or more",
+                ("time", "accuracy"),
             )
         if integrator(scene).controls_error:  # errs by rounding, so twins a last bit apart show its errors
             self._twin, self._rounding = displaced(start, 0.0), SPREAD

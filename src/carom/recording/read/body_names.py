@@ -23,7 +23,7 @@ def body_number(recording: Recording, body: int | str) -> int:
     recording
         Whose bodies they are.
     body
-        Its number, also as text, or its name.
+        Its number, its name, or as text its number, such as "3"; "#3" where that is the name of another body.
 
     Raises
     ------
@@ -34,11 +34,14 @@ def body_number(recording: Recording, body: int | str) -> int:
     if isinstance(body, str):
         found = [number for number, name in enumerate(names) if name == body]
         if len(found) > 1:
-            raise RecordingError(f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one')
+            raise RecordingError(
+                f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one, such as #{found[0]}'
+            )
         if found:
             return found[0]
-    if text.isascii() and text.isdigit() and int(text) < len(names):
-        return int(text)
+    number = text.removeprefix("#")
+    if number.isascii() and number.isdigit() and int(number) < len(names):
+        return int(number)
     raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
 
 

@@ -56,6 +56,12 @@ def table_of_rows(rows: NDArray[np.void], source: str) -> pa.Table:
     return table_of(columns | {"mode": modes(rows["mode"], "a replay")}, source)
 
 
+def overflows(table: pa.Table) -> bool:
+    """Tell whether a value was too large for the float32 in which it was recorded: above 3.4e38."""
+    names = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
+    return any(bool(np.isinf(table[name].to_numpy()).any()) for name in names)
+
+
 def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
     """Return the modes of contacts as texts."""
     if len(numbers) and int(numbers.max()) >= len(MODES):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import IMPACT_MODE
 from carom.recording.errors import DamageError, RecordingError
-from carom.recording.read.contact_tables import check_pairs, modes, of_shown, table_of, table_of_rows
+from carom.recording.read.contact_tables import check_pairs, modes, of_shown, overflows, table_of, table_of_rows
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.rrd.messages import Chunk
@@ -35,7 +35,9 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
     row = frame_of(recording, at)
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
-            return _recorded(recording, row)
+            table = _recorded(recording, row)
+        if recording.engine or not overflows(table):
+            return table
     return _replayed(recording, at, watch)
 
 

@@ -12,15 +12,22 @@ from numpy.typing import NDArray
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.body_names import shown_body
-from carom.recording.read.contact_tables import check_pairs, modes, of_body, of_shown, table_of, table_of_rows
+from carom.recording.read.contact_tables import (
+    check_pairs,
+    modes,
+    of_body,
+    of_shown,
+    overflows,
+    table_of,
+    table_of_rows,
+)
 from carom.recording.read.damage import reading
-from carom.recording.read.moment import tolerance
+from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.tables import Column, flat
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
-from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -42,11 +49,14 @@ def impacts(
     watch: Watcher | None = None,
 ) -> pa.Table:
     """Return the impacts of an interval; see `Recording.impacts`."""
-    first, last = _interval(recording, start, end)
+    first, last = interval(recording, start, end)
+    first, last = first - tolerance(first), last + tolerance(last)
     number = None if body is None else shown_body(recording, body)
     if recording.records_contacts and not replay:
         with reading(recording.path):
-            return of_body(_recorded(recording, first, last), number)
+            table = _recorded(recording, first, last)
+        if recording.engine or not overflows(table):
+            return of_body(table, number)
     return of_body(_replayed(recording, first, last, watch), number)
 
 
@@ -134,21 +144,6 @@ def count_at(recording: Recording, step: int) -> int:
             if len(rows) and "impact_count" in chunk.components:
                 return int(flat(chunk, "impact_count", Column(pa.int64()))[int(rows[-1])].as_py())
     return 0
-
-
-def _interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
-    """Return the interval in which impacts are asked for, both ends included."""
-    times = recording.fingerprints()["time"].to_numpy()
-    recording.require_frames()
-    first, last = -np.inf if start is None else start, np.inf if end is None else end
-    asked = recording.units.span(first, last, TIME, "g")
-    if first > last:
-        raise RecordingError(f"from {asked}: the end lies before the beginning")
-    if last < times[0] or first > times[-1]:
-        raise RecordingError(
-            f"{recording.path} goes from {recording.units.span(times[0], times[-1], TIME, '.9g')}: {asked} is not in it"
-        )
-    return first - tolerance(first), last + tolerance(last)
 
 
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:

@@ -25,12 +25,7 @@ def moment(recording: Recording, at: float | None) -> float:
     recording.require_frames()
     times = _column(recording.fingerprints(), "time")
     if at is not None:
-        between = np.inf if len(times) == 1 else (times[-1] - times[0]) / (len(times) - 1)  # a step may have no frame
-        if not times[0] - between <= at <= times[-1] + between:
-            raise RecordingError(
-                f"{recording.path} goes from {recording.units.span(times[0], times[-1], TIME, '.9g')}, "
-                f"{recording.units.text(at, TIME, '.9g')} is not in it"
-            )
+        _refuse_outside(recording, times, at, at, recording.units.text(at, TIME, ".9g"))
         return at
     if not recording.shows_all:
         return _moment_of_shown(recording, float(times[-1]))
@@ -49,6 +44,34 @@ def moment(recording: Recording, at: float | None) -> float:
     if "contacts" in steps.column_names and _column(steps, "contacts").max() > 0:
         return float(_column(steps, "time")[np.argmax(_column(steps, "contacts"))])
     return float(times[-1])
+
+
+def interval(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
+    """Return an interval (s) of a recording, both ends included; None is an end of the recording.
+
+    Raises
+    ------
+    RecordingError
+        If it ends before it begins, or lies outside of the recording.
+    """
+    recording.require_frames()
+    first, last = -np.inf if start is None else start, np.inf if end is None else end
+    asked = recording.units.span(first, last, TIME, "g")
+    if first > last:
+        raise RecordingError(f"from {asked}: the end lies before the beginning")
+    _refuse_outside(recording, _column(recording.fingerprints(), "time"), first, last, asked)
+    return first, last
+
+
+def _refuse_outside(recording: Recording, times: NDArray[np.float64], first: float, last: float, asked: str) -> None:
+    """Refuse an interval (s) outside of the frames and of the step that the first one ends."""
+    begins, ends = float(times[0]), float(times[-1])
+    if last < begins:
+        dt = _column(recording.steps("dt"), "dt")
+        begins -= float(dt[0]) if len(dt) else 0.0
+    if last < begins - tolerance(begins) or first > ends + tolerance(ends):
+        whole = recording.units.span(times[0], ends, TIME, ".9g")
+        raise RecordingError(f"{recording.path} goes from {whole}, {asked} is not in it")
 
 
 def _moment_of_shown(recording: Recording, last: float) -> float:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carom.recording.style.arrows import part_of_longest
 from carom.recording.style.line_radii import line_radii
+from carom.recording.style.single_precision import single
 
 FloatArray = NDArray[np.float64]
 
@@ -31,7 +32,7 @@ def edge_radii(radius: FloatArray) -> NDArray[np.float32]:
 
 def point_radii(radius: FloatArray) -> NDArray[np.float32]:
     """Return the radius of an impact's point at each level, (8,) m."""
-    return (np.median(radius) * np.linspace(_SMALLEST, _LARGEST, LEVELS)).astype(np.float32)
+    return single(np.median(radius) * np.linspace(_SMALLEST, _LARGEST, LEVELS))
 
 
 def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:

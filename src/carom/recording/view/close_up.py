@@ -27,6 +27,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.recording.style.line_radii import line_radii
+from carom.recording.style.single_precision import single
 from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
@@ -113,7 +114,7 @@ class CloseUp:
 
     def statics(self, header: Header) -> Iterable[Static]:
         """Yield sizes and colours of the entities."""
-        radius = header.radius[list(self.bodies)].astype(np.float32)
+        radius = single(header.radius[list(self.bodies)])
         small = float(radius.min())
         yield (
             BODIES,
@@ -164,7 +165,7 @@ class CloseUp:
     ) -> Iterable[Rows]:
         """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
         placed = _nearest_images(position.astype(np.float64), self.box)
-        centres = placed.reshape(-1, 3).astype(np.float32)
+        centres = single(placed.reshape(-1, 3))
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
         yield Rows(
@@ -176,7 +177,7 @@ class CloseUp:
         here = self.position.mean(axis=0)
         middle = placed.mean(axis=1) + (self.eye.target - here)
         corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
-        ends = np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3).astype(np.float32)
+        ends = single(np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3))
         yield Rows(
             FOLLOWED,
             Index(np.array(steps), np.array(times)),
@@ -186,7 +187,7 @@ class CloseUp:
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
-        yield self._once(EDGE, rr.LineStrips3D.columns(strips=[contact.edge.astype(np.float32)]), 1)
+        yield self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
         small = float(header.radius[list(self.bodies)].min())
         labelled = [
             self._normal(contact, small, header.units),
@@ -195,12 +196,10 @@ class CloseUp:
         ]
         for arrows in labelled:
             if len(arrows.vectors):
-                columns = rr.Arrows3D.columns(
-                    vectors=arrows.vectors.astype(np.float32), origins=arrows.origins.astype(np.float32)
-                )
+                columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield self._once(arrows.path, columns, len(arrows.vectors))
         texts = [text for arrows in labelled for text in arrows.labels]
-        places = _apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye).astype(np.float32)
+        places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye))
         yield self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:

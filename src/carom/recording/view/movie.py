@@ -23,7 +23,7 @@ from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import STEP
-from carom.recording.view.picture import headless, note_ends, stable_picture, window_of
+from carom.recording.view.picture import headless, stable_picture, window_of
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.supplement import Supplement
@@ -148,8 +148,7 @@ class _Studio:
         self._started = False
         self._thread = stack.enter_context(ThreadPoolExecutor(1))
         # at the end the viewer is closed first, so that a thread that waits for a picture fails at once
-        self._viewer: Viewer = stack.enter_context(headless(window_of(size, self._whole), theme))
-        self._noted = note_ends(theme)
+        self._viewer: Viewer = stack.enter_context(headless(recording, window_of(size, self._whole), theme))
         stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
 
     def take(self, at: float) -> Future[bytes]:
@@ -166,7 +165,7 @@ class _Studio:
             self._viewer.add(self._supplement)
         self._view = None if self._whole else self._viewer.only_view()
         self._started = True
-        time.sleep(max(0.0, self._noted - time.monotonic()))
+        self._viewer.outlast_note()
         stable_picture(self._viewer, self._view)
         return self._picture()
 

@@ -13,11 +13,12 @@ from carom.recording.errors import RecordingError
 from carom.recording.layout.blueprint import ALL
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
-from carom.recording.view.light_theme import light_theme
+from carom.recording.view.glyphs import has_all_glyphs
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
+from carom.recording.view.virtual_screen import virtual_screen
 from carom.recording.write.whole_file import whole_file
 
 _ALIKE = 3  # equal pictures in a row, after which everything is loaded
@@ -77,13 +78,12 @@ def render(
     else:
         shown = asked(recording, request, Canvas(*size, framed=whole), view, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
-    with headless(window_of(size, whole), theme) as viewer:
-        noted = note_ends(theme)
+    with headless(recording, window_of(size, whole), theme) as viewer:
         viewer.show(recording)
         viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
-        time.sleep(max(0.0, noted - time.monotonic()))
+        viewer.outlast_note()
         png = stable_picture(viewer, None if whole else viewer.only_view())
         reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
     if reports:
@@ -123,20 +123,17 @@ def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
 
 
 @contextmanager
-def headless(size: tuple[int, int], theme: str = "dark") -> Iterator[Viewer]:
-    """Start a viewer of this size (pixels) without a screen; end it when the context is left."""
+def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
+    """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left."""
     window = ("--window-size", f"{size[0]}x{size[1]}")
-    if theme == "dark":
+    if theme == "dark" and has_all_glyphs(recording):
         with Viewer("--headless", *window) as viewer:
             yield viewer
         return
-    with light_theme(size) as environment, Viewer("--persist-state", *window, environment=environment) as viewer:
+    screen = virtual_screen(size, theme)
+    with screen as environment, Viewer("--persist-state", *window, environment=environment) as viewer:
+        viewer.note_ends = time.monotonic() + _NOTE
         yield viewer
-
-
-def note_ends(theme: str) -> float:
-    """Return the monotonic time (s) at which a viewer that has just started no longer shows a note."""
-    return time.monotonic() + (_NOTE if theme == "light" else 0.0)
 
 
 def stable_picture(viewer: Viewer, view: str | None) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -38,12 +39,15 @@ _VULKAN = (
     "it needs a Vulkan driver; without a graphics card: "
     "apt-get install mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
 )
+_GLYPH = re.compile(r'No glyph for "(.+?)" \(')
+_PANIC = re.compile(r"panicked at '([^\n]+?)'?$", re.MULTILINE)
 
 
 class Viewer:
     """A viewer process. Leaving the context ends it."""
 
     def __init__(self, *options: str, environment: dict[str, str] | None = None) -> None:
+        self.note_ends = 0.0  # s, monotonic, up to which it shows a note
         self._port = free_port()
         self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
         command = [binary(), "--bind", HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
@@ -112,6 +116,10 @@ class Viewer:
         """Wait until the window is closed."""
         self._process.wait()
 
+    def outlast_note(self) -> None:
+        """Wait until a note that the viewer shows after its start is gone."""
+        time.sleep(max(0.0, self.note_ends - time.monotonic()))
+
     def outlast(self, seconds: float) -> None:
         """Wait for some seconds; raise RecordingError if the process ends, since it listens before it has a window."""
         with contextlib.suppress(subprocess.TimeoutExpired):
@@ -146,7 +154,8 @@ class Viewer:
             return
         self._log.seek(0)
         said = self._log.read()
-        raise RecordingError(f"the viewer could not start: {_reason(said)}")
+        broken = broken_off(said)
+        raise RecordingError(f"the viewer could not start: {_reason(said)}" if broken is None else broken)
 
     def _end(self) -> None:
         self._process.terminate()
@@ -173,11 +182,28 @@ def start_live_viewer() -> str:
     return viewer.address
 
 
+def broken_off(said: str) -> str | None:
+    """Return what a viewer that broke off said of it; None if it did not."""
+    found = _GLYPH.search(said)
+    if found:
+        return (
+            f"the viewer that renders without a screen cannot draw {found[1]}, which its font lacks: rename what has "
+            "it in its name, or look at the recording with `carom view`"
+        )
+    found = _PANIC.search(said)
+    return f"the viewer broke off: {found[1]}" if found and not _lacks_driver(found[1]) else None
+
+
+def _lacks_driver(said: str) -> bool:
+    """Tell whether a text says that there is no graphics card or driver."""
+    return any(word in said.lower() for word in ("wgpu", "vulkan", "graphics", "adapter"))
+
+
 def _reason(said: str) -> str:
     """Return an explanation, with a remedy, of the log of a viewer that ended."""
-    lowered = said.lower()
-    if "wgpu" in lowered or "vulkan" in lowered or "graphics" in lowered or "adapter" in lowered:
+    if _lacks_driver(said):
         return _VULKAN
+    lowered = said.lower()
     if "display" in lowered or "winit" in lowered or "wayland" in lowered:
         return _NO_SCREEN
     return said.strip().splitlines()[-1] if said.strip() else "it ended without a word"

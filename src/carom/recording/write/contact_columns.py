@@ -16,9 +16,10 @@ from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
 from carom.recording.style import impulse_scale
 from carom.recording.style.arrows import part_of_longest
+from carom.recording.style.single_precision import single
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.columns import any_column, vector_column
-from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
+from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -33,11 +33,12 @@ from carom.recording.schema.series import Sample, recorded
 from carom.recording.style import arrows, colouring
 from carom.recording.style.arrow_length import arrow_length
 from carom.recording.style.body_shape import shape
+from carom.recording.style.single_precision import single
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.columns import any_column, line_column, plain_column, vector_column
 from carom.recording.write.contact_columns import BatchContacts
 from carom.recording.write.contact_encoder import ContactEncoder
-from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows, single
+from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.style import impulse_scale
+from carom.recording.style.single_precision import single
 from carom.recording.write.columns import any_column, plain_column, vector_column
-from carom.recording.write.rows import Index, Rows, array_bytes, single
+from carom.recording.write.rows import Index, Rows, array_bytes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

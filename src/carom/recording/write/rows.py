@@ -57,12 +57,6 @@ def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size
     return Rows(path, index, columns, size + _INDEX_BYTES * len(index.steps))
 
 
-def single(values: FloatArray) -> NDArray[np.float32]:
-    """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
-    with np.errstate(over="ignore"):
-        return values.astype(np.float32)
-
-
 def array_bytes(*arrays: NDArray[np.generic] | None) -> int:
     """Return the bytes of arrays, as far as there are any."""
     return sum(array.nbytes for array in arrays if array is not None)

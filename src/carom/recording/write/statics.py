@@ -19,6 +19,7 @@ from carom.recording.style import colouring
 from carom.recording.style.body_shape import shape
 from carom.recording.style.curve_style import curve_style
 from carom.recording.style.line_radii import line_radii
+from carom.recording.style.single_precision import single
 from carom.recording.write.scene_text import scene_document
 
 Static = tuple[str, rr.AsComponents]
@@ -68,7 +69,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
 def _bodies(header: Header) -> Iterable[Static]:
     is_static = header.coloured_by in colouring.STATIC
     colours = header.static_colours(header.coloured_by) if is_static else None
-    radius = header.radius.astype(np.float32)
+    radius = single(header.radius)
     match shape(header):
         case "ellipsoids":
             half_sizes = np.repeat(radius, 3).reshape(-1, 3)

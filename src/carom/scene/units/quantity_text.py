@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from fractions import Fraction
+from typing import NamedTuple
 
 from carom.scene.units.dimension import Dimension
-from carom.scene.units.unit import LONGEST, UnitError, unit_of
+from carom.scene.units.unit import LONGEST, Unit, UnitError, unit, unit_of
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
 
@@ -24,7 +25,7 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
     found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
     if not found:
         raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
-    if _DECIMAL_COMMA.match(text):
+    if _DECIMAL_COMMA.match(text) and text.count(",") == 1:
         raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
     if not found[2].strip():
         raise UnitError(
@@ -34,6 +35,26 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
         return Fraction(found[1]) * unit_of(found[2], dimension).size
     except UnitError as error:
         raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
+
+
+class Physical(NamedTuple):
+    """A quantity of any dimension."""
+
+    size: Fraction  # in SI
+    unit: Unit
+    unit_text: str  # as written
+
+
+def physical(text: str) -> Physical | None:
+    """Read a quantity of any dimension; None if the text is none."""
+    found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+    if not found or not found[2].strip():
+        return None
+    try:
+        of = unit(found[2])
+    except UnitError:
+        return None
+    return Physical(Fraction(found[1]) * of.size, of, found[2].strip())
 
 
 def nearest_float(value: Fraction) -> float:

@@ -1,7 +1,7 @@
-"""The light theme for pictures that are rendered without a screen.
+"""A virtual screen (Xvfb) for pictures that Rerun's headless mode cannot render.
 
-Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Therefore a viewer with
-a window is started on a virtual screen (Xvfb), with a settings file in a temporary folder.
+Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Nor does that mode use
+the fonts of the system, and it ends at a character that Rerun's own font lacks. A viewer with a window does both.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import rerun as rr
 
 from carom.recording.errors import RecordingError
 
-_SETTINGS = '{{"egui": "(options:(theme_preference:Light))", "rerun.version": "{version}"}}'
+_SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
 _GRACE = 5.0  # s between asking the screen to end and ending it
 
 
 @contextlib.contextmanager
-def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
-    """Yield the environment of a viewer with the light theme, on a virtual screen of this size (pixels).
+def virtual_screen(size: tuple[int, int], theme: str) -> Iterator[dict[str, str]]:
+    """Yield the environment of a viewer with a theme, "dark" or "light", on a virtual screen of this size (pixels).
 
     Raises
     ------
@@ -33,13 +33,13 @@ def light_theme(size: tuple[int, int]) -> Iterator[dict[str, str]]:
     """
     program = shutil.which("Xvfb")
     if program is None:
-        raise RecordingError(
-            "a picture in the light theme needs Xvfb, a virtual screen: apt-get install xvfb; or take the dark theme"
-        )
+        other = "take the dark theme" if theme == "light" else "write the names in Latin, Greek or Cyrillic letters"
+        what = "in the light theme" if theme == "light" else "with these names of bodies"
+        raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: apt-get install xvfb; or {other}")
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         settings = Path(folder) / "rerun" / "app.ron"
         settings.parent.mkdir()
-        settings.write_text(_SETTINGS.format(version=rr.__version__))
+        settings.write_text(_SETTINGS.format(theme=theme.capitalize(), version=rr.__version__))
         with _screen(program, size) as display:
             kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
             # RUST_LOG: a viewer with a window shows its log in boxes over the picture
@@ -65,7 +65,7 @@ def _screen(program: str, size: tuple[int, int]) -> Iterator[str]:
         with os.fdopen(reads) as told:
             number = told.readline().strip()  # empty if Xvfb has ended
         if not number:
-            raise RecordingError("Xvfb, the virtual screen for the light theme, did not start; take the dark theme")
+            raise RecordingError("Xvfb, the virtual screen, did not start")
         yield f":{number}"
     finally:
         process.terminate()
