@@ -105,6 +105,8 @@ MISTAKES = {
     "too large": ("1e400 km", ["must be a finite number"]),
     "too many digits of an exponent": ("1e99999999 km", ["is not a unit"]),
     "a comma": ("1,5 km", ['a decimal comma; write "1.5 km"']),
+    "several numbers": ("0,0,-9.81", ["several numbers need brackets: [0,0,-9.81]"]),
+    "a list as text": ("[0, 0, -9 m]", ["a list, in which each text needs quotes"]),
     "a power that would take for ever": ("1 km^999999999", ["is not a unit"]),
     "powers of powers": ("1 ((km^9)^9)^9", ["is not a unit"]),
     "a program": ("1 __import__('os')", ["is not a unit"]),

@@ -23,9 +23,13 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
         If the text is not a number with a unit of that dimension. The message says what would be right.
     """
     found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+    if text.lstrip().startswith("["):
+        raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
+    if text.count(",") > 1:
+        raise UnitError(f"several numbers need brackets: [{text.strip()[:LONGEST]}]")
     if not found:
         raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
-    if _DECIMAL_COMMA.match(text) and text.count(",") == 1:
+    if _DECIMAL_COMMA.match(text):
         raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
     if not found[2].strip():
         raise UnitError(
