@@ -202,6 +202,8 @@ def test_the_overlay_shows_both_and_a_line_where_they_part(tmp_path: Path) -> No
     overlay(a, b, diff(a, b), tmp_path / "both.rrd")
     both = Recording.open(tmp_path / "both.rrd")
     assert both.finished and both.is_overlay and both.frames == 200 and both.layout()
+    with pytest.raises(RecordingError, match="is not in it"):
+        both.moment(-1.0)
     paths = {entry.entity_path for entry in both.store.entries}
     assert paths >= {"world/a/bodies", "world/b/bodies", "world/apart", "difference/rms", "difference/energy"}
 

@@ -55,6 +55,9 @@ def test_after_a_run_that_was_stopped_the_next_one_goes_on() -> None:
     space.stop()
     list(run)
     assert space.time < 1.0
+    for _ in space.run():
+        space.stop()
+        break  # before the run has seen it
     space.reach(1.0)
     last = list(space.run(until=2.0))[-1]
     whole.reach(1.0)

@@ -369,7 +369,7 @@ def test_numbers_too_large_for_float32_are_recorded_as_infinite_without_a_warnin
 def test_impacts_and_contacts_too_large_for_float32_are_those_of_a_replay(tmp_path: Path) -> None:
     suns = [
         {"position": [2e9 * k, 5e7 * k, 0.0], "velocity": [v, 0.0, 0.0], "radius": 7e8, "mass": 2e30}
-        for k, v in enumerate((6.2e5, -6.2e5))
+        for k, v in enumerate((6.2e5, -6.2e5, -6.2e5))
     ]
     scene = scene_of(suns, gravity={"constant": 0.0}, time={"duration": 1000.0, "max_dt": 100.0})
     recording = carom.run(scene, tmp_path / "suns.rrd")
@@ -377,6 +377,10 @@ def test_impacts_and_contacts_too_large_for_float32_are_those_of_a_replay(tmp_pa
     assert impact == recording.impacts(replay=True).to_pylist()[0] and 3.5e38 < impact["energy_lost"] < 8e41
     (contact,) = recording.contacts(impact["time"]).to_pylist()
     assert contact["energy_lost"] == impact["energy_lost"]
+    clip(recording.path, tmp_path / "clip.rrd", 0.0, 1e3, [0, 1], exact=False)
+    part = Recording.open(tmp_path / "clip.rrd")  # it cannot be run again
+    assert part.impacts()["energy_lost"].to_pylist() == [np.inf]
+    assert part.contacts(impact["time"])["energy_lost"].to_pylist() == [np.inf]
 
 
 def kept(plan: ImpactPlan, frames: list[Frame]) -> list[NDArray[np.int64]]:

@@ -311,6 +311,8 @@ def test_a_scene_with_bodies_keeps_its_other_sections() -> None:
         ({"mass": [1.0, 2.0]}, r"mass: an array of the shape \(2,\); 3 bodies need the shape \(3,\)"),
         ({"mass": [1.0, np.nan, 1.0]}, "the arrays: column mass, row 1: nan is not a finite number"),
         ({"mass": np.ma.masked_array([1.0, 2.0, 3.0], [False, True, False])}, "mass: body 1 has no value"),
+        ({"radius": np.ma.masked_array(1.0, mask=True)}, "radius: there is no value"),
+        ({"velocity": np.ma.masked_array([1.0, 2.0, 3.0], [False, False, True])}, "velocity: there is no value"),
         ({"density": 1.0}, "a mass or a density, and not both"),
         ({"radius": None}, "need a position and a radius"),
         ({"mass": ["a", "b", "c"]}, "row 0: 'a' is not a number"),

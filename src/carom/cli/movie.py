@@ -51,7 +51,9 @@ def movie(
         typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
     ] = None,
     bodies: BodiesOption = None,
-    theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
+    theme: Annotated[
+        Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
+    ] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
     output: Annotated[
         Path | None,

@@ -169,7 +169,9 @@ def picture(
     plot: PlotOption = None,
     colour_by: ColourOption = None,
     view: Annotated[PictureView, typer.Option("--view", help="View that fills the picture.")] = PictureView.ALL,
-    theme: Annotated[Theme, typer.Option("--theme", help="Theme of the viewer; light needs Xvfb.")] = Theme.DARK,
+    theme: Annotated[
+        Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
+    ] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
 ) -> None:
     """Render a moment of a recording to a PNG; needs no screen.

@@ -171,15 +171,17 @@ class Simulation:
         end = self.scene.time.duration if until is None else until
         check_every = self.scene.record.check_every
         goal = Goal(end, schedule or every(frame_interval(self.scene)), most=check_every)
-        yield self.frame(store)
-        shown = self.step
-        while self.time < end and not self._stopping:
-            if self._advance(goal, checked=(self.step + 1) % check_every == 0):
-                yield self.frame(store)
-                shown = self.step
-        self._stopping = False
-        if self.step != shown:  # stopped
+        try:
             yield self.frame(store)
+            shown = self.step
+            while self.time < end and not self._stopping:
+                if self._advance(goal, checked=(self.step + 1) % check_every == 0):
+                    yield self.frame(store)
+                    shown = self.step
+            if self.step != shown:  # stopped
+                yield self.frame(store)
+        finally:
+            self._stopping = False
 
     def reach(self, time: float) -> None:
         """Step until a time in s, without frames; see `run`."""

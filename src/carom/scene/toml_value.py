@@ -8,7 +8,7 @@ from typing import Any
 import tomlkit
 import tomlkit.exceptions
 
-_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)")  # as people write it, and TOML does not
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # as people write it, and TOML does not
 
 
 def parse_value(text: str) -> Any:

@@ -53,6 +53,17 @@ def test_quantities_with_units_are_compared_and_sorted_by_their_sizes() -> None:
             found(condition)
 
 
+def test_a_word_among_numbers_or_quantities_meets_no_comparison_but_unequal() -> None:
+    sizes = {"a": "auto", "b": "10 ms", "c": 0.02, "d": "50 ms"}
+    rows = rows_of([Run(name, {"dt": size}, 1, "done", "") for name, size in sizes.items()])
+
+    def found(condition: str) -> str:
+        return "".join(row["name"] for row in chosen(rows, [condition], None))
+
+    assert (found("dt<20 ms"), found("dt<0.1"), found("dt=auto")) == ("b", "c", "a")
+    assert (found("dt!=auto"), found("dt!=0.02")) == ("bcd", "abd")
+
+
 def test_a_figure_has_the_unit_of_a_column_of_quantities_on_its_axis() -> None:
     rows = rows_of([Run("a", {"r": "50 cm"}, 1, "done", ""), Run("b", {"r": "1 m"}, 1, "done", "")])
     unit = figure._unit(rows, "r")

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.plan import SEED
 from carom.experiment.sweep.table import Row
-from carom.scene.units.quantity_text import Physical, physical
+from carom.scene.units.quantity_text import Physical, nearest_float, physical
 
 MOST_LINES = 12  # in the legend
 _DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger
@@ -78,7 +78,7 @@ def _number(row: Row, key: str, axis: Physical | None) -> float:
         return float(value)
     found = physical(value) if isinstance(value, str) else None
     if found and axis and found.unit.exponents == axis.unit.exponents:
-        return float(found.size / axis.unit.size)
+        return nearest_float(found.size / axis.unit.size)
     raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, which is not a number")
 
 

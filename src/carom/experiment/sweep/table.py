@@ -72,7 +72,9 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
     """
     found = list(rows)
     for condition in conditions:
-        found = [row for row in found if _meets(row, *_parsed(condition, rows))]
+        key, compare, wanted = _parsed(condition, rows)
+        _require_comparable(key, [row[key] for row in rows], compare, wanted)
+        found = [row for row in found if _meets(row[key], compare, wanted)]
     if sort is None:
         return found
     key = known(sort.removeprefix("-"), rows)
@@ -96,28 +98,44 @@ def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, An
     return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
 
 
-def _meets(row: Row, key: str, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
-    value = row[key]
+def _meets(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
+    """Tell whether a value meets a comparison; a value of another kind only differs."""
     if value is None:
         return False
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        return _text_meets(key, _text(value), compare, wanted)
-    try:
-        return bool(compare(value, float(wanted)))
-    except ValueError:
-        raise ExperimentError(f'--filter {key}: column {key} is numeric; got "{wanted}"') from None
+    met = _compared(value, compare, wanted)
+    return compare is ne if met is None else met
 
 
-def _text_meets(key: str, text: str, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
-    """Compare a text, or a quantity with a unit by its size."""
+def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
+    """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        number = _number_of(wanted)
+        return None if number is None else bool(compare(value, number))
+    text = _text(value)
     quantity, other = physical(text), physical(wanted)
     if quantity and other and quantity.unit.exponents == other.unit.exponents:
         return bool(compare(quantity.size, other.size))
-    if compare in (eq, ne):
-        return bool(compare(text, wanted))
-    if quantity:
-        raise ExperimentError(f'--filter {key}: column {key} has units, such as "{text}"; got "{wanted}"')
-    raise ExperimentError(f'--filter {key}: column {key} is text, such as "{text}"; compare it by = or !=')
+    return bool(compare(text, wanted)) if compare in (eq, ne) else None
+
+
+def _number_of(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _require_comparable(key: str, values: list[Any], compare: Callable[[Any, Any], Any], wanted: str) -> None:
+    """Raise ExperimentError if no value of a column is of the kind that is wanted."""
+    there = [value for value in values if value is not None]
+    if not there or any(_compared(value, compare, wanted) is not None for value in there):
+        return
+    first = there[0]
+    if isinstance(first, (int, float)) and not isinstance(first, bool):
+        raise ExperimentError(f'--filter {key}: column {key} is numeric; got "{wanted}"')
+    if physical(_text(first)):
+        raise ExperimentError(f'--filter {key}: column {key} has units, such as "{first}"; got "{wanted}"')
+    raise ExperimentError(f'--filter {key}: column {key} is text, such as "{_text(first)}"; compare it by = or !=')
 
 
 def _order(value: Any) -> tuple[int, Any]:

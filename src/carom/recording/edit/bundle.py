@@ -35,9 +35,9 @@ _SURPRISES = (
 
 def is_bundle(path: Path) -> bool:
     """Tell whether a file begins like a zip file."""
-    if not path.is_file():  # a pipe would be waited for
-        return False
     try:
+        if not path.is_file():  # a pipe would be waited for
+            return False
         with path.open("rb") as file:
             return file.read(4) == b"PK\x03\x04"
     except OSError:

@@ -34,8 +34,9 @@ def body_number(recording: Recording, body: int | str) -> int:
     if isinstance(body, str):
         found = [number for number, name in enumerate(names) if name == body]
         if len(found) > 1:
+            such = _asked_for(found[0], names)
             raise RecordingError(
-                f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one, such as #{found[0]}'
+                f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one, such as {such}'
             )
         if found:
             return found[0]
@@ -43,6 +44,11 @@ def body_number(recording: Recording, body: int | str) -> int:
     if number.isascii() and number.isdigit() and int(number) < len(names):
         return int(number)
     raise RecordingError(f'{recording.path} has no body "{body}"; {_others(text, names)}')
+
+
+def _asked_for(number: int, names: Sequence[str]) -> str:
+    """Return what asks for the body of a number, and is no comment in a shell."""
+    return f'"#{number}"' if str(number) in names else str(number)
 
 
 def shown_body(recording: Recording, body: int | str) -> int:

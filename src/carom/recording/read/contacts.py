@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
+from carom.scene.error import SceneError
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
@@ -36,8 +38,10 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
             table = _recorded(recording, row)
-        if recording.engine or not overflows(table):
-            return table
+        if overflows(table):
+            with suppress(RecordingError, SceneError):  # a run that cannot be repeated keeps its infinite numbers
+                return _replayed(recording, at, watch)
+        return table
     return _replayed(recording, at, watch)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +29,7 @@ from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.scene.error import SceneError
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -55,8 +57,11 @@ def impacts(
     if recording.records_contacts and not replay:
         with reading(recording.path):
             table = _recorded(recording, first, last)
-        if recording.engine or not overflows(table):
+        if not overflows(table):
             return of_body(table, number)
+        with suppress(RecordingError, SceneError):  # a run that cannot be repeated keeps its infinite numbers
+            table = _replayed(recording, first, last, watch)
+        return of_body(table, number)
     return of_body(_replayed(recording, first, last, watch), number)
 
 

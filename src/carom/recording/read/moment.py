@@ -12,6 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.recording.errors import RecordingError
+from carom.recording.read.given_time import check_times
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
@@ -55,6 +56,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
         If it ends before it begins, or lies outside of the recording.
     """
     recording.require_frames()
+    check_times(begin=start, end=end)
     first, last = -np.inf if start is None else start, np.inf if end is None else end
     asked = recording.units.span(first, last, TIME, "g")
     if first > last:
@@ -66,7 +68,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
 def _refuse_outside(recording: Recording, times: NDArray[np.float64], first: float, last: float, asked: str) -> None:
     """Refuse an interval (s) outside of the frames and of the step that the first one ends."""
     begins, ends = float(times[0]), float(times[-1])
-    if last < begins:
+    if last < begins and not recording.is_overlay:
         dt = _column(recording.steps("dt"), "dt")
         begins -= float(dt[0]) if len(dt) else 0.0
     if last < begins - tolerance(begins) or first > ends + tolerance(ends):

@@ -116,7 +116,13 @@ class Statics:
     @named
     def is_overlay(self) -> bool:
         """Whether it shows several runs: `carom diff -o` or `carom tradeoff` made it."""
-        return bool(self._entities.properties("diff") or self._entities.properties("tradeoff"))
+        return bool(self.overlaid)
+
+    @property
+    @named
+    def overlaid(self) -> Mapping[str, Any]:
+        """What an overlay says of its runs, such as the names of their files; empty for a single run."""
+        return self._entities.properties("diff") or self._entities.properties("tradeoff")
 
     def refuse_overlay(self) -> None:
         """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""

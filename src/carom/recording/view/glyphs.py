@@ -22,8 +22,13 @@ def drawable(text: str) -> bool:
 
 
 def has_all_glyphs(recording: Recording) -> bool:
-    """Tell whether the font has all characters of the names of bodies and planes, which labels and events show."""
-    if recording.is_overlay:  # its names are those of runs
-        return True
+    """Tell whether the font has all characters of the names that a picture shows.
+
+    These are the names of bodies and planes, in labels and events, and that of the file; of an overlay, those of files.
+    """
+    if not drawable(recording.path.name):
+        return False
+    if recording.is_overlay:
+        return all(drawable(str(text)) for text in recording.overlaid.values())
     names = names_of(recording)
     return all(map(drawable, (*names.bodies, *names.planes)))

@@ -68,7 +68,8 @@ def render(
     Raises
     ------
     RecordingError
-        If the recording cannot be read, there is no Vulkan driver, or a view cannot show what it should.
+        If the recording cannot be read, there is no Vulkan driver, no Xvfb where one is needed, or a view cannot show
+        what it should.
     """
     recording = Recording.open(path)
     _refuse_unwritable(Path(out_png))

@@ -102,8 +102,9 @@ def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
     """Return an array with a row for each body."""
     shape = (bodies, 3) if quantity in VECTORS else (bodies,)
     if np.ma.is_masked(value):
-        body = int(np.argwhere(np.ma.getmaskarray(np.ma.asarray(value)))[0][0])
-        raise SceneError(f"{quantity}: body {body} has no value (it is masked); every body needs one")
+        mask = np.ma.getmaskarray(np.ma.asarray(value))
+        whose = f"body {np.argwhere(mask)[0][0]} has no value" if mask.shape == shape else "there is no value"
+        raise SceneError(f"{quantity}: {whose} (it is masked); every body needs one")
     try:
         array = np.asarray(value)
         fits = array.shape == shape or (array.shape == shape[1:] and quantity != "position")

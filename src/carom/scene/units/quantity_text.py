@@ -11,6 +11,7 @@ from carom.scene.units.unit import LONGEST, Unit, UnitError, unit, unit_of
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
 
+_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3},\d{3}(,\d{3})+(?![\d,.])")
 _DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
 
 
@@ -25,6 +26,8 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
     found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
     if text.lstrip().startswith("["):
         raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
+    if _THOUSANDS.match(text):
+        raise UnitError(f'commas between thousands; write "{text.replace(",", "").strip()}"')
     if text.count(",") > 1:
         raise UnitError(f"several numbers need brackets: [{text.strip()[:LONGEST]}]")
     if not found:
