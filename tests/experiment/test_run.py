@@ -25,6 +25,7 @@ from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import SweepMember
 from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -58,6 +59,15 @@ def test_a_name_that_the_viewer_would_not_take_for_a_recording_is_refused(tmp_pa
     with pytest.raises(RecordingError, match=r"run.txt: a recording is an \.rrd"):
         carom.run(cloud(), tmp_path / "run.txt")
     assert not list(tmp_path.iterdir())
+
+
+def test_runs_of_one_process_may_vary_a_key_over_words_numbers_and_lists(tmp_path: Path) -> None:
+    given = ["auto", 0.5, 2, [0, 0, 1], True]
+    for k, value in enumerate(given):
+        member = SweepMember(f"run {k}", {"time.max_dt": value, "seed": 1}, "carom sweep")
+        simulate(Space(pair()), tmp_path / f"{k}.rrd", member=member)
+    kept = [Recording.open(tmp_path / f"{k}.rrd").parameters["time.max_dt"] for k in range(len(given))]
+    assert kept == given
 
 
 def test_python_seeks_garbage_seldom_during_a_run_and_as_before_after_it(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
+from carom.recording.write.columns import any_values
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 
@@ -78,7 +79,7 @@ class Writer:
 
     def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
         """Send a recording property."""
-        self._stream.send_property(name, rr.AnyValues(True, **values))
+        self._stream.send_property(name, any_values(values))
 
     def send_layout(self, layout: rrb.Blueprint) -> None:
         """Send the layout that the file opens with."""

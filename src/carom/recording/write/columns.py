@@ -6,6 +6,7 @@ most of the recorder's time, under the interpreter's lock. These wrap the arrays
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sized
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,18 @@ class Column(ComponentColumn):
 def any_column(name: str, values: NDArray[Any] | list[str], each: Each = 1) -> Column:
     """Return a column of a component that Rerun does not know."""
     return Column(Descriptor(name), pa.array(values), each)
+
+
+def any_values(values: Mapping[str, Any]) -> rr.AnyValues:
+    """Return values under names that Rerun does not know; texts and lists that are empty are left out.
+
+    Each gets its type here. Rerun keeps the first type that a name has in a process and refuses any other, so a sweep
+    over 0.1 and "auto" would fail.
+    """
+    given = {name: value for name, value in values.items() if not (isinstance(value, Sized) and len(value) == 0)}
+    many = list, tuple, np.ndarray
+    arrays = {name: pa.array(value if isinstance(value, many) else [value]) for name, value in given.items()}
+    return rr.AnyValues(True, **arrays)
 
 
 def plain_column(descriptor: Descriptor, values: NDArray[Any], each: Each = 1) -> Column:

@@ -19,6 +19,7 @@ from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.style.arrow_length import arrow_length
+from carom.recording.write.columns import any_values
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
@@ -106,7 +107,7 @@ class Stream:
         """Send a recording property, unless it is empty."""
         for stream in self._streams():
             if values:
-                stream.send_property(name, rr.AnyValues(True, **values))
+                stream.send_property(name, any_values(values))
 
     def send_blueprint(self, layout: rr.blueprint.Blueprint) -> None:
         """Send a layout; the file opens with the last one sent."""
