@@ -533,6 +533,17 @@ def test_an_unknown_section_of_an_override_is_the_fault_of_the_override() -> Non
         scene_from_text("[[body]]\n", "scene.toml", ["foo.bar=1"])
 
 
+def test_a_text_that_no_file_can_hold_is_refused() -> None:
+    with pytest.raises(SceneError, match="half of a character"):
+        Scene.from_dict({"body": [{"name": "\ud800"}]})
+
+
+def test_a_whole_number_that_no_float_holds_is_not_finite(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text(f"[[body]]\n[time]\nduration = {'9' * 400}\n")
+    with pytest.raises(SceneError, match=r"scene\.toml:3: .*must be a finite number"):
+        Scene.load(tmp_path / "scene.toml")
+
+
 def test_a_title_is_shown_in_one_line() -> None:
     assert Scene.from_dict({"title": "a\nb", "body": [{"radius": 1.0}]}).title == "a b"
 

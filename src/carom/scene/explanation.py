@@ -103,6 +103,8 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be at most {context['le']:g}"
         case "finite_number":
             return "must be a finite number"
+        case "float_type" if type(detail["input"]) is int:  # of hundreds of digits
+            return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
             kinds = {
                 "float": "a number",

@@ -164,6 +164,12 @@ def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> S
     except TypeError:
         data = _without_arrays(data)
         text = _written(data)
+    try:
+        text.encode()
+    except UnicodeEncodeError as error:
+        raise SceneError(
+            f"a text has {text[error.start]!a}, which is half of a character: no file can hold it"
+        ) from None
     return _validate(data, text, KeyPlaces("", "", {}), bodies)
 
 
