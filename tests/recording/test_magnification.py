@@ -9,8 +9,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from carom.recording.layout.camera import View
-from carom.recording.layout.eye import eye, space_of
 from carom.recording.layout.magnification import NEAREST, scale, space
+from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.write.chunk_writer import Writer
 
 
@@ -26,7 +26,7 @@ def test_scenes_of_metres_are_shown_as_they_are(distance: float) -> None:
 
 def test_a_file_has_the_transforms_of_the_magnified_views_of_its_layout(tmp_path: Path) -> None:
     near = View(np.array([1e-3, 0.0, 0.0]), 4e-3, False, np.array([0.0, -1.0, 0.0]))
-    views = [rrb.Spatial3DView(origin=space_of(near), eye_controls=eye(near)), rrb.Spatial3DView(origin="/")]
+    views = [spatial_view("near", near, []), rrb.Spatial3DView(origin="/")]
     with Writer(tmp_path / "near.rrd", "carom-test", "near") as writer:
         writer.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.send_layout(rrb.Blueprint(rrb.Horizontal(*views)))

@@ -70,11 +70,8 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
     ExperimentError
         If there is no such column, or a condition cannot be read.
     """
-    found = list(rows)
-    for condition in conditions:
-        key, compare, wanted = _parsed(condition, rows)
-        _require_comparable(key, [row[key] for row in rows], compare, wanted)
-        found = [row for row in found if _meets(row[key], compare, wanted)]
+    met = [_met(condition, rows) for condition in conditions]
+    found = [row for k, row in enumerate(rows) if all(one[k] for one in met)]
     if sort is None:
         return found
     key = known(sort.removeprefix("-"), rows)
@@ -98,17 +95,21 @@ def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, An
     return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
 
 
-def _meets(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool:
-    """Tell whether a value meets a comparison; a value of another kind only differs."""
-    if value is None:
-        return False
-    met = _compared(value, compare, wanted)
-    return compare is ne if met is None else met
+def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
+    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
+    key, compare, wanted = _parsed(condition, rows)
+    values = [row[key] for row in rows]
+    there = [value for value in values if value is not None]
+    met = [None if value is None else _compared(value, compare, wanted) for value in values]
+    if there and all(one is None for one in met):
+        raise ExperimentError(f"--filter {key}: column {key} {_unlike(there[0], wanted)}")
+    differs = [compare is ne and value is not None for value in values]
+    return [other if one is None else one for one, other in zip(met, differs, strict=True)]
 
 
 def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
     """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
-    if isinstance(value, (int, float)) and not isinstance(value, bool):
+    if _is_number(value):
         number = _number_of(wanted)
         return None if number is None else bool(compare(value, number))
     text = _text(value)
@@ -125,17 +126,17 @@ def _number_of(text: str) -> float | None:
         return None
 
 
-def _require_comparable(key: str, values: list[Any], compare: Callable[[Any, Any], Any], wanted: str) -> None:
-    """Raise ExperimentError if no value of a column is of the kind that is wanted."""
-    there = [value for value in values if value is not None]
-    if not there or any(_compared(value, compare, wanted) is not None for value in there):
-        return
-    first = there[0]
-    if isinstance(first, (int, float)) and not isinstance(first, bool):
-        raise ExperimentError(f'--filter {key}: column {key} is numeric; got "{wanted}"')
-    if physical(_text(first)):
-        raise ExperimentError(f'--filter {key}: column {key} has units, such as "{first}"; got "{wanted}"')
-    raise ExperimentError(f'--filter {key}: column {key} is text, such as "{_text(first)}"; compare it by = or !=')
+def _unlike(value: Any, wanted: str) -> str:
+    """Say of which kind a column is, by one of its values, where nothing in it can be compared with what is wanted."""
+    if _is_number(value):
+        return f'is numeric; got "{wanted}"'
+    if physical(_text(value)):
+        return f'has units, such as "{value}"; got "{wanted}"'
+    return f'is text, such as "{_text(value)}"; compare it by = or !='
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def _order(value: Any) -> tuple[int, Any]:

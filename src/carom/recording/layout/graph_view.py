@@ -10,7 +10,7 @@ from rerun.encodings import EntityPathLike
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.contact_overrides import edges_by_impulse, force_arrows
-from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.layout.surroundings import surroundings
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
@@ -29,20 +29,17 @@ def has_graph(header: Header) -> bool:
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
     view = camera.view(area.aspect, _arrows(header))
-    return rrb.Spatial3DView(
-        name=_name(header),
-        origin=space_of(view),
-        contents=[
+    return spatial_view(
+        _name(header),
+        view,
+        [
             paths.BODIES,
             *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
-        background=background(),
-        line_grid=False,
-        eye_controls=eye(view),
-        overrides=faint_bodies(header) | edges_by_impulse(header),
+        faint_bodies(header) | edges_by_impulse(header),
     )
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,7 +11,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import MODES
-from carom.recording.errors import DamageError
+from carom.recording.errors import DamageError, RecordingError
+from carom.scene.error import SceneError
 
 FloatArray = NDArray[np.float64]
 if TYPE_CHECKING:
@@ -33,6 +35,7 @@ SCHEMA = pa.schema(
         ("energy_lost", pa.float64()),  # J
     ]
 )
+MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
 SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
 
 
@@ -56,10 +59,15 @@ def table_of_rows(rows: NDArray[np.void], source: str) -> pa.Table:
     return table_of(columns | {"mode": modes(rows["mode"], "a replay")}, source)
 
 
-def overflows(table: pa.Table) -> bool:
-    """Tell whether a value was too large for the float32 in which it was recorded: above 3.4e38."""
-    names = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
-    return any(bool(np.isinf(table[name].to_numpy()).any()) for name in names)
+def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
+    """Return a recorded table, or the one of a replay where a value was too large for float32, above 3.4e38.
+
+    A run that cannot be repeated keeps its infinite numbers.
+    """
+    if any(bool(np.isinf(recorded[name].to_numpy()).any()) for name in MEASURED):
+        with suppress(RecordingError, SceneError):
+            return repeat()
+    return recorded
 
 
 def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:

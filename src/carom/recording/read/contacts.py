@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -12,13 +11,12 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.contact_table import IMPACT_MODE
 from carom.recording.errors import DamageError, RecordingError
-from carom.recording.read.contact_tables import check_pairs, modes, of_shown, overflows, table_of, table_of_rows
+from carom.recording.read.contact_tables import check_pairs, finite, modes, of_shown, table_of, table_of_rows
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.timelines import STEP
-from carom.scene.error import SceneError
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
@@ -38,10 +36,7 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
             table = _recorded(recording, row)
-        if overflows(table):
-            with suppress(RecordingError, SceneError):  # a run that cannot be repeated keeps its infinite numbers
-                return _replayed(recording, at, watch)
-        return table
+        return finite(table, lambda: _replayed(recording, at, watch))
     return _replayed(recording, at, watch)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,11 +13,12 @@ from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.body_names import shown_body
 from carom.recording.read.contact_tables import (
+    MEASURED,
     check_pairs,
+    finite,
     modes,
     of_body,
     of_shown,
-    overflows,
     table_of,
     table_of_rows,
 )
@@ -29,7 +29,6 @@ from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
-from carom.scene.error import SceneError
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -38,7 +37,6 @@ if TYPE_CHECKING:
 IntArray = NDArray[np.int64]
 
 _SINGLE = Column(pa.float32())
-_SCALARS = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
 def impacts(
@@ -57,11 +55,7 @@ def impacts(
     if recording.records_contacts and not replay:
         with reading(recording.path):
             table = _recorded(recording, first, last)
-        if not overflows(table):
-            return of_body(table, number)
-        with suppress(RecordingError, SceneError):  # a run that cannot be repeated keeps its infinite numbers
-            table = _replayed(recording, first, last, watch)
-        return of_body(table, number)
+        return of_body(finite(table, lambda: _replayed(recording, first, last, watch)), number)
     return of_body(_replayed(recording, first, last, watch), number)
 
 
@@ -190,7 +184,7 @@ def _table(recording: Recording, chunk: Chunk, time: NDArray[np.float64]) -> pa.
         **dict(zip(("i", "j"), pairs.T.copy(), strict=True)),
         **dict(zip(("x", "y", "z"), point.T.copy(), strict=True)),
         **dict(zip(("nx", "ny", "nz"), normal.T.astype(np.float64), strict=True)),
-        **{name: flat(chunk, name, _SINGLE).to_numpy().astype(np.float64) for name in _SCALARS},
+        **{name: flat(chunk, name, _SINGLE).to_numpy().astype(np.float64) for name in MEASURED},
         "mode": modes(flat(chunk, "mode", Column(pa.uint8())).to_numpy(), path),
     }
     return table_of(columns, "")

@@ -8,20 +8,13 @@ from dataclasses import replace
 import rerun.blueprint as rrb
 
 from carom.recording.layout.camera import View
-from carom.recording.layout.eye import background, eye, space_of
+from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.schema.timelines import SIM_TIME
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
     """Lay out a 3D view of some entities, whose camera stands still, with panels on its right."""
-    bodies = rrb.Spatial3DView(
-        name=name,
-        origin=space_of(view),
-        contents=contents,
-        background=background(),
-        line_grid=False,
-        eye_controls=eye(replace(view, follows=False)),
-    )
+    bodies = spatial_view(name, replace(view, follows=False), contents)
     return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
 
 

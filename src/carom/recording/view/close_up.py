@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.eye import background, eye, space_of
 from carom.recording.layout.graph_view import faint_bodies
+from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.layout.surroundings import surroundings
 from carom.recording.read.names import names_of
 from carom.recording.read.positions import DrawnPaths, drawn_paths
@@ -102,15 +102,7 @@ class CloseUp:
     def view(self, header: Header) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
-        return rrb.Spatial3DView(
-            name=f"Close-up: {self.names}",
-            origin=space_of(self.eye),
-            contents=contents,
-            background=background(),
-            line_grid=False,
-            eye_controls=eye(self.eye, follows=FOLLOWED),
-            overrides=faint_bodies(header),
-        )
+        return spatial_view(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header), follows=FOLLOWED)
 
     def statics(self, header: Header) -> Iterable[Static]:
         """Yield sizes and colours of the entities."""

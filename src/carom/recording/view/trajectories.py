@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from carom.recording.layout.blueprint import WINDOW
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.eye import background, eye, space_of
 from carom.recording.layout.legend import time_beside_legend
+from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Scalar
@@ -141,14 +141,7 @@ def _view(radius: FloatArray, position: FloatArray) -> View:
 def _layout(view: View, time: rrb.TimeAxis) -> rrb.Blueprint:
     return paused(
         rrb.Vertical(
-            rrb.Spatial3DView(
-                name="Settings over the reference",
-                origin=space_of(view),
-                contents=[f"/{paths.WORLD}/**"],
-                background=background(),
-                line_grid=False,
-                eye_controls=eye(view),
-            ),
+            spatial_view("Settings over the reference", view, [f"/{paths.WORLD}/**"]),
             rrb.TimeSeriesView(
                 name="log10 of the distance from the reference, over the size",
                 origin="/distance",

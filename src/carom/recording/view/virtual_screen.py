@@ -33,12 +33,9 @@ def virtual_screen(size: tuple[int, int], theme: str) -> Iterator[dict[str, str]
     """
     program = shutil.which("Xvfb")
     if program is None:
-        other = (
-            "take the dark theme"
-            if theme == "light"
-            else "write names of bodies and files in Latin, Greek or Cyrillic letters"
-        )
-        what = "in the light theme" if theme == "light" else "with these names"
+        what, other = "with these names", "write names of bodies and files in Latin, Greek or Cyrillic letters"
+        if theme == "light":
+            what, other = "in the light theme", "take the dark theme"
         raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: apt-get install xvfb; or {other}")
     with tempfile.TemporaryDirectory(prefix="carom-") as folder:
         settings = Path(folder) / "rerun" / "app.ron"

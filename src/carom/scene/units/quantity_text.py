@@ -23,7 +23,7 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
     UnitError
         If the text is not a number with a unit of that dimension. The message says what would be right.
     """
-    found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+    found = _parts(text)
     if text.lstrip().startswith("["):
         raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
     if _THOUSANDS.match(text):
@@ -44,6 +44,11 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
         raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
 
 
+def _parts(text: str) -> re.Match[str] | None:
+    """Split a text into a number and a unit; None if it does not begin with a number."""
+    return _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+
+
 class Physical(NamedTuple):
     """A quantity of any dimension."""
 
@@ -54,7 +59,7 @@ class Physical(NamedTuple):
 
 def physical(text: str) -> Physical | None:
     """Read a quantity of any dimension; None if the text is none."""
-    found = _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+    found = _parts(text)
     if not found or not found[2].strip():
         return None
     try:
