@@ -159,28 +159,48 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_a_folder_of_the_user_alone_is_made_and_used_again(root: Path) -> None:
-    assert kernel_cache._is_private(root / "mine") and kernel_cache._is_private(root / "mine")
+    assert kernel_cache._is_own(root / "mine") and kernel_cache._is_own(root / "mine")
     assert (root / "mine").stat().st_mode & 0o777 == 0o700
 
 
 def test_a_folder_that_others_can_write_to_or_that_lies_elsewhere_is_not_used(root: Path) -> None:
     (root / "open").mkdir()
-    (root / "open").chmod(0o770)
+    (root / "open").chmod(0o757)
     (root / "elsewhere").mkdir(mode=0o700)
     (root / "link").symlink_to(root / "elsewhere")
     (root / "file").touch(mode=0o700)
-    assert not any(kernel_cache._is_private(root / name) for name in ("open", "link", "file"))
+    assert not any(kernel_cache._is_own(root / name) for name in ("open", "link", "file"))
     root.chmod(0o777)  # without the sticky bit, anybody can put another folder in its place
-    assert not kernel_cache._is_private(root / "mine")
+    assert not kernel_cache._is_own(root / "mine")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
 def test_a_folder_of_another_user_is_not_used(root: Path) -> None:
-    for name in ("theirs", "above/below"):
+    for name in ("theirs", "above/below", "group"):
         (root / name).mkdir(mode=0o700, parents=True)
     os.chown(root / "theirs", 65534, 65534)
     os.chown(root / "above", 65534, 65534)
-    assert not kernel_cache._is_private(root / "theirs") and not kernel_cache._is_private(root / "above" / "below")
+    os.chown(root / "group", -1, 65534)
+    (root / "group").chmod(0o770)
+    assert not any(kernel_cache._is_own(root / name) for name in ("theirs", "above/below", "group"))
+
+
+@pytest.mark.parametrize("fault", ["open to others", "of another user", "below a folder open to others"])
+def test_a_cache_folder_that_is_not_the_users_own_is_not_used_though_it_was_asked_for(
+    package: Path, tmp_path: Path, fault: str
+) -> None:
+    """What lies there is unpickled and linked. The kernels are kept beside the sources in place of it."""
+    if fault == "of another user" and os.geteuid() != 0:
+        pytest.skip("only root can give a folder to another user")
+    asked = tmp_path / "asked" / "cache"
+    asked.mkdir(parents=True)
+    if fault == "of another user":
+        os.chown(asked, 65534, 65534)
+    else:
+        (asked if fault == "open to others" else asked.parent).chmod(0o777)
+    _, compiled, kept = call(package, env={"NUMBA_CACHE_DIR": str(asked)})
+    assert compiled and Path(kept) == Path(kernel_cache.__file__).parents[1] / "__pycache__"
+    assert not any(asked.iterdir()) and list((package / "__pycache__").glob("*.nbc"))
 
 
 @pytest.fixture

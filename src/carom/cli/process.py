@@ -12,6 +12,7 @@ import typer
 from carom.cli import streams
 from carom.cli.main import main as command
 from carom.experiment.interrupts import raise_signals, received
+from carom.private_folder import remove_private_folder
 
 _INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command dealt with
 
@@ -46,4 +47,5 @@ def _leave() -> NoReturn:
     """End at once after a signal, while its traceback is held: to let go of Rerun's streams may take for ever."""
     typer.echo("carom: interrupted", err=True)
     sys.stdout.flush()
+    remove_private_folder()
     os._exit(128 + received())

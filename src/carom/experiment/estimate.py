@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 import statistics
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -23,6 +21,7 @@ from carom.physics.step import WARM_UP_STEPS
 from carom.plan.auto import frame_interval
 from carom.plan.features import Requirements
 from carom.plan.limits import memory_estimate
+from carom.private_folder import temporary_folder
 from carom.recording.schema.inventory import Content, contents
 from carom.recording.write.impact_plan import FILE_BYTES
 from carom.recording.write.size_probe import Taken, probe
@@ -126,8 +125,8 @@ def estimate(scene: Scene) -> Estimate:
     interval = frame_interval(scene)
     frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
     header = header_of(space)
-    with tempfile.TemporaryDirectory() as folder:
-        taken = probe(Path(folder) / "trial.rrd", header, few)
+    with temporary_folder() as folder:
+        taken = probe(folder / "trial.rrd", header, few)
     entities = [_entity_cost(content, taken, frames) for content in contents(header, space.requirements)]
     size = sum(entity.bytes for entity in entities)
     return Estimate(

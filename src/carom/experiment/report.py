@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from carom.experiment.excerpt import excerpt
 from carom.experiment.overview import is_worth_a_look, overview, value_shown
 from carom.experiment.replay import Replay, replay
 from carom.physics.error import PhysicsError
+from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -73,12 +73,12 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
     if path.suffix != ".zip":
         raise RecordingError(f"{path}: a report is a .zip")
     moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
-    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
-        cut = Path(folder) / bundle.CLIP
+    with temporary_folder() as folder:
+        cut = folder / bundle.CLIP
         excerpt(recording, moment, cut, FRAMES, ROOM)
         small = Recording.open(cut)
         replayed = _replay(small)
-        picture = Path(folder) / "picture.png"
+        picture = folder / "picture.png"
         missing = try_to_render(cut, moment, picture)
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
         text = _summary(recording, small, moment, why, replayed, not missing, path.name)

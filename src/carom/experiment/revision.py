@@ -10,9 +10,10 @@ from __future__ import annotations
 import os
 import re
 import subprocess
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from carom.private_folder import temporary_folder
 
 _HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
 _BRANCH = re.compile(r"ref: (refs/.+)")
@@ -81,14 +82,14 @@ def _line(path: Path) -> str:
 def _changes(repository: _Repository, commit: str) -> str:
     """Ask Git whether tracked files differ from the commit, in a repository with our own configuration."""
     try:
-        with tempfile.TemporaryDirectory(prefix="carom-git-") as ours:
-            (Path(ours) / "refs").mkdir()
-            (Path(ours) / "HEAD").write_text(commit + "\n", encoding="ascii")
+        with temporary_folder() as ours:
+            (ours / "refs").mkdir()
+            (ours / "HEAD").write_text(commit + "\n", encoding="ascii")
             config = _CONFIG if len(commit) == 40 else _CONFIG_SHA256
-            (Path(ours) / "config").write_text(config, encoding="ascii")
+            (ours / "config").write_text(config, encoding="ascii")
             inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
             borrowed = {
-                "GIT_DIR": ours,
+                "GIT_DIR": str(ours),
                 "GIT_WORK_TREE": str(repository.root),
                 "GIT_INDEX_FILE": str(repository.folder / "index"),
                 "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,6 +14,7 @@ from carom.physics.contact.union_find import number_sets
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.parallel.jit import Compilations, cache_folder
 from carom.physics.parallel.thread_team import load_helpers, sharing_all
+from carom.private_folder import temporary_folder
 from carom.scene.schema import Scene
 
 # Together they need every kernel; a new one that none of them needs belongs here, too (a test looks).
@@ -132,9 +131,9 @@ class Warmth:
 def warm_up() -> Warmth:
     """Run the scenes, which compiles all kernels that are not in the cache."""
     began = time.perf_counter()
-    with Compilations() as compilations, tempfile.TemporaryDirectory() as folder, sharing_all():
+    with Compilations() as compilations, temporary_folder() as folder, sharing_all():
         for name, document in SCENES.items():
-            run(Scene.from_dict({"title": name, **document}), Path(folder) / "warm-up.rrd", force=True)
+            run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
         nothing = np.empty(0, dtype=np.int64)
         number_sets(nothing, nothing, nothing)  # for the audit of other engines
         load_helpers()

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import shlex
 import subprocess
-import tempfile
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.shrink.observation import Observation, said_by
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.private_folder import temporary_folder
 from carom.scene.schema import Scene
 
 PLACE = "{}"  # in a command: where the path of the scene goes
@@ -56,8 +55,8 @@ class CommandShows:
         return set()
 
     def _code(self, scene: Scene) -> int:
-        with tempfile.TemporaryDirectory(prefix="carom-") as folder:
-            path = Path(folder) / "scene.toml"
+        with temporary_folder() as folder:
+            path = folder / "scene.toml"
             path.write_text(scene.toml, encoding="utf-8")
             quoted = shlex.quote(str(path))
             line = self.text.replace(PLACE, quoted) if PLACE in self.text else f"{self.text} {quoted}"

@@ -12,7 +12,6 @@ import contextlib
 import fcntl
 import os
 import pickle
-import stat
 import sys
 import tempfile
 import time
@@ -30,6 +29,7 @@ from numba.core import caching, config, serialize
 from numba.core.compiler import CompileResult
 
 from carom.physics.parallel.sources import sources_of
+from carom.private_folder import is_own
 
 CHECKSUM = 16  # bytes, before the others
 CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
@@ -55,17 +55,18 @@ def cache_folder(package: Path) -> Path | None:
     """Return the folder for the compiled kernels of a package, or None if none is writable.
 
     The first of these: below ``NUMBA_CACHE_DIR``; beside the sources, where their byte code is; in the user's cache; in
-    the system's temporary folder. The last two must be the user's own, and closed to others.
+    the system's temporary folder. All but the second must be the user's own, and nobody else may write there.
     """
     name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
     chosen = config.CACHE_DIR  # type: ignore[attr-defined] # set when Numba is imported
-    if chosen and _is_writable(given := Path(chosen) / name):
-        return given
+    if chosen and _is_own(given := Path(chosen).resolve()) and _is_own(given / name):
+        return given / name
     if _is_writable(beside := package / "__pycache__"):
         return beside
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")  # noqa: PTH111 - no error without a home
-    for root in (Path(home) / "carom-kernels", Path(tempfile.gettempdir()) / f"carom-kernels-{os.getuid()}"):
-        if root.is_absolute() and _is_private(root) and _is_writable(root / name):
+    for base, own in ((home, "carom-kernels"), (tempfile.gettempdir(), f"carom-kernels-{os.getuid()}")):
+        root = Path(base).resolve() / own
+        if Path(base).is_absolute() and _is_own(root) and not root.stat().st_mode & 0o077 and _is_writable(root / name):
             return root / name
     return None
 
@@ -79,24 +80,14 @@ def _is_writable(folder: Path) -> bool:
     return os.access(folder, os.W_OK | os.X_OK)
 
 
-def _is_private(folder: Path) -> bool:
-    """Make a folder if it does not exist; tell whether only this user can write to it."""
+def _is_own(folder: Path) -> bool:
+    """Make a folder if it does not exist; tell whether it is this user's own, and nobody else can write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with contextlib.suppress(FileExistsError):
-            folder.mkdir(mode=0o700)
-        found = folder.lstat()
-        above = [parent.stat() for parent in folder.parent.resolve().parents] + [folder.parent.stat()]
+        folder.mkdir(mode=0o700, exist_ok=True)
     except OSError:
         return False
-    own = stat.S_ISDIR(found.st_mode) and found.st_uid == os.getuid() and not found.st_mode & 0o077
-    return own and not any(_is_replaceable(parent) for parent in above)
-
-
-def _is_replaceable(parent: os.stat_result) -> bool:
-    """Tell whether another user could replace a folder in this one; a sticky bit prevents it."""
-    open_to_all = parent.st_mode & stat.S_IWOTH and not parent.st_mode & stat.S_ISVTX
-    return parent.st_uid not in (0, os.getuid()) or bool(open_to_all)
+    return is_own(folder) and os.access(folder, os.W_OK | os.X_OK)
 
 
 class KernelCache(caching._Cache):

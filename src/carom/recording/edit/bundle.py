@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import shutil
 import struct
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from carom.private_folder import temporary_folder
 from carom.recording.errors import RecordingError
 from carom.recording.write.claim import Claim
 from carom.recording.write.whole_file import whole_file
@@ -81,8 +81,8 @@ def opened(path: Path) -> Iterator[Path]:
     if not is_bundle(path):
         yield path
         return
-    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
-        out = Path(folder) / path.with_suffix(".rrd").name
+    with temporary_folder() as folder:
+        out = folder / path.with_suffix(".rrd").name
         try:
             _unpack(path, out)
         except _SURPRISES as error:

@@ -1,0 +1,136 @@
+"""The one temporary folder of a process: its own, closed to other users, and removed when the process ends.
+
+Where several users share a machine, each can make a folder of any name in the system's temporary folder. So this one
+has a random name and mode 0700, and lies where no other user can exchange it. Every temporary file of carom is in it.
+A process that is killed leaves its folder behind; the next process of the same user removes it.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import grp
+import os
+import pwd
+import shutil
+import stat
+import tempfile
+import threading
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+PREFIX = "carom-"
+MARK = "made-by-carom"  # in each folder, once it is locked: without it a folder is never removed
+_guard = threading.Lock()
+_made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it
+
+
+def private_folder() -> Path:
+    """Return the temporary folder of this process; make it at the first call.
+
+    Children that write temporary files of their own get it as ``TMPDIR``.
+
+    Raises
+    ------
+    OSError
+        If no temporary folder is writable, or others can exchange what is in it.
+    """
+    with _guard:
+        known = _made.get(os.getpid())
+        if known is None or not known[0].is_dir():  # a fork makes its own; another program may have removed it
+            known = _made[os.getpid()] = _make()
+            atexit.register(remove_private_folder)
+        return known[0]
+
+
+@contextlib.contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Yield an empty folder within the private one, which is removed at the end of the context."""
+    folder = Path(tempfile.mkdtemp(dir=private_folder()))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_private_folder() -> None:
+    """Remove the folder of this process, if it has made one."""
+    made = _made.pop(os.getpid(), None)
+    if made is not None:
+        shutil.rmtree(made[0], ignore_errors=True)
+        os.close(made[1])
+
+
+def is_own(folder: Path) -> bool:
+    """Tell whether a folder is this user's and nobody else can write to it or exchange it; a link is no folder."""
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    own = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid()
+    return own and not _others_write(status) and is_fixed(folder)
+
+
+def is_fixed(path: Path) -> bool:
+    """Tell whether nobody but this user and the system can exchange what is at a path, by writing above it."""
+    try:
+        trusted = (
+            0,
+            os.getuid(),
+            Path("/").stat().st_uid,
+        )  # who has the root has all; in a container that may be nobody
+        above = [parent.stat() for parent in (path.parent, *path.parent.resolve().parents)]
+    except OSError:
+        return False
+    return all(
+        parent.st_uid in trusted and (parent.st_mode & stat.S_ISVTX or not _others_write(parent)) for parent in above
+    )
+
+
+def _others_write(status: os.stat_result) -> bool:
+    by_group = status.st_mode & stat.S_IWGRP and status.st_gid != _private_group()
+    return bool(by_group or status.st_mode & stat.S_IWOTH)
+
+
+@cache
+def _private_group() -> int:
+    """Return the group of this user alone, which many systems make for each user; -1 if there is none."""
+    try:
+        user = pwd.getpwuid(os.getuid())
+        group = grp.getgrgid(user.pw_gid)
+    except KeyError:
+        return -1
+    return group.gr_gid if group.gr_name == user.pw_name and set(group.gr_mem) <= {user.pw_name} else -1
+
+
+def _make() -> tuple[Path, int]:
+    names = (tempfile.gettempdir(), os.environ.get("XDG_RUNTIME_DIR"), "/tmp")
+    places = [Path(name).resolve() for name in names if name]
+    fit = [place for place in places if os.access(place, os.W_OK | os.X_OK) and is_fixed(place / PREFIX)]
+    if not fit:
+        raise PermissionError(
+            f"other users can exchange the files in {places[0]}; set TMPDIR to a folder in which only you can write"
+        )
+    _remove_left(fit[0])
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=fit[0]))
+    lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    with contextlib.suppress(OSError):  # a file system without locks; systemd-tmpfiles leaves a locked folder alone
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        (folder / MARK).touch()
+    return folder, lock
+
+
+def _remove_left(place: Path) -> None:
+    """Remove the folders of this user's processes that were killed: marked, and no longer locked."""
+    for folder in place.glob(f"{PREFIX}*"):
+        if not is_own(folder) or not (folder / MARK).is_file():
+            continue
+        with contextlib.suppress(OSError):
+            lock = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder, ignore_errors=True)
+            finally:
+                os.close(lock)
