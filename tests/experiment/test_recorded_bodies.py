@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,10 @@ from carom.recording.export.export import write
 from carom.recording.export.snapshot import snapshots
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene
+from carom.recording.schema import paths
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from command import carom as carom_command
 
 SCENE = """
 title = "From a file"
@@ -73,7 +76,7 @@ def recording(tmp_path: Path) -> Recording:
     (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
     fixed = np.arange(7) == 3
     still = {name: np.where(fixed[:, None], 0.0, grains(7, 9.0)[name]) for name in ("velocity", "angular_velocity")}
-    np.savez(folder / "a.npz", **grains(7, 9.0, fixed=fixed, **still))
+    np.savez(folder / "a.npz", **grains(7, 9.0, fixed=fixed, mu=np.ones(7), **still))
     np.savez(folder / "b.npz", **grains(3, 20.0, name=["p", "q", "r"], inertia=[0.3, 0.4, 0.5]))
     found = carom.run(folder / "scene.toml", tmp_path / "run.rrd")
     for file in ("a.npz", "b.npz"):
@@ -96,6 +99,30 @@ def test_a_recording_replays_resumes_clips_and_reports_without_the_data_files(
     longer = Recording.open(tmp_path / "longer.rrd")
     assert replay(longer).same
     assert diff(recording, longer).verdict.kind == "same"
+
+
+def test_a_recording_and_what_is_made_of_it_list_the_columns_that_were_not_used(
+    recording: Recording, tmp_path: Path
+) -> None:
+    run = resumable_run(recording, until=0.03)
+    resume(run, run.space(), tmp_path / "longer.rrd")
+    clip(recording.path, tmp_path / "clip.rrd", 0.01, 0.02)
+    for path in (recording.path, tmp_path / "longer.rrd", tmp_path / "clip.rrd"):
+        found = Recording.open(path)
+        (note,) = found.summary()["data_notes"]
+        assert note.startswith("a.npz: columns that are not used: mu (")
+        document = str(found._entities.static(paths.SCENE)["TextDocument:text"][0])
+        assert f"- `{note}`" in document
+
+
+def test_the_commands_list_the_columns_that_are_not_used_before_the_run(tmp_path: Path) -> None:
+    np.savez(tmp_path / "a.npz", **grains(1, 9.0, mu=np.ones(1)))
+    (tmp_path / "scene.toml").write_text('time.duration = 0.01\n[[bodies]]\nfile = "a.npz"', encoding="utf-8")
+    note = "a.npz: columns that are not used: mu ([contact] or a [[material]] gives coefficients)"
+    assert note in " ".join(carom_command("explain", "scene.toml", cwd=tmp_path).stdout.split())
+    assert json.loads(carom_command("explain", "scene.toml", "--json", cwd=tmp_path).stdout)["data_notes"] == [note]
+    assert note in carom_command("run", "scene.toml", "-o", "a.rrd", cwd=tmp_path).stderr.splitlines()
+    assert note in " ".join(carom_command("inspect", "a.rrd", cwd=tmp_path).stdout.split())
 
 
 def test_the_scene_of_a_recording_has_the_bodies_of_the_files(recording: Recording) -> None:

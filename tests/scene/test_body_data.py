@@ -159,6 +159,40 @@ def test_columns_are_taken_by_the_names_that_the_scene_gives(tmp_path: Path) -> 
     assert scene.anchored
 
 
+def test_spins_and_diameters_are_found_by_the_names_that_granular_codes_give_them(tmp_path: Path) -> None:
+    spins = dict(zip(("omegax", "omegay", "omegaz"), VELOCITY.T, strict=True))
+    write_csv(tmp_path / "a.csv", **spins, diameter=2.0 * RADIUS, r=None)
+    scene = scene_of(tmp_path, "a.csv")
+    assert np.array_equal(scene.data[0].angular_velocity, VELOCITY)
+    assert np.array_equal(scene.data[0].radius, RADIUS)
+    assert scene.notes == [()]
+    named = scene_of(tmp_path, "a.csv", 'columns = { diameter = "m" }')
+    assert named.data[0].radius.tolist() == [0.5, 1.0, 1.5]
+    assert "omegaz" in complaint_of_columns(tmp_path, **spins | {"omegax": None})
+    assert 'columns = { radius = "r" }' in complaint_of_columns(tmp_path, diameter=RADIUS)
+
+
+def complaint_of_columns(folder: Path, **others: Any) -> str:
+    write_csv(folder / "wrong.csv", **others)
+    return complaint(folder, "wrong.csv")
+
+
+@pytest.mark.parametrize("file", ["a.csv", "a.parquet", "a.npz"])
+def test_every_column_that_is_not_used_is_listed(tmp_path: Path, file: str) -> None:
+    WRITERS[file](tmp_path / file, id=np.arange(3), mu=RADIUS, **{"ev\x1bil\n" * 9: RADIUS})
+    ((note,),) = scene_of(tmp_path, file, "radius = 0.1").notes
+    columns = note.removeprefix(f"{file}: columns that are not used: ")
+    radius = "r" if file != "a.npz" else "radius"
+    evil = ("ev�il�" * 7)[:40]
+    found = [
+        f"{radius} (the scene gives the radius)",
+        "id",
+        "mu ([contact] or a [[material]] gives coefficients)",
+        evil,
+    ]
+    assert sorted(columns.split(", ")) == sorted(found)
+
+
 def test_numbers_of_a_file_are_in_the_units_of_the_scene(tmp_path: Path) -> None:
     write_npz(tmp_path / "a.npz")
     start = place(scene_of(tmp_path, "a.npz", top='[units]\nlength = "km"\nmass = "g"\n'))

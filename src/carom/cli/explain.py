@@ -41,11 +41,14 @@ def explain(
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()
     found, materials = estimate(loaded), ShownMaterials.of(loaded)
+    notes = [note for notes in loaded.notes for note in notes]
     if as_json:
         own = {"title": loaded.title, "bodies": loaded.count, "units": loaded.unit_system.recorded}
         document = own | asdict(found)
         if materials:
             document["materials"] = materials.described
+        if notes:
+            document["data_notes"] = notes
         say_json(document)
         return
     from carom.cli.materials import materials_table
@@ -54,6 +57,10 @@ def explain(
     console, cost = Terminal(), found.cost
     console.print(loaded.title, style="bold", end="")
     console.print(f": {counted(loaded.count, 'body')}, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
+    for note in notes:
+        console.print(note)
+    if notes:
+        console.print()
     console.print(_parts(found.parts))
     if materials:
         console.print()

@@ -88,6 +88,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         of_all = "energies, momenta and numbers of contacts are those of all bodies"
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"
         yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
+    yield from zip_longest(("data",) if summary.get("data_notes") else (), summary.get("data_notes", ()), fillvalue="")
     yield "outcome", in_words(summary["outcome"]) + (" (the whole run)" if clip else "")
     first, last = summary["first_step"], summary["steps"]
     steps = counted(last, "step") if first == 0 and not clip else f"steps {first} to {last}"

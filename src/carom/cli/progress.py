@@ -46,6 +46,8 @@ class Progress(LiveLine):
         scene = self._scene
         length = simulated_text(scene.time.duration, scene.unit_system)
         self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
+        for note in (note for notes in scene.notes for note in notes):
+            self.say(note)
         if warning := _many_steps(scene):
             self.say(warning)
         return super().__enter__()

@@ -346,6 +346,7 @@ def header_of(space: Space) -> Header:
         planes=planes_of(scene) if scene.plane else None,
         colour_by=scene.record.colour_by,
         data=scene.data,
+        data_notes=scene.notes,
         materials=ShownMaterials.of(scene),
         properties=dict(environment(space.threads)),
     )

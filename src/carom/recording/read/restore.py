@@ -69,7 +69,8 @@ class RecordedBodies:
         if section.count is None or section.sha256 is None:
             raise SceneError("its count and sha256 are missing: the recording is damaged")
         place = range(wanted.first, wanted.first + section.count)
-        return Found(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256)
+        notes = tuple(self._recording.data_notes(wanted.index))
+        return Found(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256, notes=notes)
 
 
 def space_of(

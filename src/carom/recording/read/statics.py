@@ -152,6 +152,11 @@ class Statics:
         """The scene's title; an empty one is empty or missing, as Rerun has seen texts under this name or not."""
         return called(str(self.info.get("title", "")))
 
+    @named
+    def data_notes(self, index: int) -> list[str]:
+        """Return what of the file of one [[bodies]] was not used, or read in another way."""
+        return str(self.info.get(f"data_notes.{index}", "")).splitlines()
+
     @property
     @named
     def outcome(self) -> str:

@@ -12,6 +12,7 @@ import pyarrow as pa
 from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.impacts import impacts_until
 from carom.recording.read.materials import materials_of
+from carom.recording.schema.properties import NOTES
 from carom.scene.names import body_called
 
 if TYPE_CHECKING:
@@ -53,6 +54,9 @@ def summary(recording: Recording) -> dict[str, Any]:
     }
     if materials := materials_of(recording):
         found["materials"] = materials.described
+    indices = sorted(int(key.partition(".")[2]) for key in recording.info if NOTES.fullmatch(key))
+    if notes := [note for index in indices for note in recording.data_notes(index)]:
+        found["data_notes"] = notes
     if clip:
         first, last = found["first_step"], found["steps"]
         shown = set(recording.shown)

@@ -78,6 +78,7 @@ class Header:
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
     data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene
+    data_notes: Sequence[Sequence[str]] = ()  # of each [[bodies]]: what of its file is not used, or read otherwise
     materials: ShownMaterials | None = None  # None in a scene without [[material]]
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run

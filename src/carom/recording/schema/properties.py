@@ -12,6 +12,7 @@ from carom.recording.errors import DamageError
 
 MOST_BODIES = 10_000_000
 
+NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]]
 _NUMBERS = re.compile(r"([0-9]{1,9}(,[0-9]{1,9})*)?")
 
 
@@ -70,6 +71,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "colour_by": _text,
         "engine": _text,
         "plane_names": _text,
+        "data_notes.*": _text,
         "bodies": _count,
         "time_scale": _positive,
         "origin": _vector,

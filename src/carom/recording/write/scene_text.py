@@ -16,7 +16,8 @@ from carom.scene.units.dimension import LENGTH, MASS, TIME
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
     """Return the document."""
-    parts = [f"# {header.title}", header.description.strip(), _run(header), _scales(header, clock, origin)]
+    parts = [f"# {header.title}", header.description.strip(), _run(header), _data(header)]
+    parts.append(_scales(header, clock, origin))
     return "\n\n".join(part for part in [*parts, _legend(header), _contacts(header)] if part) + "\n"
 
 
@@ -32,6 +33,12 @@ def _run(header: Header) -> str:
     if not header.engine:
         lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])
+
+
+def _data(header: Header) -> str:
+    """List what of data files is not used, or read in another way; empty if all is."""
+    notes = [note.replace("`", "'") for notes in header.data_notes for note in notes]
+    return "\n".join(["## Data", *(f"- `{note}`" for note in notes)]) if notes else ""
 
 
 def _scales(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

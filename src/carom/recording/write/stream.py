@@ -167,6 +167,7 @@ class Stream:
             if header.planes is not None:
                 identity["plane_names"] = "\n".join(header.planes.name)
         identity |= header.units.properties()
+        identity |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
         if header.promises:
             identity["promises"] = True
         identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}

@@ -95,7 +95,7 @@ def _columns(
     table = {quantity: _array(quantity, value, bodies) for quantity, value in given.items()}
     if name is not None and not isinstance(name, str):
         table["name"] = _array("name", name, bodies)
-    return read_columns(BodyData(), Arrays(table), units, material)
+    return read_columns(BodyData(), Arrays(table), units, material)[0]
 
 
 def _array(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:

@@ -12,12 +12,10 @@ import pyarrow.csv
 import pyarrow.ipc
 import pyarrow.parquet as pq
 
-from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.data.table import BODY, STEP, Raw, Table, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
-
-_STEP, _BODY = "step", "body"  # columns of what `carom export` writes; with both, a file may hold several steps
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> Table:
@@ -85,10 +83,10 @@ class _ArrowTable:
         for name in names:
             if self.names.count(name) > 1:
                 raise SceneError(f'{self.called}: two columns are called "{name}"; give each column its own name')
-        steps = [_STEP] if _STEP in self.names and _BODY in self.names and _STEP not in names else []
+        steps = [STEP] if STEP in self.names and BODY in self.names and STEP not in names else []
         table = self._read(list(dict.fromkeys([*names, *steps])), texts)
         if steps:
-            table = table.filter(pc.equal(table[_STEP], self._step(table[_STEP])))
+            table = table.filter(pc.equal(table[STEP], self._step(table[STEP])))
         return {name: self._array(name, table[name], name in texts) for name in names}
 
     def _step(self, column: pa.ChunkedArray) -> pa.Scalar:

@@ -4,31 +4,50 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from carom.scene.data.table import BODY, STEP
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
 
-QUANTITIES = ("position", "velocity", "angular_velocity", "mass", "density", "radius", "inertia", "fixed", "name")
+QUANTITIES = (
+    *("position", "velocity", "angular_velocity"),
+    *("mass", "density", "radius", "diameter", "inertia", "fixed", "name"),
+)
 VECTORS = ("position", "velocity", "angular_velocity")
 USUAL: dict[str, tuple[str, ...]] = {
     "position": ("position", "positions", "pos", "coordinates", "xyz", "points"),
     "velocity": ("velocity", "velocities", "vel", "v"),
-    "angular_velocity": ("angular_velocity", "omega", "spin"),
+    "angular_velocity": ("angular_velocity", "angular_velocities", "omega", "spin", "angvel"),
     "mass": ("mass", "masses", "m"),
     "density": ("density", "rho"),
     "radius": ("radius", "radii", "r"),
+    "diameter": ("diameter", "diameters", "diam"),
     "inertia": ("inertia", "moment_of_inertia"),
     "fixed": ("fixed",),
     "name": ("name", "names", "label"),
 }
-USUAL_AXES: dict[str, tuple[str, ...]] = {  # before x, y and z
-    "position": ("", "pos_", "position_", "p"),
-    "velocity": ("v", "vel_", "velocity_", "v_"),
-    "angular_velocity": ("w", "omega_", "angular_velocity_", "w_"),
+USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z in place of the star
+    "position": ("*", "p*", "pos*", "pos_*", "position*", "position_*", "*u"),
+    "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
+    "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
 }
-_RIVALS = (("mass", "density"),)  # of which one follows from the other
+_RIVALS = (("mass", "density"), ("radius", "diameter"))  # of which one follows from the other
 _MOST_SHOWN = 12  # columns that a message lists
+_MOST_NOTED = 200  # columns that a note lists
+_LONGEST_NAME = 40  # characters
+
+_COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
+_ELSEWHERE = {  # why columns that describe a sphere are not used
+    **dict.fromkeys(("mu", "friction", "friction_coefficient", "mu_s", "mu_k", "mus", "muk"), _COEFFICIENTS),
+    **dict.fromkeys(("restitution", "cor", "coefficient_of_restitution"), _COEFFICIENTS),
+    **dict.fromkeys((f"quat{axis}" for axis in "wxyzijk"), "a sphere starts without a rotation"),
+    **dict.fromkeys((f"q{axis}" for axis in "wxyz"), "a sphere starts without a rotation"),
+    **dict.fromkeys(("orientation", "quaternion", "quat"), "a sphere starts without a rotation"),
+    **dict.fromkeys((f"angmom{axis}" for axis in "xyz"), "give an angular velocity"),
+    **dict.fromkeys((f"{force}{axis}" for force in ("f", "tq", "torque") for axis in "xyz"), "carom computes forces"),
+    **dict.fromkeys(("q", "charge"), "there is no force on charges"),
+}
 
 Mapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
 
@@ -77,6 +96,29 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
     return section.model_copy(update={key: value for key, value in given.items() if value is not None})
 
 
+def unused_columns(section: BodyData, mapping: Mapping, names: Sequence[str]) -> str:
+    """List the columns that hold nothing of the bodies, with the reason where it is known; empty if there are none."""
+    used = {column for columns in mapping.values() for column in columns}
+    if STEP in names and BODY in names:
+        used |= {STEP, BODY}  # which select the rows
+    given = {quantity for quantity in QUANTITIES if _is_given(section, quantity)}
+    usual = {name: quantity for quantity in given for columns in _usual(quantity, names) for name in columns}
+    unused = [name for name in names if name not in used]
+
+    def described(name: str) -> str:
+        why = f"the scene gives the {usual[name]}" if name in usual else _ELSEWHERE.get(_plain(name), "")
+        return printable(name) + (f" ({why})" if why else "")
+
+    listed = ", ".join(map(described, unused[:_MOST_NOTED]))
+    more = len(unused) - _MOST_NOTED
+    return f"{listed} and {more} more" if more > 0 else listed
+
+
+def printable(name: str) -> str:
+    """Return a name of a file as one line of text that is not too long."""
+    return "".join(char if char.isprintable() else "�" for char in name[:_LONGEST_NAME])
+
+
 def _several(asked: str | tuple[str, ...]) -> tuple[str, ...]:
     return (asked,) if isinstance(asked, str) else asked
 
@@ -85,6 +127,8 @@ def _is_given(section: BodyData, quantity: str) -> bool:
     """Tell whether the scene itself says what the bodies have in common, so that no column is looked for."""
     if quantity in ("mass", "density"):
         return section.mass is not None or section.density is not None
+    if quantity == "diameter":
+        return section.radius is not None
     if quantity == "inertia":
         return "inertia_factor" in section.model_fields_set
     return quantity != "name" and getattr(section, quantity, None) is not None
@@ -105,7 +149,7 @@ def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[
     columns = _usual(quantity, names)
     if quantity != "inertia" or not columns:
         return columns
-    replaced = (("radius",), ("mass", "density"))
+    replaced = (("radius", "diameter"), ("mass", "density"))
     stale = any(_is_given(section, of[0]) and any(_usual(each, names) for each in of) for of in replaced)
     return [] if stale else columns
 
@@ -115,8 +159,8 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
     plain = [_plain(name) for name in names]
     single = [(name,) for name, known in zip(names, plain, strict=True) if known in USUAL[quantity]]
     threes = []
-    for before in USUAL_AXES.get(quantity, ()):
-        axes = [f"{before}{axis}" for axis in "xyz"]
+    for pattern in USUAL_AXES.get(quantity, ()):
+        axes = [pattern.replace("*", axis) for axis in "xyz"]
         if all(axis in plain for axis in axes):
             repeated = next((axis for axis in axes if plain.count(axis) > 1), None)
             columns = tuple(names[plain.index(axis)] for axis in axes)
@@ -127,8 +171,8 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
 def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
     """Refuse a vector of which a table has one or two of the usual columns."""
     plain = {_plain(name) for name in names}
-    for before in USUAL_AXES.get(quantity, ()):
-        axes = [f"{before}{axis}" for axis in "xyz"]
+    for pattern in USUAL_AXES.get(quantity, ()):
+        axes = [pattern.replace("*", axis) for axis in "xyz"]
         there, missing = ([axis for axis in axes if (axis in plain) is wanted] for wanted in (True, False))
         if there and missing:
             raise SceneError(
@@ -165,11 +209,11 @@ def _refuse_missing(section: BodyData, found: Mapping, names: Sequence[str], cal
     """Refuse a table without a position, a radius or a mass."""
     wanted = {
         "position": "x, y and z, or position",
-        "radius": "radius or r",
+        "radius": "radius or r, or diameter",
         "mass": "mass or m, or density",
     }
     for quantity, usual in wanted.items():
-        given = quantity in found or _is_given(section, quantity) or (quantity == "mass" and "density" in found)
+        given = quantity in found or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in found
         if not given:
             constant = "" if quantity == "position" else f", or give {quantity} = … for all bodies"
             one = '["…", "…", "…"]' if quantity in VECTORS else '"…"'
@@ -184,6 +228,6 @@ def _nearest(column: str, names: Sequence[str]) -> str:
 
 
 def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(str(name)[:40] for name in names[:_MOST_SHOWN])
+    shown = ", ".join(map(printable, names[:_MOST_SHOWN]))
     more = f" and {len(names) - _MOST_SHOWN} more" if len(names) > _MOST_SHOWN else ""
     return f"its columns are {shown}{more}" if names else "it has no columns"

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.scene.data.columns import BodyColumns
-from carom.scene.data.mapping import VECTORS, Mapping, mapping_of, with_material
+from carom.scene.data.mapping import VECTORS, Mapping, mapping_of, unused_columns, with_material
 from carom.scene.data.table import Raw, Table, flags_of, numbers_of, texts_of
 from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
@@ -19,7 +19,7 @@ from carom.scene.units.system import OWN, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
-_POSITIVE = ("mass", "density", "radius", "inertia")
+_POSITIVE = ("mass", "density", "radius", "diameter", "inertia")
 _DIMENSIONS = {  # whose product a quantity has
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
@@ -27,12 +27,20 @@ _DIMENSIONS = {  # whose product a quantity has
     "mass": (MASS,),
     "density": (DENSITY,),
     "radius": (LENGTH,),
+    "diameter": (LENGTH,),
     "inertia": (MASS, LENGTH, LENGTH),
 }
 
 
-def read_columns(section: BodyData, table: Table, units: UnitSystem, material: Material | None = None) -> BodyColumns:
+def read_columns(
+    section: BodyData, table: Table, units: UnitSystem, material: Material | None = None
+) -> tuple[BodyColumns, tuple[str, ...]]:
     """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
+
+    Returns
+    -------
+    columns, notes
+        The bodies, and sentences on what of the table was not used.
 
     Raises
     ------
@@ -52,7 +60,8 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem, material: M
         raise SceneError(f"{table.called}: it has no rows")
     if section.count is not None and section.count != n:
         raise SceneError(f"{table.called}: it has {n} rows, and count = {section.count}")
-    radius, fixed = reader.numbers("radius"), reader.flags()
+    radius = 0.5 * reader.numbers("diameter") if "diameter" in mapping else reader.numbers("radius")
+    fixed = reader.flags()
     volume = (4.0 / 3.0) * math.pi * radius * radius * radius
     with np.errstate(over="ignore"):
         mass = reader.numbers("density") * volume if reader.has_density else reader.numbers("mass")
@@ -68,7 +77,8 @@ def read_columns(section: BodyData, table: Table, units: UnitSystem, material: M
         name=reader.names(),
     )
     _refuse_moving_fixed(columns, table.called)
-    return columns
+    unused = unused_columns(section, mapping, table.names)
+    return columns, (f"{table.called}: columns that are not used: {unused}",) if unused else ()
 
 
 class _Reader:

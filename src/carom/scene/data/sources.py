@@ -24,6 +24,7 @@ class Found(NamedTuple):
     columns: BodyColumns
     sha256: str
     material: Material | None = None  # that gave them a density, if that is known
+    notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,8 @@ class DataFiles:
                 f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
             )
         table = open_table(path, section.file, section.snapshot)
-        return Found(read_columns(section, table, wanted.units, wanted.material), digest, wanted.material)
+        columns, notes = read_columns(section, table, wanted.units, wanted.material)
+        return Found(columns, digest, wanted.material, notes)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:

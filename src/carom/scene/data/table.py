@@ -14,6 +14,8 @@ from carom.scene.error import SceneError
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
 MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
 
+STEP, BODY = "step", "body"  # columns of what `carom export` writes; with both, a file may hold several steps
+
 _EXACT = 2**53  # whole numbers below it are floats without rounding
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several

@@ -13,7 +13,9 @@ from carom.scene.units.dimension import ANGULAR_VELOCITY, LENGTH, VELOCITY
 Name = Annotated[str, Field(strict=True, min_length=1)]
 Axes = tuple[Name, Name, Name]
 DIGEST = r"^[0-9a-f]{64}$"
-_RIVALS = {"mass": "density", "density": "mass", "inertia": "inertia_factor"}  # of which one follows from the other
+_RIVALS = {  # of which one follows from the other
+    **{"mass": "density", "density": "mass", "inertia": "inertia_factor", "diameter": "radius"}
+}
 
 
 class Columns(Section):
@@ -25,6 +27,7 @@ class Columns(Section):
     mass: Name | None = Field(None, description="kg")
     density: Name | None = Field(None, description="kg/m³, in place of a mass")
     radius: Name | None = Field(None, description="m")
+    diameter: Name | None = Field(None, description="m, in place of a radius")
     inertia: Name | None = Field(None, description="kg m², moment of inertia, in place of inertia_factor")
     fixed: Name | None = Field(None, description="true or 1: the body neither moves nor turns")
     name: Name | None = Field(None, description="names of the bodies")

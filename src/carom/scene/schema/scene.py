@@ -102,6 +102,12 @@ class Scene(Forces, Heading):
         held = self.held
         return () if held is None else tuple(found.columns for found in held.found)
 
+    @property
+    def notes(self) -> list[tuple[str, ...]]:
+        """Sentences for each [[bodies]]: what of its file is not used, or is read in another way."""
+        held = self.held
+        return [] if held is None else [found.notes for found in held.found]
+
     def _private(self, name: str) -> Any:
         """Return a private attribute. By its name Pydantic takes 2 µs, and a run that begins asks 250 times."""
         assert self.__pydantic_private__ is not None, "Pydantic sets them before it validates the whole scene"
