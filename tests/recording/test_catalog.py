@@ -11,6 +11,7 @@ from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import SweepMember
+from carom.recording.view import keeper
 from carom.recording.view.catalog import catalog
 from carom.recording.view.viewer import Viewer
 from examples import pair
@@ -41,7 +42,7 @@ def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
     with catalog("bounces", [swept(tmp_path, 0.5)]) as address:
         dataset = CatalogClient(address.rpartition("/dataset/")[0]).get_dataset("bounces")
         (row,) = dataset.segment_ids()
-        with Viewer("--headless") as viewer:
+        with Viewer("--headless", keep=(keeper.SHARED,)) as viewer:
             viewer.open(address)
             viewer.open(dataset.segment_url(row))
             viewer.until("open the row", 60.0, lambda: bool(viewer.client.get_state().views))

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import http.client
+import mmap
+import socket
+import subprocess
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -17,7 +22,9 @@ import carom
 from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.view.keeper import free_port
 from carom.recording.view.presentation import presentation
+from carom.recording.view.viewer import binary
 from carom.recording.view.web import site
 from carom.recording.view.web.server import hosted
 from carom.scene.schema import Scene
@@ -63,6 +70,49 @@ def test_the_page_comes_with_the_recording_its_layout_and_all_of_the_viewer(link
     assert b"<title>A merry-go-round</title>" in answer(link, site.PAGE)[1]
     for name in site.FILES:
         assert answer(link, name)[0] == 200
+
+
+def test_the_viewer_of_a_page_comes_from_the_installed_package_and_through_no_port(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError("another user may have taken the port before")
+
+    monkeypatch.setattr(socket.socket, "connect", refuse)
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    site._copy_web_viewer(tmp_path)
+    script = (tmp_path / "re_viewer.js").read_bytes()
+    code = gzip.decompress((tmp_path / "re_viewer.wasm.gz").read_bytes())
+    with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
+        assert program.find(script) > 0 and script.startswith(b"let wasm_bindgen") and b"class WebHandle" in script
+        assert program.find(code) > 0 and code.startswith(b"\0asm")
+
+
+@pytest.mark.slow
+def test_the_viewer_of_a_page_is_the_one_that_rerun_serves(tmp_path: Path) -> None:
+    site._copy_web_viewer(tmp_path)
+    served = {}
+    command = [binary(), "--serve-web", "--bind", "127.0.0.1", "--web-viewer-port", str(free_port())]
+    with subprocess.Popen([*command, "http://127.0.0.1/none.rrd"], stderr=subprocess.DEVNULL) as process:
+        try:
+            for name in ("re_viewer.js", "re_viewer_bg.wasm"):
+                served[name] = downloaded(f"http://127.0.0.1:{command[-1]}/{name}")
+        finally:
+            process.kill()
+    assert served["re_viewer.js"] == (tmp_path / "re_viewer.js").read_bytes()
+    assert served["re_viewer_bg.wasm"] == gzip.decompress((tmp_path / "re_viewer.wasm.gz").read_bytes())
+
+
+def downloaded(address: str) -> bytes:
+    """Download a file of a server that is starting."""
+    for _ in range(300):
+        with contextlib.suppress(ConnectionRefusedError):
+            parts = urlsplit(address)
+            connection = http.client.HTTPConnection(str(parts.hostname), parts.port, timeout=60)
+            connection.request("GET", parts.path)
+            return connection.getresponse().read()
+        time.sleep(0.1)
+    raise AssertionError("the server did not start")
 
 
 def test_the_link_pauses_at_the_moment_in_nanoseconds(link: str) -> None:

@@ -14,6 +14,7 @@ import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only a
 from rerun.server import Server
 
 from carom.recording.errors import RecordingError
+from carom.recording.view import keeper
 from carom.recording.view.viewer import Viewer
 
 _HOST = "127.0.0.1"  # Rerun's own default is to listen on all interfaces, without a password
@@ -39,7 +40,7 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None]) 
     with catalog(name, paths) as address:
         say(f"{len(paths)} recordings at {address}")
         try:
-            with Viewer() as viewer:
+            with Viewer(keep=(keeper.SHARED,)) as viewer:
                 viewer.open(address)
                 say("A click on a row's link opens its recording. Close the window to end.")
                 viewer.wait()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
-from pathlib import Path
-
 import numpy as np
 from rerun.error_utils import RerunMissingDependencyError
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
+from carom.private_folder import temporary_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
@@ -50,7 +48,7 @@ def show(recording: Recording, request: Request, height: int) -> None:
 
 def _bytes_of(recording: Recording, supplement: Supplement) -> bytes:
     """Return a supplement as a file for the viewer."""
-    with tempfile.TemporaryDirectory(prefix="carom-") as folder:
-        path = Path(folder) / "moment.rrd"
+    with temporary_folder() as folder:
+        path = folder / "moment.rrd"
         supplement.save(path, recording.store.application_id, recording.store.store_id)
         return path.read_bytes()

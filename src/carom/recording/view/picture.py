@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import os
+import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import rerun as rr
+
+from carom.private_folder import private_folder
 from carom.recording.errors import RecordingError
 from carom.recording.layout.blueprint import ALL
 from carom.recording.layout.canvas import Canvas
@@ -18,13 +23,13 @@ from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.shown_step import Watcher
 from carom.recording.view.viewer import Viewer
-from carom.recording.view.virtual_screen import virtual_screen
 from carom.recording.write.whole_file import whole_file
 
 _ALIKE = 3  # equal pictures in a row, after which everything is loaded
 _PAUSE = 0.7  # s, between two pictures
 _LIMIT = 120.0  # s
 _NOTE = 6.0  # s after its start, for which a viewer with a window shows notes over the picture
+_SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
 _BORDER = (7, 71)  # points of a window around a single view: edges, title and title bar
 
 
@@ -125,14 +130,37 @@ def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
 
 @contextmanager
 def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
-    """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left."""
+    """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
+
+    Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Nor does that mode
+    use the fonts of the system, and it ends at a character that Rerun's own font lacks. A viewer with a window, on a
+    virtual screen, does both.
+
+    Raises
+    ------
+    RecordingError
+        If there is no Vulkan driver, or no Xvfb where one is needed.
+    """
     window = ("--window-size", f"{size[0]}x{size[1]}")
     if theme == "dark" and has_all_glyphs(recording):
         with Viewer("--headless", *window) as viewer:
             yield viewer
         return
-    screen = virtual_screen(size, theme)
-    with screen as environment, Viewer("--persist-state", *window, environment=environment) as viewer:
+    if shutil.which("Xvfb") is None:
+        what, other = "with these names", "write names of bodies and files in Latin, Greek or Cyrillic letters"
+        if theme == "light":
+            what, other = "in the light theme", "take the dark theme"
+        raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: apt-get install xvfb; or {other}")
+    folder = Path(tempfile.mkdtemp(dir=private_folder()))
+    settings = folder / "rerun" / "app.ron"
+    settings.parent.mkdir()
+    settings.write_text(_SETTINGS.format(theme=theme.capitalize(), version=rr.__version__))
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
+    # RUST_LOG: a viewer with a window shows its log in boxes over the picture
+    environment = {**kept, "XDG_DATA_HOME": str(folder), "RUST_LOG": "off"}
+    # the pointer starts in the middle of the screen: beyond the window, where it hovers over nothing
+    screen = f"{2 * (size[0] + 1)}x{2 * (size[1] + 1)}"
+    with Viewer("--persist-state", *window, screen=screen, folder=folder, environment=environment) as viewer:
         viewer.note_ends = time.monotonic() + _NOTE
         yield viewer
 

@@ -6,7 +6,7 @@ import contextlib
 import importlib.util
 import os
 import re
-import socket
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -19,20 +19,21 @@ from typing import Self, TypeVar
 import numpy as np
 from rerun.experimental import ViewerClient
 
+from carom.private_folder import private_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.view import keeper
+from carom.recording.view.keeper import HOST
 from carom.recording.view.supplement import Supplement
 
 _T = TypeVar("_T")
 
-HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
-_START = 60.0  # s
 _LOAD = 120.0  # s
 _POLL = 0.1  # s
 _DYING = 2.0  # s in which a viewer that stopped answering may end
-_GRACE = 5.0  # s between asking the process to end and ending it
+_GRACE = 15.0  # s between asking the process to end and ending it; it gives its own children 5 s each
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _VULKAN = (
@@ -44,27 +45,63 @@ _PANIC = re.compile(r"panicked at '([^\n]+?)'?$", re.MULTILINE)
 
 
 class Viewer:
-    """A viewer process. Leaving the context ends it."""
+    """A viewer process. Leaving the context ends it, and so does the end of this process.
 
-    def __init__(self, *options: str, environment: dict[str, str] | None = None) -> None:
+    Parameters
+    ----------
+    options
+        Of Rerun's viewer.
+    screen
+        WIDTHxHEIGHT of a virtual screen to show it on; by default the user's.
+    folder
+        Its folder for temporary files, which it deletes; by default a new one.
+    keep
+        Options of `keeper`.
+    environment
+        Of the process; by default that of this one.
+    """
+
+    def __init__(
+        self,
+        *options: str,
+        screen: str = "",
+        folder: Path | None = None,
+        keep: tuple[str, ...] = (),
+        environment: dict[str, str] | None = None,
+    ) -> None:
         self.note_ends = 0.0  # s, monotonic, up to which it shows a note
-        self._port = free_port()
-        self._log = tempfile.TemporaryFile(mode="w+")  # noqa: SIM115  it lives as long as the process
-        command = [binary(), "--bind", HOST, "--port", str(self._port), "--hide-welcome-screen", *options]
-        self._process = subprocess.Popen(
-            command,
-            stdout=self._log,
-            stderr=self._log,
-            stdin=subprocess.DEVNULL,
-            env=environment,
-            start_new_session=True,  # the interrupt key must end the run, not the window
-        )
-        try:
-            self.until("start", _START, self._listens)
-            self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{HOST}:{self._port}/proxy"))
-        except BaseException:
-            self._end()
-            raise
+        private = private_folder()
+        self._log = tempfile.TemporaryFile(mode="w+", dir=private)  # noqa: SIM115  it lives as long as the process
+        beside = private.parent if keeper.LIVE in keep else private  # this process deletes its own folder at its end
+        self._folder = folder or Path(tempfile.mkdtemp(prefix="carom-viewer-", dir=beside))
+        if not screen and "--headless" not in options and _screen_is_remote():
+            keep = (*keep, keeper.SHARED)
+        reads, writes = os.pipe()
+        with os.fdopen(reads) as report:
+            self._process = subprocess.Popen(
+                [
+                    *(sys.executable, "-I", "-S", keeper.__file__),
+                    *(str(os.getpid()), str(writes), str(self._folder), ",".join(keep), screen),
+                    *(binary(), "--hide-welcome-screen", *options),
+                ],
+                stdout=self._log,
+                stderr=self._log,
+                stdin=subprocess.DEVNULL,
+                env=environment,
+                pass_fds=(writes,),
+                start_new_session=True,  # the interrupt key must end the run, not the window
+            )
+            os.close(writes)
+            try:
+                port = report.readline().strip()  # empty if the process has ended
+                if not port:
+                    self._process.wait()
+                    self._fail_if_ended()
+                self.address = f"{HOST}:{port}"  # to which a live recording can be sent
+                self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{self.address}/proxy"))
+            except BaseException:
+                self._end()
+                raise
 
     def __enter__(self) -> Self:
         return self
@@ -107,11 +144,6 @@ class Viewer:
         self.until("lay out the view", _LOAD, lambda: len(self._ask(self.client.get_state).views) == 1)
         return str(self._ask(self.client.get_state).views[0].view_id)
 
-    @property
-    def address(self) -> str:
-        """The address that a live recording can be sent to."""
-        return f"{HOST}:{self._port}"
-
     def wait(self) -> None:
         """Wait until the window is closed."""
         self._process.wait()
@@ -125,10 +157,6 @@ class Viewer:
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(seconds)
         self._fail_if_ended()
-
-    def _listens(self) -> bool:
-        with socket.socket() as probe:
-            return probe.connect_ex((HOST, self._port)) == 0
 
     def _ask(self, question: Callable[[], _T]) -> _T:
         """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended."""
@@ -164,6 +192,7 @@ class Viewer:
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
         self._log.close()
 
 
@@ -177,7 +206,7 @@ def start_live_viewer() -> str:
     """
     if not has_screen():
         raise RecordingError(_NO_SCREEN)
-    viewer = Viewer("--expect-data-soon")
+    viewer = Viewer("--expect-data-soon", keep=(keeper.LIVE,))
     viewer.outlast(_DYING)
     return viewer.address
 
@@ -219,13 +248,12 @@ def binary() -> str:
     raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
 
 
+def _screen_is_remote() -> bool:
+    """Return whether windows go to an X display by TCP, as under ``ssh -X``."""
+    display = "" if os.environ.get("WAYLAND_DISPLAY") else os.environ.get("DISPLAY", "")
+    return display.partition(":")[0] not in ("", "unix")
+
+
 def has_screen() -> bool:
     """Return whether windows can be opened, as far as the environment tells."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
-
-
-def free_port() -> int:
-    """Return a free port of this machine."""
-    with socket.socket() as probe:
-        probe.bind((HOST, 0))
-        return int(probe.getsockname()[1])

@@ -7,7 +7,6 @@ import errno
 import secrets
 import shutil
 import socketserver
-import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from http import HTTPStatus
@@ -15,10 +14,11 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from carom.private_folder import temporary_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.view.keeper import HOST
 from carom.recording.view.supplement import Supplement
-from carom.recording.view.viewer import HOST
 from carom.recording.view.web import site
 
 _NAMES = (HOST, "localhost")  # hosts that requests may name; others come from pages that were rebound to 127.0.0.1
@@ -47,13 +47,13 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
     RecordingError
         If the port is in use.
     """
-    with tempfile.TemporaryDirectory(prefix="carom-") as folder, _listening(port) as server:
-        site.write_viewer(recording, Path(folder))
+    with temporary_folder() as folder, _listening(port) as server:
+        site.write_viewer(recording, folder)
         page = site.paused_page(recording, at)
         if supplement is not None:
-            page = site.write_moment(recording, at, supplement, Path(folder), "moment")
+            page = site.write_moment(recording, at, supplement, folder, "moment")
         secret = secrets.token_urlsafe(16)
-        files = {path.name: path for path in Path(folder).iterdir()} | {site.RECORDING: recording.path.resolve()}
+        files = {path.name: path for path in folder.iterdir()} | {site.RECORDING: recording.path.resolve()}
         server.files = {f"/{secret}/{name}": path for name, path in files.items()}
         thread = threading.Thread(target=server.serve_forever, name="carom-web", daemon=True)
         thread.start()

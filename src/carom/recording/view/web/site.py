@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import gzip
 import html
-import http.client
+import mmap
 import shutil
-import subprocess
-import time
 from importlib import resources
 from pathlib import Path
 
@@ -16,7 +14,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.view.supplement import Supplement
-from carom.recording.view.viewer import HOST, binary, free_port
+from carom.recording.view.viewer import binary
 from carom.recording.write.rerun_compat import StoredLayout
 
 PAGE = "viewer.html"
@@ -25,10 +23,11 @@ LAYOUT = "layout.rbl"
 NOTICES = "THIRD_PARTY_NOTICES.md"
 FILES = (PAGE, "viewer.css", "viewer.js", "re_viewer.js", "re_viewer.wasm.gz", LAYOUT, NOTICES)  # and the recording
 
-_SERVED = {"re_viewer.js": "re_viewer.js", "re_viewer_bg.wasm": "re_viewer.wasm.gz"}
 _LEVEL = 4  # 43 MB become 14.3 MB in 1.0 s; level 6: 13.8 MB in 2.0 s. Some static hosts refuse files above 25 MB
-_START = 60.0  # s
-_POLL = 0.05  # s
+_SCRIPT_STARTS, _SCRIPT_ENDS = b"let wasm_bindgen = (function(exports)", b"})({ __proto__: null });\n"
+_MODULE_STARTS = b"\0asm\x01\0\0\0"
+_LAST_SECTION = 13
+_NO_WEB_VIEWER = "the installed rerun-sdk holds no web viewer that carom can read; install the version that carom names"
 
 
 def write_viewer(recording: Recording, folder: Path) -> None:
@@ -63,48 +62,42 @@ def paused_page(recording: Recording, at: float) -> str:
 
 
 def _copy_web_viewer(folder: Path) -> None:
-    """Copy the web viewer out of Rerun's binary, which offers it only through its own web server."""
-    port = free_port()
-    # with an address to show, it hosts only the web viewer and no server for recordings
-    command = [binary(), "--serve-web", "--bind", HOST, "--web-viewer-port", str(port), f"http://{HOST}/none.rrd"]
-    process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-    )
-    try:
-        _wait_for(process, port)
-        for served, name in _SERVED.items():
-            _copy(port, served, folder / name)
-    finally:
-        process.kill()
-        process.wait()
+    """Copy the web viewer out of Rerun's binary.
+
+    The binary also serves it, but from a port that another user may have taken before.
+    """
+    with Path(binary()).open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as program:
+        script, code = _script(program), _web_assembly(program)
+        (folder / "re_viewer.js").write_bytes(program[script])
+        with gzip.GzipFile(folder / "re_viewer.wasm.gz", "wb", _LEVEL, mtime=0) as packed:
+            packed.write(program[code])
 
 
-def _wait_for(process: subprocess.Popen[bytes], port: int) -> None:
-    end = time.monotonic() + _START
-    while True:
-        connection = http.client.HTTPConnection(HOST, port, timeout=_START)
-        try:
-            connection.connect()
-            return
-        except ConnectionRefusedError:
-            if process.poll() is not None or time.monotonic() > end:
-                raise RecordingError("the installed rerun-sdk serves no web viewer") from None
-            time.sleep(_POLL)
-        finally:
-            connection.close()
+def _script(program: mmap.mmap) -> slice:
+    """Return where a program holds the viewer's JavaScript."""
+    start = program.find(_SCRIPT_STARTS)
+    end = program.find(_SCRIPT_ENDS, start)
+    if start < 0 or end < 0:
+        raise RecordingError(_NO_WEB_VIEWER)
+    return slice(start, end + len(_SCRIPT_ENDS))
 
 
-def _copy(port: int, served: str, path: Path) -> None:
-    connection = http.client.HTTPConnection(HOST, port, timeout=_START)
-    try:
-        connection.request("GET", f"/{served}")
-        response = connection.getresponse()
-        if response.status != http.client.OK:
-            raise RecordingError(f"the installed rerun-sdk has a web viewer without {served}")
-        packed = gzip.GzipFile(path, "wb", _LEVEL, mtime=0) if path.suffix == ".gz" else path.open("wb")
-        with packed as file:
-            shutil.copyfileobj(response, file)
-    except http.client.HTTPException as error:
-        raise RecordingError(f"the web viewer of rerun-sdk could not be read: {error}") from error
-    finally:
-        connection.close()
+def _web_assembly(program: mmap.mmap) -> slice:
+    """Return where a program holds a module of WebAssembly: a header, and sections with their sizes."""
+    start = program.find(_MODULE_STARTS)
+    if start < 0:
+        raise RecordingError(_NO_WEB_VIEWER)
+    end = start + len(_MODULE_STARTS)
+    while program[end] <= _LAST_SECTION:
+        size = shift = 0
+        place = end + 1
+        while True:  # LEB128: seven bits a byte, the lowest first
+            byte = program[place]
+            size |= (byte & 127) << shift
+            place, shift = place + 1, shift + 7
+            if byte < 128:
+                break
+        if size == 0:  # padding
+            break
+        end = place + size
+    return slice(start, end)

@@ -1,0 +1,268 @@
+"""Keeps Rerun's viewer to its user, and ends it with carom.
+
+The viewer is controlled through a port without a password: whoever connects can read and write files as its user. So
+this program, which `Viewer` starts, puts the viewer into a network namespace of its own, where nobody can connect, and
+forwards connections of the same user to it. Where the system grants no namespace (other systems than Linux, most
+containers, Ubuntu's restriction of user namespaces) the port is open to all users of the machine while the viewer runs.
+
+The program ends the viewer and deletes its temporary folder when the process that started it has ended, even by
+``kill -9``. It uses the standard library alone and starts within milliseconds.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import fcntl
+import os
+import secrets
+import shutil
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from io import FileIO
+from pathlib import Path
+
+HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
+SHARED = "shared"  # in the namespace of the machine: for viewers that have to reach a server or an X display there
+LIVE = "live"  # the viewer may outlive the run that it shows
+_START = 60.0  # s
+_GRACE = 5.0  # s between asking a process to end and ending it
+_POLL = 0.2  # s
+_PORT = 9876  # in a namespace of its own
+_PIECE = 1 << 20  # bytes, largest read of a forwarded connection
+_TABLE = "/proc/net/tcp"  # Linux: sockets, with the users that they belong to
+_LISTENS, _ESTABLISHED = "0A", "01"
+_NEW_USER, _NEW_NET = 0x10000000, 0x40000000  # flags of unshare(2)
+_SET_FLAGS, _UP = 0x8914, 0x1  # SIOCSIFFLAGS, IFF_UP
+_DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
+
+Address = tuple[str, int]
+
+
+class Sockets:
+    """The machine's table of TCP sockets. It stays that of the namespace in which it was opened."""
+
+    def __init__(self) -> None:
+        self._table: FileIO | None = None
+        with contextlib.suppress(OSError):
+            self._table = Path(_TABLE).open("rb", buffering=0)  # noqa: SIM115  read again for every question
+
+    def is_ours(self, local: Address, remote: Address = ("0.0.0.0", 0)) -> bool:
+        """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
+
+        A connection that its owner has closed belongs to nobody.
+        """
+        if self._table is None:
+            return False
+        state = _LISTENS if remote[1] == 0 else _ESTABLISHED
+        wanted = [_in_table(local), _in_table(remote), state]
+        self._table.seek(0)
+        for line in self._table.readall().decode().splitlines()[1:]:
+            row = line.split()
+            if row[1:4] == wanted:
+                return int(row[7]) == os.geteuid()
+        return False
+
+
+def _in_table(address: Address) -> str:
+    return f"{int.from_bytes(socket.inet_aton(address[0]), sys.byteorder):08X}:{address[1]:04X}"
+
+
+def isolate() -> bool:
+    """Move this process into a network namespace of its own, in which only loopback exists; return whether it has."""
+    if sys.platform != "linux":
+        return False
+    # Root keeps its rights over files of other users only without a user namespace.
+    for flags in (_NEW_NET, _NEW_USER | _NEW_NET) if os.geteuid() == 0 else (_NEW_USER | _NEW_NET,):
+        trial = os.fork()  # because half of it may succeed, and cannot be undone
+        if trial == 0:
+            os._exit(0 if _unshare(flags) else 1)
+        if os.waitpid(trial, 0)[1] == 0:
+            return _unshare(flags)
+    return False
+
+
+def _unshare(flags: int) -> bool:
+    user, group = os.geteuid(), os.getegid()
+    if ctypes.CDLL(None, use_errno=True).unshare(flags) != 0:
+        return False
+    try:
+        if flags & _NEW_USER:
+            Path("/proc/self/setgroups").write_text("deny")
+            Path("/proc/self/uid_map").write_text(f"{user} {user} 1")
+            Path("/proc/self/gid_map").write_text(f"{group} {group} 1")
+        with socket.socket() as any_socket:
+            fcntl.ioctl(any_socket, _SET_FLAGS, struct.pack("16sH14x", b"lo", _UP))
+    except OSError:
+        return False
+    return True
+
+
+def free_port() -> int:
+    """Return a free port of this machine."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+class _Door:
+    """A port of the machine that leads the user of this process, and nobody else, to a port in the namespace."""
+
+    def __init__(self) -> None:
+        self._sockets = Sockets()  # of the machine, not of the namespace
+        self._listener = socket.create_server((HOST, 0))
+        self._listener.settimeout(_POLL)
+        self.address: Address = self._listener.getsockname()
+
+    def knows_us(self) -> bool:
+        """Return whether it recognises a connection of this user; some sandboxes have no complete table."""
+        with socket.create_connection(self.address) as ours, self._listener.accept()[0]:
+            return self._sockets.is_ours(ours.getsockname(), self.address)
+
+    def serve(self) -> None:
+        """Wait `_POLL` for a connection; forward it."""
+        try:
+            connection, peer = self._listener.accept()
+        except TimeoutError:
+            return
+        if not self._sockets.is_ours(peer, self.address):
+            connection.close()
+            return
+        connection.settimeout(None)
+        with contextlib.suppress(OSError, RuntimeError):  # the viewer has ended, or there is no room for threads
+            viewer = socket.create_connection((HOST, _PORT))
+            for source, sink in ((connection, viewer), (viewer, connection)):
+                threading.Thread(target=_forward, args=(source, sink), daemon=True).start()
+
+
+def _forward(source: socket.socket, sink: socket.socket) -> None:
+    """Copy what comes from one socket to another, up to its end."""
+    with contextlib.suppress(OSError):
+        while piece := source.recv(_PIECE):
+            sink.sendall(piece)
+    for end, how in ((sink, socket.SHUT_WR), (source, socket.SHUT_RD)):
+        with contextlib.suppress(OSError):
+            end.shutdown(how)
+
+
+class _Children:
+    """Child processes, which end with this one. Leaving the context ends them, the last one first."""
+
+    def __init__(self) -> None:
+        self._started: list[subprocess.Popen[bytes]] = []
+
+    def __enter__(self) -> _Children:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for child in reversed(self._started):
+            child.terminate()
+            try:
+                child.wait(_GRACE)
+            except subprocess.TimeoutExpired:
+                child.kill()
+                child.wait()
+
+    def start(self, command: Sequence[str], environment: dict[str, str], keep: tuple[int, ...] = ()) -> None:
+        """Start a process."""
+        process = subprocess.Popen(
+            command,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            pass_fds=keep,
+            preexec_fn=_die_with_parent,  # noqa: PLW1509  there are no threads yet
+        )
+        self._started.append(process)
+
+    def ended(self) -> int | None:
+        """Return the exit status of the last one; None while it runs."""
+        return self._started[-1].poll()
+
+
+def _die_with_parent() -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+
+
+def _start_screen(children: _Children, size: str, folder: Path, environment: dict[str, str]) -> dict[str, str]:
+    """Start Xvfb; return the environment of its clients. They need a cookie, so that nobody else can connect."""
+    cookie, name = secrets.token_bytes(16), b"MIT-MAGIC-COOKIE-1"
+    authority = folder / "authority"
+    any_display = struct.pack(">HHH", 0xFFFF, 0, 0)
+    authority.write_bytes(any_display + struct.pack(">H", len(name)) + name + struct.pack(">H", len(cookie)) + cookie)
+    reads, writes = os.pipe()
+    options = ("-screen", "0", f"{size}x24", "-auth", str(authority), "-nolisten", "tcp", "-displayfd", str(writes))
+    children.start(["Xvfb", *options], environment, (writes,))
+    os.close(writes)
+    with os.fdopen(reads) as display:
+        number = display.readline().strip()  # empty if Xvfb has ended
+    if not number:
+        sys.exit("Xvfb, the virtual screen, did not start")
+    return environment | {"DISPLAY": f":{number}", "XAUTHORITY": str(authority)}
+
+
+def _wait_for(children: _Children, port: int) -> None:
+    """Wait until the viewer listens; exit if it ends before, or does not within `_START`."""
+    end = time.monotonic() + _START
+    while True:
+        with contextlib.suppress(ConnectionRefusedError), socket.create_connection((HOST, port)):
+            return
+        if (status := children.ended()) is not None:
+            sys.exit(status or 1)
+        if time.monotonic() > end:
+            sys.exit(f"the viewer did not start within {_START:.0f} s")
+        time.sleep(_POLL / 4)
+
+
+def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen: str, command: Sequence[str]) -> int:
+    """Run a viewer until it ends, or the process that started this one does; return its exit status.
+
+    Parameters
+    ----------
+    parent
+        The process that started this one.
+    report
+        A descriptor, to which the port is written once the viewer listens.
+    folder
+        The viewer's temporary folder, which is deleted at the end.
+    options
+        `SHARED`, `LIVE`.
+    screen
+        WIDTHxHEIGHT of a virtual screen to run it on, or nothing.
+    command
+        The viewer's, but for its port.
+    """
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    door, port, environment = _Door(), _PORT, os.environ | {"TMPDIR": str(folder)}
+    isolated = SHARED not in options and door.knows_us() and isolate()
+    if not isolated:
+        port = free_port()
+    with _Children() as children:
+        if screen:
+            environment = _start_screen(children, screen, folder, environment)
+        children.start([*command, "--bind", HOST, "--port", str(port)], environment)
+        _wait_for(children, port)
+        if not isolated and door.knows_us() and not Sockets().is_ours((HOST, port)):
+            sys.exit(f"port {port} was taken by another user of this machine; try again")
+        os.write(report, f"{door.address[1] if isolated else port}\n".encode())
+        os.close(report)
+        while (status := children.ended()) is None and (LIVE in options or os.getppid() == parent):
+            if isolated:
+                door.serve()
+            else:
+                time.sleep(_POLL)
+    return 1 if status is None else status
+
+
+if __name__ == "__main__":
+    _, started_by, writes_to, temporary, chosen, screen_size, *viewer = sys.argv
+    try:
+        sys.exit(keep(int(started_by), int(writes_to), Path(temporary), chosen.split(","), screen_size, viewer))
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
