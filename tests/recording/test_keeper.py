@@ -158,16 +158,15 @@ def test_a_live_viewer_outlives_its_run_and_leaves_no_folder(tmp_path: Path) -> 
 
 @linux
 def test_the_owner_of_a_connection_is_recognised_and_that_of_a_closed_one_is_not() -> None:
-    sockets = keeper.Sockets()
     with socket.create_server(("127.0.0.1", 0)) as listener:
         here = listener.getsockname()
-        assert sockets.is_ours(here)
+        assert keeper.is_ours(here)
         client = socket.create_connection(here)
         there = client.getsockname()
         with listener.accept()[0]:
-            assert sockets.is_ours(there, here)
+            assert keeper.is_ours(there, here)
             client.close()
-            assert not sockets.is_ours(there, here)
+            assert not keeper.is_ours(there, here)
 
 
 @pytest.mark.slow

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import html
 import http.client
 import mmap
 import socket
 import subprocess
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -25,16 +28,17 @@ from carom.recording.read.recording import Recording
 from carom.recording.view.keeper import free_port
 from carom.recording.view.presentation import presentation
 from carom.recording.view.viewer import binary
-from carom.recording.view.web import site
-from carom.recording.view.web.server import hosted
+from carom.recording.view.web import server, site
+from carom.recording.view.web.server import Hosted, hosted
 from carom.scene.schema import Scene
+from other_user import as_root, run_as_nobody
 
 
 @pytest.fixture(scope="module")
 def link(recorded: Path) -> Iterator[str]:
     recording = Recording.open(recorded)
-    with hosted(recording, 2.0, presentation(recording, 2.0).supplement) as address:
-        yield address
+    with hosted(recording, 2.0, presentation(recording, 2.0).supplement) as page:
+        yield page.link
 
 
 def answer(link: str, name: str, host: str = "127.0.0.1") -> tuple[int, bytes]:
@@ -58,8 +62,8 @@ def listening() -> set[tuple[str, int]]:
 
 def test_a_hosted_recording_is_listened_for_on_loopback_only(recorded: Path) -> None:
     before = listening()
-    with hosted(Recording.open(recorded), 0.0) as link:
-        assert listening() - before == {("127.0.0.1", urlsplit(link).port)}
+    with hosted(Recording.open(recorded), 0.0) as page:
+        assert listening() - before == {("127.0.0.1", urlsplit(page.link).port)}
     assert listening() - before == set()
 
 
@@ -132,6 +136,49 @@ def test_nothing_is_served_without_the_secret_of_the_link(link: str) -> None:
     assert answer(link.replace(secret, "x" * len(secret)), site.PAGE)[0] == 404
 
 
+@pytest.fixture
+def unfinished(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Hosted]:
+    """A hosted page without the viewer, which takes seconds to copy."""
+    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
+    with hosted(Recording.open(recorded), 1.0) as page:
+        yield page
+
+
+def test_the_command_line_of_a_browser_has_no_secret_and_leads_to_the_link(unfinished: Hosted) -> None:
+    assert urlsplit(unfinished.link).path.split("/")[1] not in unfinished.command_line
+    with pytest.raises(urllib.error.HTTPError) as led:
+        urllib.request.build_opener(NoRedirect).open(unfinished.command_line, timeout=60)
+    assert led.value.status == 303 and led.value.headers["Location"] == unfinished.link
+
+
+class NoRedirect(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_: object) -> None:
+        return None
+
+
+@as_root
+def test_the_command_line_of_a_browser_leads_another_user_nowhere(unfinished: Hosted) -> None:
+    parts = urlsplit(unfinished.command_line)
+    answer = run_as_nobody(f"""
+connection = socket.create_connection(("127.0.0.1", {parts.port}), timeout=60)
+connection.sendall(b"GET {parts.path} HTTP/1.1\\r\\nHost: 127.0.0.1\\r\\nConnection: close\\r\\n\\r\\n")
+print(connection.makefile("rb").read())
+""")
+    assert answer.startswith("b'HTTP/1.1 404 ") and unfinished.link not in answer
+
+
+def test_where_users_cannot_be_told_apart_a_private_file_leads_to_the_link(
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
+    monkeypatch.setattr(server, "is_ours", lambda *_: False)
+    with hosted(Recording.open(recorded), 1.0) as page:
+        file = Path(urlsplit(page.command_line).path)
+        assert file.parent.stat().st_mode & 0o077 == 0
+        assert html.unescape(file.read_text()).count(page.link) == 1
+    assert not file.exists()
+
+
 def test_a_page_of_another_name_that_leads_here_is_refused(link: str) -> None:
     assert answer(link, site.PAGE, "evil.example")[0] == 403
     assert answer(link, site.PAGE, "localhost:8000")[0] == 200
@@ -169,8 +216,8 @@ def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: st
 def test_arrow_keys_step_from_impact_to_impact(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("rack-break", ["time.duration=0.05"]), tmp_path / "run.rrd")
     at = recording.impacts()["time"][0].as_py()
-    with hosted(recording, at, presentation(recording, at).supplement) as address, chromium() as (page, errors):
-        page.goto(address)
+    with hosted(recording, at, presentation(recording, at).supplement) as hosting, chromium() as (page, errors):
+        page.goto(hosting.link)
         wait_until_loaded(page, errors)
         moment = settled(page)
         choose_the_timeline_of_impacts(page)

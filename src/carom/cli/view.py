@@ -145,13 +145,13 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
         shown = asked(recording, request, dense=True)
         moment, supplement = shown.time, shown.supplement
         _say_missing(shown.missing)
-    with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as link:
-        say(link)
+    with contextlib.suppress(KeyboardInterrupt), hosted(recording, moment, supplement, port) as page:
+        say(page.link)
         if not has_screen():
-            taken = urlsplit(link).port
+            taken = urlsplit(page.link).port
             say("There is no display here. On the machine with the browser, run this and open the link there:")
             say(f"    ssh -N -L {taken}:127.0.0.1:{taken} {getpass.getuser()}@{socket.gethostname()}")
-        elif not webbrowser.open(link):
+        elif not webbrowser.open(page.command_line):
             say("No browser was found; open the link in one.", err=True)
         say("Ctrl-C ends it.")
         while True:

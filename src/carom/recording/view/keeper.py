@@ -45,29 +45,29 @@ _DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG
 Address = tuple[str, int]
 
 
-class Sockets:
-    """The machine's table of TCP sockets. It stays that of the namespace in which it was opened."""
+def is_ours(local: Address, remote: Address = ("0.0.0.0", 0), table: FileIO | None = None) -> bool:
+    """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
 
-    def __init__(self) -> None:
-        self._table: FileIO | None = None
-        with contextlib.suppress(OSError):
-            self._table = Path(_TABLE).open("rb", buffering=0)  # noqa: SIM115  read again for every question
+    A connection that its owner has closed belongs to nobody. Without the table of sockets, nothing is known to be ours.
 
-    def is_ours(self, local: Address, remote: Address = ("0.0.0.0", 0)) -> bool:
-        """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
-
-        A connection that its owner has closed belongs to nobody.
-        """
-        if self._table is None:
-            return False
-        state = _LISTENS if remote[1] == 0 else _ESTABLISHED
-        wanted = [_in_table(local), _in_table(remote), state]
-        self._table.seek(0)
-        for line in self._table.readall().decode().splitlines()[1:]:
-            row = line.split()
-            if row[1:4] == wanted:
-                return int(row[7]) == os.geteuid()
+    Parameters
+    ----------
+    local, remote
+        Address and port of the two ends.
+    table
+        The machine's table of sockets, where this process has left the machine's network namespace.
+    """
+    try:
+        if table is None:
+            text = Path(_TABLE).read_text(encoding="ascii")
+        else:
+            table.seek(0)
+            text = table.readall().decode("ascii")
+    except OSError:
         return False
+    wanted = [_in_table(local), _in_table(remote), _LISTENS if remote[1] == 0 else _ESTABLISHED]
+    rows = [line.split() for line in text.splitlines()[1:]]
+    return any(row[1:4] == wanted and int(row[7]) == os.geteuid() for row in rows)
 
 
 def _in_table(address: Address) -> str:
@@ -115,7 +115,9 @@ class _Door:
     """A port of the machine that leads the user of this process, and nobody else, to a port in the namespace."""
 
     def __init__(self) -> None:
-        self._sockets = Sockets()  # of the machine, not of the namespace
+        self._table: FileIO | None = None  # of the machine, not of the namespace
+        with contextlib.suppress(OSError):
+            self._table = Path(_TABLE).open("rb", buffering=0)  # noqa: SIM115  read again for every connection
         self._listener = socket.create_server((HOST, 0))
         self._listener.settimeout(_POLL)
         self.address: Address = self._listener.getsockname()
@@ -123,7 +125,7 @@ class _Door:
     def knows_us(self) -> bool:
         """Return whether it recognises a connection of this user; some sandboxes have no complete table."""
         with socket.create_connection(self.address) as ours, self._listener.accept()[0]:
-            return self._sockets.is_ours(ours.getsockname(), self.address)
+            return is_ours(ours.getsockname(), self.address, self._table)
 
     def serve(self) -> None:
         """Wait `_POLL` for a connection; forward it."""
@@ -131,7 +133,7 @@ class _Door:
             connection, peer = self._listener.accept()
         except TimeoutError:
             return
-        if not self._sockets.is_ours(peer, self.address):
+        if not is_ours(peer, self.address, self._table):
             connection.close()
             return
         connection.settimeout(None)
@@ -248,7 +250,7 @@ def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen:
             environment = _start_screen(children, screen, folder, environment)
         children.start([*command, "--bind", HOST, "--port", str(port)], environment)
         _wait_for(children, port)
-        if not isolated and door.knows_us() and not Sockets().is_ours((HOST, port)):
+        if not isolated and door.knows_us() and not is_ours((HOST, port)):
             sys.exit(f"port {port} was taken by another user of this machine; try again")
         os.write(report, f"{door.address[1] if isolated else port}\n".encode())
         os.close(report)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import html
 import secrets
 import shutil
+import socket
 import socketserver
 import threading
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -17,7 +20,7 @@ from urllib.parse import urlsplit
 from carom.private_folder import temporary_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.keeper import HOST
+from carom.recording.view.keeper import HOST, is_ours
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.web import site
 
@@ -25,9 +28,25 @@ _NAMES = (HOST, "localhost")  # hosts that requests may name; others come from p
 _TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
 
 
+@dataclass(frozen=True, slots=True)
+class Hosted:
+    """The addresses of a page.
+
+    Attributes
+    ----------
+    link
+        With a secret: whoever knows it sees the recording.
+    command_line
+        Without it, since other users can read the command lines of a browser; leads this user to `link`, nobody else.
+    """
+
+    link: str
+    command_line: str
+
+
 @contextlib.contextmanager
-def hosted(recording: Recording, at: float, supplement: Supplement | None = None, port: int = 0) -> Iterator[str]:
-    """Host a recording while the context lasts; yield the link that opens it.
+def hosted(recording: Recording, at: float, supplement: Supplement | None = None, port: int = 0) -> Iterator[Hosted]:
+    """Host a recording while the context lasts; yield the addresses that open it.
 
     The server listens on 127.0.0.1 only. The link has a secret in its path, since other people may use the machine.
 
@@ -52,16 +71,26 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
         page = site.paused_page(recording, at)
         if supplement is not None:
             page = site.write_moment(recording, at, supplement, folder, "moment")
-        secret = secrets.token_urlsafe(16)
+        secret, entrance = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         files = {path.name: path for path in folder.iterdir()} | {site.RECORDING: recording.path.resolve()}
         server.files = {f"/{secret}/{name}": path for name, path in files.items()}
+        here = f"http://{HOST}:{server.server_port}"
+        link = f"{here}/{secret}/{page}"
+        server.entrance, server.link = f"/{entrance}", link
         thread = threading.Thread(target=server.serve_forever, name="carom-web", daemon=True)
         thread.start()
         try:
-            yield f"http://{HOST}:{server.server_port}/{secret}/{page}"
+            yield Hosted(link, f"{here}/{entrance}" if server.knows_us() else _redirection(folder, link))
         finally:
             server.shutdown()
             thread.join()
+
+
+def _redirection(folder: Path, link: str) -> str:
+    """Write a page that leads to a link, in a folder of this user; return its address."""
+    page = folder / "open.html"
+    page.write_text(f'<meta http-equiv="refresh" content="0; url={html.escape(link)}" />', encoding="utf-8")
+    return page.as_uri()
 
 
 class _Server(ThreadingHTTPServer):
@@ -69,6 +98,16 @@ class _Server(ThreadingHTTPServer):
 
     daemon_threads = True
     files: Mapping[str, Path] = {}
+    entrance = ""  # a path from which connections of this user are led to the link
+    link = ""
+
+    def knows_us(self, peer: tuple[str, int] | None = None) -> bool:
+        """Return whether a connection, by default a new one of this process, is known to be of this user."""
+        here = (HOST, self.server_port)
+        if peer is not None:
+            return is_ours(peer, here)
+        with socket.create_connection(here) as ours:
+            return is_ours(ours.getsockname(), here)
 
     def server_bind(self) -> None:
         """Bind without HTTPServer's look-up of the host's name, which takes seconds if there is no name server."""
@@ -97,6 +136,13 @@ class _Handler(BaseHTTPRequestHandler):
     def _answer(self, with_body: bool) -> None:
         if urlsplit(f"//{self.headers.get('Host', '')}").hostname not in _NAMES:
             self.send_error(HTTPStatus.FORBIDDEN)
+            return
+        if self.path == self.server.entrance and self.server.knows_us(self.client_address):
+            self.send_response(HTTPStatus.SEE_OTHER)
+            self.send_header("Location", self.server.link)
+            self.send_header("Content-Length", "0")
+            self.send_header("Cache-Control", "no-store")
+            self.end_headers()
             return
         path = self.server.files.get(urlsplit(self.path).path)
         try:
