@@ -25,6 +25,15 @@ def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_beg
         assert seen.count == 0
 
 
+def test_a_program_that_caught_a_second_interrupt_can_run_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(interrupts, "SAME_PRESS", 0.0)
+    with pytest.raises(KeyboardInterrupt), Interrupts():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
+    with Interrupts() as later:
+        assert later.count == 0
+
+
 LOOP = """
 import sys
 from pathlib import Path

@@ -55,3 +55,25 @@ def test_after_a_write_that_failed_the_rest_of_the_pipe_is_drained(run_file: Pat
     assert (done.returncode, done.stdout, done.stderr) == (0, "File too large\n", "")
     size = (tmp_path / "x.rrd").stat().st_size
     assert size <= limit and (size - STREAM_HEADER) % len(message) == 0, "whole messages"
+
+
+CROWDED = """
+import os, resource, sys
+from pathlib import Path
+from carom.recording.write.durable_sink import DurableSink
+resource.setrlimit(resource.RLIMIT_NOFILE, (1200, 1200))
+crowd = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+sink = DurableSink(Path(sys.argv[2]), 0)
+with open(sink.entry, "wb") as entry:
+    sink.opened()
+    entry.write(Path(sys.argv[1]).read_bytes())
+sink.close()
+print(sink.error)
+"""
+
+
+def test_a_program_with_more_than_1024_open_files_records(run_file: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-c", CROWDED, str(run_file), str(tmp_path / "x.rrd")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "None\n", "")
+    assert (tmp_path / "x.rrd").read_bytes() == run_file.read_bytes()

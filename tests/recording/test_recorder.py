@@ -9,13 +9,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 
 from carom.experiment.run import header_of
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.index import Container
+from carom.recording.schema.clock import Clock
+from carom.recording.write import stream
+from carom.recording.write.columns import plain_column
 from carom.recording.write.recorder import Recorder
+from carom.recording.write.rows import Index, frame_rows
 from carom.recording.write.stream import Stream
 from carom.scene.schema import Scene
 from merry import Merry
@@ -206,6 +212,136 @@ def test_a_slow_recorder_with_three_slots_overwrites_no_frame_that_waits(
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.frames == 11
     assert [state.step for state in recording.checkpoints()] == list(range(11)), "each has the fingerprint of its frame"
+
+
+def test_joined_batches_hold_what_separate_ones_do(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def rows(path: Path) -> dict[tuple[str, str], list[tuple[int, str]]]:
+        read: dict[tuple[str, str], list[tuple[int, str]]] = {}
+        for chunk in RrdReader(path).store().stream().filter(is_static=False):
+            batch = chunk.to_record_batch()
+            for name in batch.schema.names:
+                if not name.startswith("rerun.controls") and "step" in batch.schema.names:
+                    values = zip(batch["step"].to_pylist(), map(str, batch[name].to_pylist()), strict=True)
+                    read.setdefault((chunk.entity_path, name), []).extend(values)
+        return {key: sorted(values, key=lambda row: row[0]) for key, values in read.items()}
+
+    def chunks(path: Path) -> int:
+        return sum(entry.rows > 0 and not entry.is_static for entry in Recording.open(path).store.entries)
+
+    merry = Merry(20)
+    for name, prompt in {"joined": 2, "separate": 1000}.items():
+        monkeypatch.setattr(stream, "PROMPT_BATCHES", prompt)
+        monkeypatch.setattr(stream, "OF_TIME", 1e9)  # all that waits is written at the end
+        with Recorder(tmp_path / f"{name}.rrd", merry.header, queue_size=10) as recorder:  # 5 frames a batch
+            for frame in merry.frames(120):
+                recorder.put(frame)
+            recorder.finish("completed")
+    assert rows(tmp_path / "joined.rrd") == rows(tmp_path / "separate.rrd")
+    assert chunks(tmp_path / "joined.rrd") < chunks(tmp_path / "separate.rrd") / 4, "24 batches, of which 22 are joined"
+
+
+def test_batches_grow_in_number_with_the_logarithm_of_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now, merry, clock = 0, Merry(3), Clock()
+    monkeypatch.setattr(stream, "monotonic", lambda: float(now))
+    record = Stream(tmp_path / "run.rrd", merry.header, batch_bytes=1000, live=None)
+    for now in range(3000):  # s
+        values = plain_column(rr.Scalars.descriptor_scalars(), np.array([float(now)]))
+        record.send(frame_rows("energy/total", Index(np.array([now]), np.array([float(now)])), [values], 8), clock)
+        record.flush()
+    record.close()
+    rows = [entry.rows for entry in Container.open(tmp_path / "run.rrd").stores[0].entries if not entry.is_static]
+    assert sum(rows) == 3000
+    # 100 as they come; then one for each hundredth of the time so far, within a batch
+    assert len(rows) <= 100 + 100 * np.log(3000 / 100)
+    assert max(rows) <= 0.01 * 3000 + 1
+
+
+def test_rows_that_wait_are_written_though_no_frame_follows(
+    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stream, "PROMPT_BATCHES", 0)
+    monkeypatch.setattr(stream, "OF_TIME", 0.5)
+    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+        recorder.put(next(iter(merry.frames(1))))
+        deadline = time.monotonic() + 30.0
+        while not (frames := _frames_so_far(tmp_path / "run.rrd")) and time.monotonic() < deadline:
+            time.sleep(0.1)
+        recorder.finish("completed")
+    assert frames == 1, "before the end"
+
+
+def _frames_so_far(path: Path) -> int:
+    try:
+        return Recording.open(path).frames
+    except RecordingError:  # a message is being written
+        return 0
+
+
+def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, merry: Merry) -> None:
+    path = tmp_path / "run.rrd"
+    record(path, merry, 5)
+    path.chmod(0o600)
+    before = path.read_bytes()
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(9):
+            recorder.put(frame)
+        assert path.read_bytes() == before
+        recorder.finish("completed")
+    assert Recording.open(path).frames == 9
+    assert path.stat().st_mode & 0o777 == 0o600
+    assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_a_run_that_is_killed_leaves_the_recording_that_it_would_have_replaced(tmp_path: Path, merry: Merry) -> None:
+    path = tmp_path / "run.rrd"
+    record(path, merry, 5)
+    before = path.read_bytes()
+    killed = child(path, each="if recorder.frames >= 400: time.sleep(1.0); os.kill(os.getpid(), 9)")
+    assert killed.returncode == -signal.SIGKILL
+    assert path.read_bytes() == before
+    assert Recording.open(tmp_path / ".run.new.rrd").frames >= 100
+    record(path, merry, 6)
+    assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_a_link_keeps_pointing_at_the_recording_that_was_replaced(tmp_path: Path, merry: Merry) -> None:
+    (tmp_path / "disk").mkdir()
+    path, link = tmp_path / "disk" / "run.rrd", tmp_path / "link.rrd"
+    record(path, merry, 5)
+    link.symlink_to(path)
+    record(link, merry, 7)
+    assert link.is_symlink() and Recording.open(path).frames == 7
+
+
+FORKED = """
+import os, sys
+from pathlib import Path
+sys.path.insert(0, {tests!r})
+from merry import Merry
+from carom.recording.read.recording import Recording
+from carom.recording.write.recorder import Recorder
+
+def record(path):
+    merry = Merry(5)
+    with Recorder(path, merry.header) as recorder:
+        for frame in merry.frames(50):
+            recorder.put(frame)
+        recorder.finish("completed")
+
+folder = Path({folder!r})
+record(folder / "parent.rrd")
+if os.fork() == 0:
+    record(folder / "child.rrd")
+    os._exit(0)
+sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+"""
+
+
+def test_a_program_that_forks_after_a_recording_records_in_the_child(tmp_path: Path) -> None:
+    script = FORKED.format(tests=str(TESTS), folder=str(tmp_path))
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    assert Recording.open(tmp_path / "child.rrd").frames == 50
 
 
 CHILD = """

@@ -89,4 +89,6 @@ class Interrupts:
             self.count += 1
         self._last = now
         if self.count > self._patience:
-            _raise(number, frame)
+            if self._before.get(number) is _raise:  # of a command, whose exit code names the signal
+                _raise(number, frame)
+            raise KeyboardInterrupt  # of a program, which may catch it and start another run

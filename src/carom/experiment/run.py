@@ -222,6 +222,9 @@ def _simulate(
         with contextlib.suppress(RecordingError):
             recorder.finish(f"failed: {type(error).__name__}: {error}")
         raise
+    except KeyboardInterrupt:  # the interrupt key was pressed again: nobody waits for the step under way
+        physics.space.stop()
+        raise
     extremes = space.named_extremes()
     verdicts = judge(space.scene, extremes, space.time)
     if status == "completed" and not all(verdict.met for verdict in verdicts):

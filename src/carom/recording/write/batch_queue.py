@@ -57,12 +57,16 @@ class BatchQueue(Generic[_Item]):
             self._error = error
             self._changed.notify_all()
 
-    def take(self) -> list[_Item]:
-        """Wait for a batch; an empty one means that the queue is closed."""
+    def take(self, within: float | None = None) -> list[_Item] | None:
+        """Wait for a batch; an empty one means that the queue is closed, None that no item came within a time in s."""
         with self._changed:
+            latest = None if within is None else time.monotonic() + within
             while not self._closed and len(self._items) < self._batch:
-                left = self._oldest + self._seconds - time.monotonic() if self._items else None
+                due = self._oldest + self._seconds if self._items else latest
+                left = None if due is None else due - time.monotonic()
                 if left is not None and left <= 0.0:
+                    if not self._items:
+                        return None
                     break
                 self._changed.wait(left)
             taken, self._items = self._items[: self._batch], self._items[self._batch :]

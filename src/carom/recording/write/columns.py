@@ -30,6 +30,13 @@ class Column(ComponentColumn):
         self.descriptor = descriptor
         self._rows = pa.ListArray.from_arrays(pa.array(_offsets(each, len(values))), values)
 
+    @classmethod
+    def of_rows(cls, descriptor: Descriptor, rows: pa.ListArray) -> Column:
+        """Return a column of values that are cut into rows already."""
+        column = cls.__new__(cls)
+        column.descriptor, column._rows = descriptor, rows
+        return column
+
     def as_arrow_array(self) -> pa.Array:
         """Return one list for each row."""
         return self._rows

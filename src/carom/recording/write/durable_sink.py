@@ -33,7 +33,7 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
 class DurableSink:
-    """Copies a pipe into a file, and keeps the file readable after any failure."""
+    """Copies a pipe into a new file, and keeps the file readable after any failure."""
 
     def __init__(self, path: Path, reserve: int) -> None:
         self.path = path
@@ -44,7 +44,7 @@ class DurableSink:
         try:
             self._reserve = DiskReserve(path.parent)
             self._reserve.grow(reserve)
-            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise RecordingError(f"cannot write {path}: {error.strerror}") from error
         self._source, self._entry = os.pipe()
@@ -108,8 +108,10 @@ class DurableSink:
 
     def _copy(self) -> None:
         size = 1
+        waiting = select.poll()  # `select.select` refuses descriptors above 1023
+        waiting.register(self._source, select.POLLIN)
         while size:
-            select.select([self._source], [], [])
+            waiting.poll()
             time.sleep(_GATHER)
             with self._turn:  # `drain` may then conclude from an empty pipe that all is written
                 size = os.readv(self._source, [self._piece])

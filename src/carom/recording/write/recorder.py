@@ -59,11 +59,12 @@ class Recorder:
     ) -> None:
         rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
         self.path = Path(path)
+        self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
         self.header = header
         self.frames = 0  # sent so far
         self._continued = continued
         frame_bytes = 300 * header.bodies + 2000
-        self._stream = Stream(self.path, header, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
+        self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
         self._clock = continued.clock if continued else Clock.fitting(header.duration, header.shortest_dt_hint)
         room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
@@ -175,8 +176,11 @@ class Recorder:
         encoder = self._begin(start)
         del start
         self._begun.set()
-        while batch := self._queue.take():
-            self._write(batch, encoder)
+        while (batch := self._queue.take(self._stream.patience)) is None or batch:
+            if batch is None:  # the physics takes a long step: earlier frames are due
+                self._stream.flush()
+            else:
+                self._write(batch, encoder)
 
     def _write(self, batch: list[Frame], encoder: BatchEncoder) -> None:
         self._addresses.require(batch, self.path)
@@ -240,6 +244,8 @@ class Recorder:
             self._close(str(error), {}, ())
         except Exception as second:  # report the first error
             error.add_note(f"closing it failed, too: {second}")
+            if self._file != self.path.resolve():
+                error.add_note(f"{self.path} is unchanged; the new frames are in {self._file}")
         self._error = error
         self._queue.fail(error)
 
@@ -262,10 +268,40 @@ class Recorder:
         self._check()
 
     def _check(self) -> None:
-        """Open the closed file and check that it has all frames."""
-        found = Recording.open(self.path).frames
-        if found != self.frames:
-            raise RecordingError(f"{self.path} holds {found} frames, but {self.frames} were written")
+        """Open the closed file, check that it has all frames, and give it its name."""
+        count = Recording.open(self._file).frames
+        if count != self.frames:
+            raise RecordingError(f"{self._file} holds {count} frames, but {self.frames} were written")
+        try:
+            target = self.path.resolve()
+            if self._file != target:
+                if target.exists():
+                    self._file.chmod(target.stat().st_mode & 0o777)
+                self._file.replace(target)
+        except OSError as error:
+            raise RecordingError(
+                f"cannot replace {self.path}: {error.strerror}; the new recording is {self._file}"
+            ) from error
+
+
+def _new_file(path: Path) -> Path:
+    """Return the file to write for a path: a new one beside it if it exists, without what a killed run left there.
+
+    Raises
+    ------
+    RecordingError
+        If what was left cannot be removed.
+    """
+    try:
+        path = path.resolve()
+        if not path.exists():
+            return path
+        beside = path.with_name(f".{path.stem}.new.rrd")
+        beside.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise RecordingError(f"cannot write {path}: {reason}") from error
+    return beside
 
 
 def _unbroken(batch: list[Frame]) -> list[list[Frame]]:

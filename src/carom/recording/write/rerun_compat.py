@@ -9,6 +9,7 @@ test of tests/recording/test_web.py tries it in a browser.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -27,8 +28,12 @@ if TYPE_CHECKING:
 
 
 def end_earlier_streams() -> None:
-    """Free the threads and megabytes that Rerun keeps of each closed stream until `rr.init` is called."""
-    rerun_bindings.flush_and_cleanup_orphaned_recordings()
+    """Free the threads and megabytes that Rerun keeps of each closed stream until `rr.init` is called.
+
+    A forked child cannot end the streams of its parent, whose threads it does not have; Rerun raises RuntimeError.
+    """
+    with contextlib.suppress(RuntimeError):
+        rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:

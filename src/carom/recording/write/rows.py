@@ -7,10 +7,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.physics.frame import Frame
+from carom.recording.write.columns import Column
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -55,6 +57,25 @@ class Rows:
 def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size: int) -> Rows:
     """Return one row for each frame."""
     return Rows(path, index, columns, size + _INDEX_BYTES * len(index.steps))
+
+
+def kind_of(rows: Rows) -> tuple[str, bool, bool, tuple[str, ...]]:
+    """Return what rows must have in common to be joined: entity, timelines and components."""
+    names = tuple(str(column.component_descriptor()) for column in rows.columns)
+    return rows.path, len(rows.index.steps) > 0, len(rows.index.impacts) > 0, names
+
+
+def joined(batches: Sequence[Rows]) -> Rows:
+    """Return the rows of several batches, which are of one kind, as one batch."""
+    first = batches[0]
+    if len(batches) == 1:
+        return first
+    columns = [
+        Column.of_rows(same[0].component_descriptor(), pa.concat_arrays([one.as_arrow_array() for one in same]))
+        for same in zip(*(rows.columns for rows in batches), strict=True)
+    ]
+    index = Index(*(np.concatenate(arrays) for arrays in zip(*(rows.index for rows in batches), strict=True)))
+    return Rows(first.path, index, columns, sum(rows.bytes for rows in batches))
 
 
 def array_bytes(*arrays: NDArray[np.generic] | None) -> int:

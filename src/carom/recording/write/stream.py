@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 import rerun as rr
@@ -24,11 +25,20 @@ from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
-from carom.recording.write.rows import Index, Rows
+from carom.recording.write.rows import Index, Rows, joined, kind_of
 from carom.recording.write.statics import statics
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
+
+# Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. Batches are
+# therefore joined as a run grows old, so that their number grows with the logarithm of time and size: 28 800 batches
+# make a footer of 2 GB, the largest that is read.
+PROMPT_BATCHES = 100  # that are written as they come
+OF_TIME = 0.01  # of the time that the run has taken: the most that a killed one loses
+OF_SIZE = 0.004  # of what is recorded
+JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 GB; 28 800 of them are 1.8 TB
+_ENCODED = 1.3  # bytes in the file for each byte of data, at most
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
 _CONTINUED_BYTES = 16_000_000  # that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
@@ -40,19 +50,34 @@ def frames_in_batch(bodies: int) -> int:
 
 
 class Stream:
-    """Sends recorded data to the file. It counts the bytes of all arrays, and raises when the disk is full."""
+    """Sends recorded data to the file. It counts the bytes of all arrays, and raises when the disk is full.
 
-    def __init__(self, path: Path, header: Header, *, batch_bytes: int, live: str | None) -> None:
+    Parameters
+    ----------
+    path
+        The recording's name, for messages.
+    file
+        The new file that is written; by default ``path``.
+    """
+
+    def __init__(
+        self, path: Path, header: Header, *, batch_bytes: int, live: str | None, file: Path | None = None
+    ) -> None:
         self.path = path
         self.payload_bytes = 0
         self._header = header
         self._indexed: Index | None = None
         self._index: list[rr.TimeColumn] = []
+        self._waiting: dict[object, list[Rows]] = {}  # rows of batches to be joined, by kind
+        self._waiting_bytes = 0
+        self._waiting_clock: Clock | None = None
+        self._batches = 0
+        self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
         # room for a batch in flight when the disk fills up, for the last checkpoint and for the end of the file
-        self._reserve = int(1.3 * batch_bytes) + checkpoint.largest_size(header) + _ENDING
-        self._sink = DurableSink(path, self._reserve)
+        self._reserve = int(_ENCODED * batch_bytes) + checkpoint.largest_size(header) + _ENDING
+        self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()
         self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
         self._stream.set_sinks(rr.FileSink(self._sink.entry))
@@ -64,12 +89,43 @@ class Stream:
         return self._live is not None
 
     def send(self, rows: Rows, clock: Clock) -> None:
-        """Send one entity's rows."""
+        """Send one entity's rows: to a live viewer at once, and to the file when its batch is due."""
+        self.payload_bytes += rows.bytes
+        if self._batches < PROMPT_BATCHES:
+            self._send(rows, clock, self._streams())
+            return
+        self._waiting.setdefault(kind_of(rows), []).append(rows)
+        self._waiting_bytes += rows.bytes
+        self._waiting_clock = clock
+        if self._live is not None:
+            self._send(rows, clock, tuple(self._live.streams()))
+
+    def _send(self, rows: Rows, clock: Clock, streams: Iterable[rr.RecordingStream]) -> None:
         if (index := rows.index) is not self._indexed:  # most entities of a batch share it
             self._indexed, self._index = index, clock.columns(index.steps, index.times, index.impacts)
-        for stream in self._streams():
+        for stream in streams:
             stream.send_columns(rows.path, self._index, rows.columns)
-        self.payload_bytes += rows.bytes
+
+    @property
+    def patience(self) -> float | None:
+        """Seconds after which waiting rows have to be written; None if none wait."""
+        if not self._waiting:
+            return None
+        now = monotonic()
+        return max(0.0, self._written + OF_TIME * (now - self._opened) - now)
+
+    @property
+    def _largest(self) -> int:
+        """Bytes of rows that may wait."""
+        return max(BATCH_BYTES, min(JOINED_BYTES, int(OF_SIZE * self.payload_bytes)))
+
+    def _send_waiting(self) -> None:
+        """Send the rows that wait, those of one kind joined."""
+        clock, self._waiting_clock = self._waiting_clock, None
+        waiting, self._waiting, self._waiting_bytes = self._waiting, {}, 0
+        for rows in waiting.values():
+            assert clock is not None, "rows wait with their clock"
+            self._send(joined(rows), clock, (self._stream,))
 
     def send_continued(self, continued: Continuation) -> None:
         """Send the frames that a resumed run takes over; raises if the disk is full."""
@@ -115,21 +171,26 @@ class Stream:
             send_layout(stream, self._application, layout)
 
     def flush(self) -> None:
-        """Wait until everything sent is in the file; raises if it cannot be written."""
-        self._stream.flush(timeout_sec=FLUSH)
-        self._sink.drain()
-        self._sink.reserve(self._reserve + _FOOTER_BYTES * self._sink.messages)
+        """End a batch, and wait until all batches that are due are in the file; raises if they cannot be written."""
+        if not self._waiting or self._waiting_bytes >= self._largest or not self.patience:
+            self._send_waiting()
+            self._batches, self._written = self._batches + 1, monotonic()
+            self._stream.flush(timeout_sec=FLUSH)
+            self._sink.drain()
+            waiting = int(_ENCODED * self._largest) if self._batches >= PROMPT_BATCHES else 0
+            self._sink.reserve(self._reserve + waiting + _FOOTER_BYTES * self._sink.messages)
         if self._live is not None:
             self._live.flush()
         if self._sink.error is not None:
             raise RecordingError(f"cannot write {self.path}: {self._sink.error.strerror}")
         if self._sink.gone:
-            raise RecordingError(f"{self.path} was removed or renamed while it was written")
+            raise RecordingError(f"{self._sink.path} was removed or renamed while it was written")
         if self._sink.full:
             raise RecordingError(f"cannot write more of {self.path}: no space left on the disk")
 
     def close(self) -> None:
-        """Write the footer and close the file; raises if the footer cannot be written."""
+        """Write what waits and the footer, and close the file; raises if it cannot be written."""
+        self._send_waiting()
         self._stream.disconnect()
         self._sink.close()
         if self._live is not None:
