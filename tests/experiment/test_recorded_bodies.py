@@ -120,7 +120,7 @@ def test_the_commands_list_the_columns_that_are_not_used_before_the_run(tmp_path
     (tmp_path / "scene.toml").write_text('time.duration = 0.01\n[[bodies]]\nfile = "a.npz"', encoding="utf-8")
     note = "a.npz: columns that are not used: mu ([contact] or a [[material]] gives coefficients)"
     assert note in " ".join(carom_command("explain", "scene.toml", cwd=tmp_path).stdout.split())
-    assert json.loads(carom_command("explain", "scene.toml", "--json", cwd=tmp_path).stdout)["data_notes"] == [note]
+    assert json.loads(carom_command("explain", "scene.toml", "--json", cwd=tmp_path).stdout)["notes"] == [note]
     assert note in carom_command("run", "scene.toml", "-o", "a.rrd", cwd=tmp_path).stderr.splitlines()
     assert note in " ".join(carom_command("inspect", "a.rrd", cwd=tmp_path).stdout.split())
 

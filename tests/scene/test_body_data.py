@@ -407,7 +407,7 @@ def test_wrong_columns_are_refused_by_file_column_and_row(tmp_path: Path, case: 
 def test_a_refusal_shows_the_number_of_the_file_whatever_its_unit(tmp_path: Path) -> None:
     units = '[units]\nlength = "km"\nmass = "t"\n'
     write_csv(tmp_path / "a.csv", m=[1.0, -2.0, 3.0])
-    assert "column m, row 1: -2 must be more than 0" in complaint(tmp_path, "a.csv", top=units)
+    assert "column m, row 1: -2 must not be negative" in complaint(tmp_path, "a.csv", top=units)
     write_npz(tmp_path / "a.npz", radius=np.array([1.0, 1.0, 1e98]))
     assert "1e+98 is not between 1e-103 and 1e+97 in size" in complaint(tmp_path, "a.npz", top=units)
     write_npz(tmp_path / "a.npz", fixed=np.array(["true", "false", "false"]))

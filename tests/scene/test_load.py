@@ -42,7 +42,7 @@ MISTAKES = {
     "wrong type": ('[time]\nduration = "long"\n' + ONE_BODY, [":2:", "time.duration", "number"]),
     "a string for a count": ('[[group]]\ncount = "ten"\n', [":2:", "group.0.count", "whole number"]),
     "negative radius": ("[[body]]\nradius = -1.0\n", [":2:", "body.0.radius", "more than 0"]),
-    "zero mass": ("[[body]]\nmass = 0\n", [":2:", "body.0.mass", "more than 0"]),
+    "negative mass": ("[[body]]\nmass = -1\n", [":2:", "body.0.mass", "at least 0"]),
     "infinite mass": ("[[body]]\nmass = inf\n", [":2:", "body.0.mass", "finite"]),
     "NaN in a vector": ("[[body]]\nposition = [0, nan, 0]\n", [":2:", "body.0.position", "finite"]),
     "NaN in a range": ("[[group]]\nradius = { min = nan, max = 1 }\n", [":2:", "radius.min", "finite"]),

@@ -34,6 +34,7 @@ def explain(
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
+    from carom.cli.progress import notes_on
     from carom.cli.units import bytes_text, simulated_text
     from carom.experiment.estimate import estimate
     from carom.recording.schema.materials import ShownMaterials
@@ -41,14 +42,14 @@ def explain(
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()
     found, materials = estimate(loaded), ShownMaterials.of(loaded)
-    notes = [note for notes in loaded.notes for note in notes]
+    notes = notes_on(loaded)
     if as_json:
         own = {"title": loaded.title, "bodies": loaded.count, "units": loaded.unit_system.recorded}
         document = own | asdict(found)
         if materials:
             document["materials"] = materials.described
         if notes:
-            document["data_notes"] = notes
+            document["notes"] = notes
         say_json(document)
         return
     from carom.cli.materials import materials_table

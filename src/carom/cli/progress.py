@@ -46,7 +46,7 @@ class Progress(LiveLine):
         scene = self._scene
         length = simulated_text(scene.time.duration, scene.unit_system)
         self.say(f"{self._heading}{scene.title}: {counted(scene.count, 'body')}, {length}")
-        for note in (note for notes in scene.notes for note in notes):
+        for note in notes_on(scene):
             self.say(note)
         if warning := _many_steps(scene):
             self.say(warning)
@@ -108,6 +108,18 @@ class Progress(LiveLine):
         terminal.print(table)
         for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
             terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # whole, to be copied
+
+
+def notes_on(scene: Scene) -> list[str]:
+    """Return what a person should know before a run: what of data files is not used, and what test particles do."""
+    notes = [note for notes in scene.notes for note in notes]
+    if count := scene.test_particles:
+        are = "is a test particle" if count == 1 else "are test particles"
+        notes.append(
+            f"{count} of {counted(scene.count, 'body')} {are} (mass 0): attracted, but not attracting; the checks of "
+            "energy and momentum do not cover them"
+        )
+    return notes
 
 
 def _fewer_frames(scene: Scene, outcome: Outcome) -> str:

@@ -22,7 +22,7 @@ class Ends:
     velocity: FloatArray  # (n + p, 3) m/s
     acceleration: FloatArray  # (n + p, 3) m/s²
     angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
-    inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies
+    inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies, infinite for test particles
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 likewise
     radius: FloatArray  # (n + p,) m; infinite for a plane
 
@@ -52,13 +52,12 @@ class Bodies:
         turning = n if spins else 0
         orientation = np.zeros((n if orients else 0, 4))
         orientation[:, 3] = 1.0
-        moves = np.where(start.fixed, 0.0, 1.0)
         ends = Ends(
             velocity=_with_rows(start.velocity, planes),
             acceleration=np.zeros((n + planes, 3)),
             angular_velocity=_with_rows(start.angular_velocity[:turning], planes if spins else 0),
-            inverse_mass=_with_rows(moves / start.mass, planes),
-            inverse_inertia=_with_rows(moves / start.inertia, planes),
+            inverse_mass=_with_rows(_inverse(start.mass, start.fixed), planes),
+            inverse_inertia=_with_rows(_inverse(start.inertia, start.fixed), planes),
             radius=np.concatenate((start.radius, np.full(planes, np.inf))),
         )
         return cls(
@@ -77,6 +76,12 @@ class Bodies:
 
     def __len__(self) -> int:
         return len(self.mass)
+
+
+def _inverse(mass: FloatArray, fixed: NDArray[np.bool_]) -> FloatArray:
+    """Return 1/mass; 0 of what is fixed."""
+    with np.errstate(divide="ignore"):
+        return np.where(fixed, 0.0, 1.0 / mass)
 
 
 def _with_rows(array: FloatArray, rows: int) -> FloatArray:

@@ -68,7 +68,7 @@ def step_of_pairs(
     fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
     for i in range(len(m) - 1):
         for j in range(i + 1, len(m)):
-            if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:
+            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # neither pulls the other
                 continue
             R2, v2, along = soft2, 0.0, 0.0
             for k in range(3):

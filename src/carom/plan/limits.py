@@ -9,6 +9,7 @@ from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import dampings, further
+from carom.scene.counted import counted
 from carom.scene.error import SceneError
 from carom.scene.key_places import naming_places
 from carom.scene.lines import KeyPath
@@ -43,6 +44,7 @@ def refuse_impossible(scene: Scene) -> None:
 
 
 def _refuse_impossible(scene: Scene) -> None:
+    _refuse_test_particles(scene)
     refuse_coarse_tree(scene)
     _refuse_times_of_impact(scene)
     _refuse_forces_of_mid_step(scene)
@@ -65,6 +67,30 @@ def _largest_count(scene: Scene) -> tuple[str | int, ...]:
     """Return the key that asks for most bodies; empty without groups."""
     counts = [group.count for group in scene.group]
     return ("group", counts.index(max(counts)), "count") if counts else ()
+
+
+def _refuse_test_particles(scene: Scene) -> None:
+    """Refuse bodies of mass 0 where there are contacts, in which they have no impulse, or no bodies with a mass."""
+    count = scene.test_particles
+    touches = count > 0 and require(scene).contact.modelled
+    if not touches and (count == 0 or count < scene.count):
+        return
+    single = [("body", index, "mass") for index, body in enumerate(scene.body) if body.mass == 0.0]
+    grouped = [("group", index, "mass") for index, group in enumerate(scene.group) if group.mass == 0.0]
+    if single or grouped:
+        key: KeyPath = (single or grouped)[0]
+        wrong = f"{'.'.join(map(str, key))} = 0"
+    else:
+        index = next(index for index, columns in enumerate(scene.data) if columns.massless)
+        key, called = ("bodies", index, "file"), scene.bodies[index].called
+        wrong = f"bodies.{index}: {called} has {counted(scene.data[index].massless, 'body')} of mass 0"
+    if count == scene.count:
+        raise SceneError(f"{wrong}: all bodies are test particles, which attract nothing; give one of them a mass", key)
+    raise SceneError(
+        f"{wrong}: the impulse of a test particle in a contact is not defined; set contact.enabled = false, or give it "
+        "a mass",
+        key,
+    )
 
 
 def _refuse_times_of_impact(scene: Scene) -> None:

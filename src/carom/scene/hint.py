@@ -47,10 +47,9 @@ def hint(path: KeyPath) -> str:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):
         return _meant([near])
-    places = _places(Scene)
-    if key in places:
+    places, other = _places(Scene), OTHER_WORDS.get(key)
+    if key in places and other not in here:
         return _meant(places[key])
-    other = OTHER_WORDS.get(key)
     if other is not None and ("." in other or other in here or len(path) == 1):
         return _meant([other])
     if near := _near(key, list(places), ALIKE_ELSEWHERE):

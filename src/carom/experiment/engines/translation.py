@@ -71,6 +71,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     refuse(engine, lacks)
     start, solids = place(scene), half_spaces(scene)
     solid_spheres = np.allclose(start.inertia, SPHERE * start.mass * start.radius**2, rtol=1e-12)
+    refuse(engine, {"test particles (mass = 0)": not start.mass.all()})
     refuse(engine, {"moments of inertia other than those of solid spheres": not solid_spheres})
     laws = [Coefficients(*row.tolist()) for row in coefficients.rows]
     return Problem(

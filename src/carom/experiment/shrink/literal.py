@@ -133,6 +133,8 @@ def _body(start: Start, k: int) -> Document:
 
 def _inertia_factor(start: Start, k: int) -> float:
     """Return I/(m r²), without the roundings of the product."""
+    if start.mass[k] == 0.0:
+        return _FACTOR
     factor = float(start.inertia[k]) / (float(start.mass[k]) * float(start.radius[k]) * float(start.radius[k]))
     return _FACTOR if abs(factor - _FACTOR) <= 1e-12 * _FACTOR else min(factor, 2 / 3)
 

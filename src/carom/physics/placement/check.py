@@ -67,8 +67,10 @@ def refuse_overflow(start: Start) -> None:
     """Refuse bodies whose mass, moment of inertia or motion overflows or underflows."""
     with np.errstate(over="ignore", divide="ignore"):
         wrong = {
-            "mass": ~(np.isfinite(start.mass) & np.isfinite(1.0 / start.mass)),
-            "moment of inertia": ~(np.isfinite(start.inertia) & np.isfinite(1.0 / start.inertia)),
+            "mass": ~(np.isfinite(start.mass) & (np.isfinite(1.0 / start.mass) | (start.mass == 0.0))),
+            "moment of inertia": ~(
+                np.isfinite(start.inertia) & (np.isfinite(1.0 / start.inertia) | (start.mass == 0.0))
+            ),
             "velocity": ~np.isfinite(start.velocity).all(axis=1),
             "angular velocity": ~np.isfinite(start.angular_velocity).all(axis=1),
         }

@@ -77,7 +77,9 @@ class Recording(FrameTables):
         names, groups = names_of(stored), np.asarray(stored["group"])
         if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
-        mass, radius, inertia = (self._positive(stored[name], name, n) for name in ("mass", "radius", "inertia"))
+        mass, radius, inertia = (self._sizes(stored[name], name, n) for name in ("mass", "radius", "inertia"))
+        if not (radius.all() and (mass.any() or self.is_partial) and np.array_equal(mass > 0.0, inertia > 0.0)):
+            raise DamageError("a radius, a moment of inertia or all masses of its bodies are 0")
         table = BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
         return table.among(self.shown, int(self.info["bodies"])) if self.is_partial else table
 
@@ -186,10 +188,10 @@ class Recording(FrameTables):
         """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.given_bodies`."""
         return decode(self._given, index, row, place, self.bodies)
 
-    def _positive(self, values: NDArray[Any] | list[str], name: str, n: int) -> NDArray[np.float64]:
+    def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> NDArray[np.float64]:
         array = np.asarray(values)
-        if array.shape != (n,) or array.dtype != np.float64 or not np.all((array > 0.0) & np.isfinite(array)):
-            raise DamageError(f"{name} of its bodies is not {n} positive numbers")
+        if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):
+            raise DamageError(f"{name} of its bodies is not {n} numbers of at least 0")
         return array
 
     @cached_property

@@ -30,6 +30,8 @@ def _run(header: Header) -> str:
         f"| radii | {units.shown(radius.min(), LENGTH):.4g} to {units.text(radius.max(), LENGTH, '.4g')} |",
         f"| total mass | {units.text(header.mass.sum(), MASS)} |",
     ]
+    if massless := int(np.count_nonzero(header.mass == 0.0)):
+        lines.append(f"| test particles | {massless} |")
     if not header.engine:
         lines += [f"| duration asked for | {units.text(header.duration, TIME, 'g')} |", f"| seed | {header.seed} |"]
     return "\n".join(lines + [f"| {name} | {value} |" for name, value in header.properties.items()])

@@ -51,6 +51,11 @@ class BodyColumns:
         return int(np.argmax(self.mass))
 
     @cached_property
+    def massless(self) -> int:
+        """How many have no mass."""
+        return int(np.count_nonzero(self.mass == 0.0))
+
+    @cached_property
     def total_mass(self) -> float:
         """The mass of all in kg."""
         return math.fsum(self.mass.tolist())

@@ -19,7 +19,8 @@ from carom.scene.units.system import OWN, UnitSystem
 
 FloatArray = NDArray[np.float64]
 
-_POSITIVE = ("mass", "density", "radius", "diameter", "inertia")
+_POSITIVE = ("density", "radius", "diameter")
+_NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
 _DIMENSIONS = {  # whose product a quantity has
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
@@ -77,6 +78,7 @@ def read_columns(
         name=reader.names(),
     )
     _refuse_moving_fixed(columns, table.called)
+    _refuse_inertia(columns, table.called)
     unused = unused_columns(section, mapping, table.names)
     return columns, (f"{table.called}: columns that are not used: {unused}",) if unused else ()
 
@@ -164,6 +166,7 @@ class _Reader:
         wrong = {
             "is not a finite number": ~np.isfinite(values),
             "must be more than 0": values <= 0.0 if quantity in _POSITIVE else np.zeros(0, np.bool_),
+            "must not be negative": values < 0.0 if quantity in _NOT_NEGATIVE else np.zeros(0, np.bool_),
             f"is not between {SMALLEST / factor:.3g} and {LARGEST / factor:.3g} in size; choose other units": (
                 (values != 0.0) & ~((size >= SMALLEST) & (size <= LARGEST))
             ),
@@ -192,6 +195,18 @@ def _refuse_other_units(table: Table, units: UnitSystem, mapping: Mapping) -> No
         f"{table.called}: its numbers are in {table.units}, and {scene}; write units = "
         f'"{table.units}" at the top of the scene, or [units] with {named}'
     )
+
+
+def _refuse_inertia(columns: BodyColumns, called: str) -> None:
+    """Refuse a body that has one of mass and moment of inertia, and 0 for the other."""
+    wrong = (columns.mass == 0.0) & (columns.inertia > 0.0)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SceneError(f"{called}: row {row} has a mass of 0 and a moment of inertia; set both to 0, or none")
+    wrong = (columns.mass > 0.0) & (columns.inertia == 0.0)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise SceneError(f"{called}: row {row} has no moment of inertia, but a mass; give it one that is more than 0")
 
 
 def _refuse_moving_fixed(columns: BodyColumns, called: str) -> None:

@@ -139,4 +139,6 @@ class Group(Matter):
             raise ValueError(f'arrangement = "{self.arrangement}" in a plummer region, which is random; leave one out')
         if self.velocity.virial is not None and shape != "plummer":
             raise ValueError('velocity.virial without a region of shape = "plummer"; leave it out')
+        if self.velocity.virial is not None and self.mass == 0.0:
+            raise ValueError("velocity.virial of test particles (mass = 0), which have no potential; leave it out")
         return self

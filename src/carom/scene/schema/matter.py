@@ -6,7 +6,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from carom.scene.schema.quantity import Positive, Section
+from carom.scene.schema.quantity import NonNegative, Positive, Section
 from carom.scene.units.dimension import DENSITY, MASS
 
 SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
@@ -18,8 +18,10 @@ class Matter(Section):
     density: Annotated[Positive, DENSITY] | None = Field(
         None, description="kg/m³, 1000 unless mass or a material is given; more than 0"
     )
-    mass: Annotated[Positive, MASS] | None = Field(
-        None, description="kg, of each body, in place of a density; more than 0"
+    mass: Annotated[NonNegative, MASS] | None = Field(
+        None,
+        description="kg, of each body, in place of a density; 0 for test particles, which are attracted and do not "
+        "attract, and need contact.enabled = false",
     )
     inertia_factor: Positive | None = Field(
         None,

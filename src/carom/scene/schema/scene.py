@@ -91,6 +91,13 @@ class Scene(Forces, Heading):
         return len(self.body) + sum(map(len, self.data)) + sum(group.count for group in self.group)
 
     @property
+    def test_particles(self) -> int:
+        """Number of bodies of mass 0."""
+        single = sum(body.mass == 0.0 for body in self.body)
+        grouped = sum(group.count for group in self.group if group.mass == 0.0)
+        return single + sum(columns.massless for columns in self.data) + grouped
+
+    @property
     def held(self) -> HeldBodies | None:
         """The bodies of all [[bodies]], and where they are from."""
         held: HeldBodies | None = self._private("_held")

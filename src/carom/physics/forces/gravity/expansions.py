@@ -132,7 +132,9 @@ def expand(
                 weight = poles[box.half, MASS]
                 M = poles[b + 1, MASS] + weight
                 X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
-            X, Y, Z = x0 + X / M, y0 + Y / M, z0 + Z / M
+            if M > 0.0:  # or all are test particles, and any centre will do
+                X, Y, Z = X / M, Y / M, Z / M
+            X, Y, Z = x0 + X, y0 + Y, z0 + Z
             box.x, box.y, box.z = X, Y, Z
             if i1 - i0 <= BRANCH or box.half == 0:
                 for i in range(i0, i1):

@@ -82,7 +82,9 @@ def expand(
                 X += m[i] * (x[0, i] - x0)
                 Y += m[i] * (x[1, i] - y0)
                 Z += m[i] * (x[2, i] - z0)
-            X, Y, Z = x0 + X / M, y0 + Y / M, z0 + Z / M
+            if M > 0.0:  # or all are test particles, and any centre will do
+                X, Y, Z = X / M, Y / M, Z / M
+            X, Y, Z = x0 + X, y0 + Y, z0 + Z
             xx = xy = xz = yy = yz = zz = b2 = 0.0
             for i in range(i0, i1):
                 dx, dy, dz = x[0, i] - X, x[1, i] - Y, x[2, i] - Z
