@@ -122,3 +122,78 @@ def test_a_sample_at_the_moment_of_a_contact_has_the_velocities_after_it() -> No
     exact = solve(Space(scene), samples)
     assert exact.time == [samples[3]]
     assert exact.trajectory.velocity[:, 0, 0].tolist() == [1.0] * 3 + [-1.0] * 5
+
+
+def spheres(*bodies: tuple[float, float, float], radius: float = 0.1, **sections: Any) -> Scene:
+    """Line spheres up along x: place, velocity and mass of each."""
+    listed = [{"position": [x, 0.0, 0.0], "velocity": [v, 0.0, 0.0], "radius": radius, "mass": m} for x, v, m in bodies]
+    sections.setdefault("gravity", {"constant": 0.0})
+    sections.setdefault("time", {"duration": 4.0})
+    return scene_of(listed, **sections)
+
+
+def test_bodies_that_stay_together_after_a_plastic_impact_move_on_together() -> None:
+    exact = course(spheres((-1.0, 1.0, 1.0), (0.0, 0.0, 3.0), contact={"restitution": 0.0}))
+    assert exact.ended == "" and exact.time == pytest.approx([0.8], abs=1e-14)  # sums of rounded steps
+    assert exact.trajectory.velocity[-1, :, 0] == pytest.approx([0.25, 0.25], abs=1e-15)  # m v / (m + M)
+    assert exact.trajectory.position[-1, :, 0] == pytest.approx([0.6, 0.8], abs=1e-14)
+
+
+def test_a_third_body_strikes_two_that_stay_together_as_two() -> None:
+    # 1 + 1 kg at 0.5 m/s after 0.8 s, and 2 kg that catches up with them at 2.5 m/s: all four at 1.5 m/s
+    bodies = (-1.0, 1.0, 1.0), (0.0, 0.0, 1.0), (-7.0, 2.5, 2.0)
+    exact = course(spheres(*bodies, contact={"restitution": 0.0}))
+    assert exact.ended == ""
+    assert exact.trajectory.velocity[-1, :, 0] == pytest.approx([1.5] * 3, abs=1e-14)
+
+
+def test_a_pull_on_touching_bodies_that_is_only_rounding_does_not_hold_them_together() -> None:
+    # a uniform field pulls both alike; 0.1 m and 0.3 m/s² are no binary fractions, so that rounding is not zero
+    field = {"constant": 0.0, "uniform": [0.3, -0.1, 0.7]}
+    exact = course(spheres((-1.0, 1.0, 1.0), (0.0, 0.0, 3.0), gravity=field, contact={"restitution": 0.0}))
+    assert exact.ended == ""
+    assert exact.trajectory.velocity[-1] == pytest.approx(np.array([[1.45, -0.4, 2.8]] * 2), abs=1e-13)
+
+
+def test_a_cradle_whose_balls_touch_sends_as_many_out_as_come_in() -> None:
+    balls = [(0.2 * k, 0.0, 1.0) for k in range(5)]
+    exact = course(spheres((-2.2, 1.0, 1.0), (-2.0, 1.0, 1.0), *balls, contact={"restitution": 1.0}))
+    assert exact.ended == ""
+    assert exact.trajectory.velocity[-1, :, 0] == pytest.approx([0.0] * 5 + [1.0] * 2, abs=1e-13)
+
+
+def test_bodies_that_touch_and_close_at_the_start_collide_at_the_start() -> None:
+    exact = course(spheres((-0.125, 1.0, 1.0), (0.125, 0.0, 1.0), radius=0.125, contact={"restitution": 1.0}))
+    assert exact.time == [0.0] and exact.trajectory.velocity[0, :, 0].tolist() == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("constant", [1.0, 1e-9])
+def test_the_course_ends_where_gravity_presses_bodies_that_touch(constant: float) -> None:
+    # e = 0: no bounce delays the contact that lasts
+    gravity, plastic = {"constant": constant}, {"restitution": 0.0}
+    exact = course(spheres((-0.5, 0.5, 1.0), (0.5, 0.0, 1.0), gravity=gravity, contact=plastic))
+    assert f"body 0 and body 1 stay in contact from t = {exact.time[0]:.3g}" in exact.ended
+    assert exact.time[0] - 4.0 / 600 <= exact.trajectory.time[-1] <= exact.time[0] + 4.0 / 600
+
+
+def test_the_course_ends_where_a_passing_mass_begins_to_press_bodies_that_touch() -> None:
+    # two bodies of next to no mass, side by side across the path of a third that comes from 10 km at 5 km/s: tides
+    # press them, by m r / d³ of 2e-10 m/s² at the start and of 200 m/s² at the end
+    light = [{"position": [x, 0.0, 0.0], "radius": 0.1, "mass": 1e-30} for x in (-0.1, 0.1)]
+    heavy = {"position": [0.0, 1e4, 0.0], "velocity": [0.0, -5e3, 0.0], "radius": 0.1, "mass": 1e3}
+    scene = scene_of([*light, heavy], gravity={"constant": 1.0}, time={"duration": 2.0}, contact={"restitution": 0.5})
+    exact = course(scene)
+    assert "body 0 and body 1 stay in contact" in exact.ended
+    gaps = np.linalg.norm(exact.trajectory.position[:, 0] - exact.trajectory.position[:, 1], axis=1) - 0.2
+    # the tolerance of 1e-13 of the speed, 5 km/s, is the slowest approach that is no rounding: 1e-9 m in 2 s
+    assert gaps.min() > -1e-9, "they are never inside each other"
+
+
+def test_spheres_that_meet_askew_and_keep_no_approach_part_along_their_tangents() -> None:
+    # without friction the tangential velocities stay, so the distance is hypot(d, v_t t)
+    scene = pair(offset=1.0, contact={"restitution": 0.0, "static_friction": 0.0}, time={"duration": 4.0})
+    exact = course(scene)
+    assert exact.ended == "" and len(exact.time) == 1
+    apart = np.linalg.norm(exact.trajectory.position[-1, 1] - exact.trajectory.position[-1, 0])
+    met = (4.0 - math.sqrt(3.0)) / 2.0
+    assert apart == pytest.approx(math.hypot(2.0, (4.0 - met) * 1.0), rel=1e-13)  # v_t = 2 m/s · sin 30°

@@ -6,8 +6,9 @@ of the closing speed is a time in which they cannot meet, so no contact is misse
 from the same beginning, and `physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample
 is a separate, shorter step, which is more accurate than DOP853's interpolation.
 
-The solution ends where infinitely many contacts follow each other, as before a body comes to rest on another, because
-resting contacts are not events.
+Bodies may stay in touch without pressing on each other, as after a plastic impact without forces; the next impact of
+one of them is then an impact of all. The solution ends where a force presses touching bodies together, or where
+infinitely many contacts follow each other, because lasting contacts are not events.
 
 The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
 displaced by rounding errors, with simultaneous contacts resolved in the opposite order.
@@ -41,7 +42,9 @@ MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
 SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
 TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact
+ROUNDINGS = 4.0  # of both speeds; an approach slower than that is rounding, as between bodies after a plastic impact
 LOWEST_FLIGHT = 1e-11  # of the sum of radii; after a lower bounce the contact counts as lasting
+BISECTIONS = 30  # of a step in which a force begins to press
 NEWTON = 12  # most iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
 LONGER = 1.25  # factor of the longest step of a twin; at order eight its error is six times as large
@@ -119,15 +122,18 @@ class _Solver:
         self._ended = ""
         size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
         length = max(float(np.abs(size).max()), float(start.radius.max()))
-        speed = max(float(np.abs(start.velocity).max()), length / scene.time.duration)
-        self._absolute = tolerance * np.repeat([length, speed], 3 * self._n)
+        self._speed = max(float(np.abs(start.velocity).max()), length / scene.time.duration)
+        self._absolute = tolerance * np.repeat([length, self._speed], 3 * self._n)
 
     def run(self) -> EventDrivenSolution:
-        end, longest = float(self._times[-1]), math.inf
-        while self._time < end and not self._ended:
-            touching = self._advance(end, longest)
+        end = float(self._times[-1])
+        touching = self._touching() if self._contacts else []
+        while True:
             longest = self._resolve(touching) if touching else math.inf
             self._sample_now()
+            if self._time >= end or self._ended:
+                break
+            touching = self._advance(end, longest)
         position, velocity = self._position, self._velocity
         shape = (len(position), self._n, 3)
         trajectory = Trajectory(
@@ -166,8 +172,14 @@ class _Solver:
                 break
             found = self._first_contact(solver, before, y) if self._contacts else None
             after, state = found or (solver.t, solver.y)
+            pressed = self._pressed(y, state) if self._contacts else None
+            if pressed is not None:
+                found, (after, state) = None, self._before_pressing(before, y, after)
+                solver = self._solver(after, state, end)
             self._sample(before, y, after)
             self._accept(after, state)
+            if pressed is not None and self._gap(state, pressed) <= TOUCHING * self._reach[pressed]:
+                self._end_in_contact(pressed)
             if clock.thread_time() > self._deadline:
                 self._end(f"{self._budget:.3g} s of computing reached t = {self._units.text(after, TIME)}")
             if found is not None:
@@ -283,7 +295,9 @@ class _Solver:
 
     def _strike(self, pair: int) -> None:
         i, j = int(self._i[pair]), int(self._j[pair])
-        if self._closing(self._state(), pair) >= 0.0:
+        state = self._state()
+        rate = self._closing(state, pair)
+        if rate >= -self._rate_noise(state, pair, ROUNDINGS * EPS):
             return
         b1, b2 = BodyProxy(self._bodies, i), BodyProxy(self._bodies, j)
         normal = (b2.position - b1.position) / np.linalg.norm(b2.position - b1.position)
@@ -295,31 +309,78 @@ class _Solver:
         impact = CollisionContext(b1, b2, normal, r1_vec, r2_vec, v2 - v1, 0.0)
         impact.resolve(e, material.static_friction, material.kinetic_friction)
         self._met.setdefault((i, j), self._time)
-        self._struck.append(self._time)
+        if rate < -self._rate_noise(state, pair, self._tolerance):
+            self._struck.append(self._time)
 
     def _flight(self) -> float:
         """Return the shortest time in s after which a touching pair reaches its largest separation."""
         state = self._state()
-        acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
         longest = math.inf
         for pair in np.flatnonzero(np.abs(self._gaps(state)) <= TOUCHING * self._reach):
-            i, j = self._i[pair], self._j[pair]
-            normal = (self._bodies.position[j] - self._bodies.position[i]) / self._reach[pair]
-            rate, pull = self._closing(state, int(pair)), float((acceleration[j] - acceleration[i]) @ normal)
-            if pull >= 0.0 < rate:
+            rate = self._closing(state, int(pair))
+            if rate <= self._rate_noise(state, int(pair), self._tolerance):
+                continue  # it stays in touch; `_pressed` finds out whether a force presses
+            pull = self._pull(state, int(pair))
+            if pull >= 0.0:
                 continue
-            flight = rate / -pull if pull < 0.0 else 0.0
+            flight = rate / -pull
             if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
-                since = self._units.text(self._time, TIME, ".9g")
-                self._end(f"{bodies_called((i, j), self._names)} stay in contact from t = {since} on")
+                self._end_in_contact(int(pair))
             longest = min(longest, flight)
         return longest
+
+    def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
+        """Return a pair that touches before a step and closes after it, by more than errors of the step; or None."""
+        for pair in np.flatnonzero((self._gaps(before) <= TOUCHING * self._reach) & (self._gaps(after) <= 0.0)):
+            if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
+                return int(pair)
+        return None
+
+    def _before_pressing(self, before: float, y: FloatArray, after: float) -> tuple[float, FloatArray]:
+        """Return the last time and state in a step at which no pair is pressed together, by bisection.
+
+        A pair that separates and comes back in the step is apart there.
+        """
+        early, late, state = before, after, y
+        for _ in range(BISECTIONS):
+            time = (early + late) / 2
+            at = self._at(before, y, time)
+            if self._pressed(y, at) is None:
+                early, state = time, at
+            else:
+                late = time
+        return early, state
+
+    def _end_in_contact(self, pair: int) -> None:
+        since = self._units.text(self._time, TIME, ".9g")
+        called = bodies_called((self._i[pair], self._j[pair]), self._names)
+        self._end(f"{called} stay in contact from t = {since} on")
+
+    def _rate_noise(self, state: FloatArray, pair: int, relative: float) -> float:
+        """Return the error in m/s of the rate of a gap, from the relative error of speeds."""
+        v = state[3 * self._n :].reshape(-1, 3)
+        speeds = np.linalg.norm(v[self._i[pair]]) + np.linalg.norm(v[self._j[pair]])
+        return relative * float(self._speed + speeds)
+
+    def _pull(self, state: FloatArray, pair: int) -> float:
+        """Return the second derivative of the gap of a pair, in m/s²."""
+        acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
+        x, v = state.reshape(2, -1, 3)
+        i, j = self._i[pair], self._j[pair]
+        d, u = x[j] - x[i], v[j] - v[i]
+        distance = float(np.linalg.norm(d))
+        sideways = float(u @ u) - (float(u @ d) / distance) ** 2
+        return float((acceleration[j] - acceleration[i]) @ d + sideways) / distance
 
     def _touching(self) -> list[int]:
         """Return the pairs that touch and close."""
         state = self._state()
         near = np.flatnonzero(self._gaps(state) <= TOUCHING * self._reach)
-        return [int(pair) for pair in near if self._closing(state, int(pair)) < 0.0]
+        return [
+            int(pair)
+            for pair in near
+            if self._closing(state, int(pair)) < -self._rate_noise(state, int(pair), ROUNDINGS * EPS)
+        ]
 
     def _end(self, why: str) -> None:
         self._ended = self._ended or why
