@@ -9,7 +9,7 @@ import pytest
 
 from carom.scene.schema import Scene
 from command import carom
-from examples import cloud
+from examples import cloud, pair
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
 SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")
@@ -60,6 +60,23 @@ def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replac
     assert "give --new-study to begin anew, or another folder with --study" in other.stderr
     anew = carom(*command, "--force", "--new-study", cwd=tmp_path)
     assert anew.returncode == 0 and "errors" in anew.stderr and study.read_bytes() != kept
+
+
+def test_a_limit_that_cannot_be_measured_is_refused_before_any_setting_is_timed(tmp_path: Path) -> None:
+    # a plastic impact under mutual gravity: the pair stays in contact, and no exact solution describes that
+    plastic = pair(gravity={"constant": 0.1}, contact={"restitution": 0.0}, time={"duration": 3.0})
+    (tmp_path / "plastic.toml").write_text(plastic.toml, encoding="utf-8")
+    for error in ("position", "impacts"):
+        done = carom("tune", "plastic.toml", "--error", f"{error}=1e-3", "--vary", "step=2", cwd=tmp_path)
+        assert done.returncode == 2 and "cost" not in done.stderr
+        message = done.stderr.splitlines()[-1]
+        assert message.startswith(f"carom: --error {error}: cannot be measured after t = 0.9")
+        assert "body 0 and body 1 stay in contact" in message and "or limit an error that needs no reference" in message
+    words = ("tune", "figure-eight", "--error", "overlap=1e-3", *QUICK, *SHORT)
+    done = carom(*words, cwd=tmp_path)
+    assert done.returncode == 2 and "cost" not in done.stderr
+    assert "--error overlap: this scene has no such error; it has position, " in done.stderr
+    assert not list(tmp_path.glob("*-tuned.toml"))
 
 
 def test_without_values_to_vary_it_searches_and_tells_a_script_what_it_found(tmp_path: Path) -> None:

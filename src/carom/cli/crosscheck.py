@@ -157,7 +157,7 @@ def _show_several(
         for number, run in enumerate(document["runs"]):
             cost = "" if run["cost"] is None else f"{run['cost']:.3g}"
             laws = ", ".join(run.get("laws", {})) or "none"
-            parting = _parting(run, scenes[name].unit_system)
+            parting = _parting(run, document["reference"], scenes[name].unit_system)
             cells = ("" if number else name, run["name"], cost, _criteria(run), parting, laws)
             table.add_row(*(escape(cell) for cell in cells), end_section=run is document["runs"][-1])
     console.print(table)
@@ -197,8 +197,7 @@ def _show(document: dict[str, Any], units: UnitSystem) -> None:
     reference = document["reference"]
     if reference is not None:
         console.print(
-            f"Reference, {escape(reference['text'])}; positions are compared up to "
-            f"t = {escape(units.text(reference['horizon'], TIME))}. "
+            f"Reference, {escape(reference['text'])}; positions are compared {escape(_extent(reference, units))}. "
             "A run diverges where it is farther from the reference than a hundredth of the size.",
             soft_wrap=True,
         )
@@ -220,13 +219,13 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table, reference = Table(box=box.SIMPLE_HEAD, pad_edge=False), document["reference"]
     for heading in (
         "run",
         "cost / s",
         "±",
         "steps",
-        "position",
+        "position" if reference is None or reference["complete"] else f"position {_extent(reference, units)}",
         "overlap",
         "criteria",
         "diverges from the reference at",
@@ -239,27 +238,39 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
         numbers = [_number(errors.get(name)) for name in ("position", "overlap")]
         parting = run.get("parting")
         laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
-        cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, units), laws)
+        cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, reference, units), laws)
         table.add_row(*(escape(cell) for cell in cells))
     return table
 
 
 def _criteria(run: dict[str, Any]) -> str:
-    """Say how many criteria were met, and which were not."""
+    """Say how many criteria were met, and which were not or could not be judged."""
     criteria = run.get("criteria") or []
-    missed = [each["name"] for each in criteria if not each["met"]]
     if not criteria:
         return "none"
-    return f"{len(criteria) - len(missed)} of {len(criteria)}" + (f", not {', '.join(missed)}" if missed else "")
+    judged = [each for each in criteria if each["judged"]]
+    missed = [each["name"] for each in judged if not each["met"]]
+    unknown = [each["name"] for each in criteria if not each["judged"]]
+    words = [f"{len(judged) - len(missed)} of {len(judged)}"] if judged else []
+    words += [f"not {', '.join(missed)}"] if missed else []
+    words += [f"not judged: {', '.join(unknown)}"] if unknown else []
+    return "; ".join(words)
 
 
-def _parting(run: dict[str, Any], units: UnitSystem) -> str:
-    """Say where a run diverges from the reference."""
+def _extent(reference: dict[str, Any], units: UnitSystem) -> str:
+    """Say up to when positions are compared."""
+    return f"up to t = {units.text(reference['horizon'], TIME)}"
+
+
+def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitSystem) -> str:
+    """Say where a run diverges from the reference; nowhere, only if it is compared up to the end of the scene."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]
     if parting is None:
-        return "nowhere"
+        if reference is None or not reference["horizon"]:
+            return "not compared"
+        return "nowhere" if reference["complete"] else f"not compared after {units.text(reference['horizon'], TIME)}"
     if parting["impact"] == 0:
         return f"t = {units.text(parting['time'], TIME)}, before any impact"
     return f"impact {parting['impact']}, {parting['between']}, t = {units.text(parting['impact_time'], TIME)}"

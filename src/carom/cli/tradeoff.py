@@ -66,6 +66,7 @@ COLUMNS = {
     "size": "size",
     "dispersion": "dispersion",
 }
+TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared up to it only
 STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 
@@ -240,9 +241,13 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
 
 
 def _heading(study: Study, error: str) -> str:
-    """Return the name of a column, with the unit of its numbers."""
-    unit = study.scene.unit_system.unit(TIME) if error == "impact" else ""
-    return f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
+    """Return the name of a column, with the unit of its numbers, and up to when positions are compared."""
+    units, reference = study.scene.unit_system, study.reference
+    unit = units.unit(TIME) if error == "impact" else ""
+    heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
+    if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
+        heading += f" up to {units.text(reference.horizon, TIME)}"
+    return heading
 
 
 def _cell(result: Result, error: str, mark: str, units: UnitSystem) -> str:

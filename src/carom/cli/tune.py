@@ -11,7 +11,18 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
-from carom.cli.tradeoff import COLUMNS, PIPE_WIDTH, STOPPED, LimitOption, RepeatsOption, opened, ran, table_of
+from carom.cli.tradeoff import (
+    COLUMNS,
+    PIPE_WIDTH,
+    STOPPED,
+    TO_THE_HORIZON,
+    LimitOption,
+    RepeatsOption,
+    opened,
+    ran,
+    table_of,
+)
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.experiment.work_precision.tradeoff import Study
@@ -100,6 +111,14 @@ def _show(study: Study, limits: Collection[str]) -> None:
     console.print(table_of(study, limits))
 
 
+def _extent(tuning: Tuning, errors: Collection[str]) -> str:
+    """Say up to when errors are compared with the reference, if that is not the end of the scene."""
+    reference, units = tuning.study.reference, tuning.study.scene.unit_system
+    if reference is None or reference.is_complete or not set(errors) & set(TO_THE_HORIZON):
+        return ""
+    return f" (compared with the reference up to t = {units.text(reference.horizon, TIME)} only)"
+
+
 def _lines(tuning: Tuning) -> list[str]:
     """Say what was found, how much faster it is than the scene as written, and what it makes worse."""
     best, written = tuning.best, tuning.written
@@ -110,11 +129,11 @@ def _lines(tuning: Tuning) -> list[str]:
         but = f", which misses {', '.join(missed)}" if missed else ""
         lines.append(f"It is {tuning.speed:.2g} times as fast as the scene as written ({written.cost:.3g} s{but}).")
     kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
-    lines.append(f"It keeps {', '.join(kept)}.")
-    changes = tuning.worse().items()
-    worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes]
+    lines.append(f"It keeps {', '.join(kept)}{_extent(tuning, tuning.limits)}.")
+    changes = tuning.worse()
+    worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes.items()]
     if worse:
-        lines.append(f"Worse than as written: {', '.join(worse)}.")
+        lines.append(f"Worse than as written: {', '.join(worse)}{_extent(tuning, changes)}.")
     if (passed := tuning.passed_over) is not None:
         frames = f"a recording would have {', '.join(tuning.misses(passed))}"
         lines.append(f"Cheaper, but left out: {passed.setting.name}, {passed.cost:.3g} s; {frames}.")

@@ -36,7 +36,7 @@ from carom.scene.schema import Scene
 DOCUMENT = "crosscheck.json"
 FIGURE = "crosscheck.png"
 OVERLAY = "crosscheck.rrd"
-VERSION = 1  # of the document
+VERSION = 2  # of the document; 1 counted criteria that were not judged as met
 OWN = Setting("carom", ())
 
 Teller = Callable[[str], None]

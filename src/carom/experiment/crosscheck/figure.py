@@ -45,12 +45,16 @@ def draw(check: Crosscheck, path: Path) -> None:
         for met in np.sort(reference.trajectory.met)[:MOST_IMPACTS]:
             ax.axvline(units.shown(float(met), TIME), color=FAINT, linewidth=0.6, alpha=0.5)
         _draw_runs(ax, check, reference, runs)
-        ends = units.shown(float(reference.trajectory.time[-1]), TIME)
+        ends = units.shown(check.scene.time.duration, TIME)
         sure = units.shown(reference.horizon, TIME)
         marks = "grey lines: first contacts; crosses: a law is broken first"
         if sure < ends:
             ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
-            marks += "; shaded: the reference is no longer sure"
+            marks += (
+                "; shaded: not compared, as the reference is no longer sure"
+                if reference.whole
+                else ("; shaded: not compared, as the reference ends")
+            )
         ax.axhline(PARTED, color=FAINT, linewidth=0.8, linestyle=":")
         ax.annotate("diverged", (1.0, PARTED), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=FAINT)
         ax.set_title(f"{check.scene.title}\n{marks}", fontsize=10)
@@ -58,7 +62,7 @@ def draw(check: Crosscheck, path: Path) -> None:
             yscale="log",
             xlabel=units.labelled("time", TIME),
             ylabel="rms distance from the reference / size",
-            xlim=(0.0, None),
+            xlim=(0.0, ends),
         )
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))

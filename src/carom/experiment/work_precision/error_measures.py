@@ -33,6 +33,7 @@ class Errors:
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
+COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,11 @@ class Reference:
         """The horizon in s, up to which trajectories are compared."""
         return float(self.trajectory.time[self.samples - 1]) if self.samples else 0.0
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether trajectories are compared up to the end of the scene."""
+        return self.whole and self.samples == len(self.trajectory)
+
     def errors(self, run: Trajectory) -> Errors:
         """Return the errors of a run relative to this reference."""
         return compare(run, self.trajectory, self.scale, self.samples, self.whole)

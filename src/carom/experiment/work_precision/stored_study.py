@@ -53,6 +53,7 @@ def reference_entry(reference: Reference) -> dict[str, Any]:
         "horizon": reference.horizon,
         "duration": float(reference.trajectory.time[-1]),
         "whole": reference.whole,
+        "complete": reference.is_complete,
         "uncertainty": finite(asdict(reference.uncertainty)),
     }
 

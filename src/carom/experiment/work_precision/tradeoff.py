@@ -23,7 +23,7 @@ from carom.experiment.environment import environment
 from carom.experiment.error import ExperimentError
 from carom.experiment.output import output_folder
 from carom.experiment.work_precision.cost import cost_of
-from carom.experiment.work_precision.error_measures import NAMES
+from carom.experiment.work_precision.error_measures import COMPARED, NAMES
 from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.reference import BUDGET, Reference, fineness, make_reference
 from carom.experiment.work_precision.result import Result
@@ -39,8 +39,7 @@ from carom.scene.units.dimension import TIME
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
-VERSION = 3  # of the document; 1 had no sinking, 2 no frames and no rounding in the uncertainty of references
-COMPARED = ("position", "velocity", "impact", "missed", "impacts", "size", "dispersion")  # with the reference
+VERSION = 4  # of the document; 1 had no sinking, 2 no frames; references of 3 ended at plastic impacts
 ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
@@ -121,15 +120,8 @@ class Study:
         settings are timed once, then all a second time, and so on, so a temporary slowdown of the machine affects all
         of them.
         """
+        self.prepare(settings, tell)
         results = [self._result(setting) for setting in settings]
-        finest = max([1.0, *(fineness(self.scene, s) for s in map(self._applied, results) if s is not None)])
-        if self.reference is None or self.reference.fineness < MARGIN * finest:
-            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
-            self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # of an earlier study, compared with a coarser reference so far
-                if result.status == "measured":
-                    result.errors = self.reference.errors(self.trajectory(result))
-            self._save()
         for number, result in enumerate(results, start=1):
             if result.status == "pending" or self._may_go_on(result):
                 heading = f"{_count(number, results)}{result.setting.name}: errors"
@@ -147,6 +139,19 @@ class Study:
                     self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
                     self._save()
         return results
+
+    def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
+        """Return the reference of the scene; make it if it is not fine enough for some settings."""
+        scenes = [self._applied(self._result(setting)) for setting in settings]
+        finest = max([1.0, *(fineness(self.scene, scene) for scene in scenes if scene is not None)])
+        if self.reference is None or self.reference.fineness < MARGIN * finest:
+            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
+            self.reference.trajectory.save(self.folder / REFERENCE)
+            for result in self.results:  # of an earlier study, compared with a coarser reference so far
+                if result.status == "measured":
+                    result.errors = self.reference.errors(self.trajectory(result))
+            self._save()
+        return self.reference
 
     def floor(self, error: str) -> float:
         """Return the uncertainty of the reference, or of rounding: smaller errors are not distinguished."""

@@ -11,9 +11,9 @@ from typing import Any
 from carom.experiment.error import ExperimentError
 from carom.experiment.json_numbers import finite
 from carom.experiment.work_precision.coordinate_descent import Search, excess, loses_frames, unsure
-from carom.experiment.work_precision.error_measures import NAMES
+from carom.experiment.work_precision.error_measures import COMPARED, NAMES
 from carom.experiment.work_precision.result import Result
-from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting
+from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting, default_points
 from carom.experiment.work_precision.stored_study import result_entry
 from carom.experiment.work_precision.tradeoff import Study, Teller
 from carom.scene.data.moved import toml_for
@@ -130,7 +130,17 @@ def _asked(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
 def tuned(
     study: Study, limits: dict[str, float], repeats: int, tell: Teller, settings: list[Setting] | None = None
 ) -> Tuning:
-    """Search a study for the cheapest setting that keeps limits, or choose it from given settings."""
+    """Search a study for the cheapest setting that keeps limits, or choose it from given settings.
+
+    Raises
+    ------
+    ExperimentError
+        If a limit cannot be measured in this scene.
+    """
+    begin = [point.setting(study.scene) for point in default_points(study.scene)] if settings is None else settings
+    study.prepare([AS_WRITTEN, *begin], tell)
+    _refuse_beyond_reference(study, limits)
+    _refuse_unmeasured(limits, *study.measure([AS_WRITTEN], 0, tell))
     if settings is None:
         search = Search(study, limits, tell)
         search.run(repeats)
@@ -139,6 +149,31 @@ def tuned(
         tried = study.measure([AS_WRITTEN, *settings], repeats, tell)
     distinct = {(result.setting.overrides, result.setting.threads): result for result in tried}
     return Tuning(study, limits, tried[0], tuple(distinct.values()))
+
+
+def _refuse_beyond_reference(study: Study, limits: Mapping[str, float]) -> None:
+    """Refuse limits of errors that a reference which ends early does not have."""
+    reference, units = study.reference, study.scene.unit_system
+    asked = [name for name in limits if name in COMPARED]
+    if reference is None or reference.whole or not asked:
+        return
+    until, end = units.text(reference.horizon, TIME), units.text(study.scene.time.duration, TIME)
+    alone = ", ".join(name for name in NAMES if name not in COMPARED)
+    raise ExperimentError(
+        f"--error {asked[0]}: cannot be measured after t = {until} of {end}, where the reference ends: "
+        f'{reference.text}. Shorten the scene, as with --set "time.duration={until}", or limit an error that needs '
+        f"no reference: {alone}"
+    )
+
+
+def _refuse_unmeasured(limits: Mapping[str, float], written: Result) -> None:
+    """Refuse limits of errors that the scene as written does not have, such as overlaps where nothing can touch."""
+    if written.errors is None:
+        return
+    for name in limits:
+        if math.isnan(getattr(written.errors, name)):
+            known = ", ".join(each for each in NAMES if not math.isnan(getattr(written.errors, each)))
+            raise ExperimentError(f"--error {name}: this scene has no such error; it has {known}")
 
 
 def limits(asked: list[str]) -> dict[str, float]:
