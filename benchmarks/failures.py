@@ -14,11 +14,12 @@ import numpy as np
 from carom.experiment.fork.branch import Branch, start_of
 from carom.experiment.fork.ensemble import ensemble
 from carom.experiment.fork.fork import fork
-from carom.experiment.fork.workers import Workers
+from carom.experiment.fork.perturbed import results_of
 from carom.experiment.run import run
-from carom.experiment.sweep.cluster import connected
 from carom.experiment.why.question import question_of
 from carom.experiment.why.why import why
+from carom.experiment.workers import LocalWorkers
+from carom.physics.parallel.cores import cores
 from carom.recording.read.recording import Recording
 from carom.scene.load import load_scene
 
@@ -49,8 +50,8 @@ def _fork(folder: Path) -> None:
     branch = Branch(folder / "spheres.rrd", AT)
     began = time.perf_counter()
     start = start_of(branch)
-    with connected(None, None, SEEDS) as client:
-        found = ensemble(start, branch, SEEDS, 1, Workers(client))
+    with LocalWorkers(cores()) as workers:
+        found = ensemble(start, branch, SEEDS, 1, lambda tasks: results_of(tasks, workers))
     print(f"fork of 1000 spheres, {SEEDS} seeds: {time.perf_counter() - began:.1f} s")
     print(f"  λ = {np.median(found.rates):.3g} ± {found.rate_error:.2g} /s")
     single = fork(start, folder / "one.rrd", 1, 1).diff.divergence

@@ -2,7 +2,7 @@
 
 python benchmarks/sweep.py [--runs 201]
 
-Writes benchmarks/results/sweep.json. Needs `carom[cluster]`. The runs are made in rounds, by one worker and by two in
+Writes benchmarks/results/sweep.json. The runs are made in rounds, by one worker and by two in
 turn, so that whatever else the machine does falls on both; what counts is the median. The time of a sweep is from the
 first run of each worker to the end of the last run: starting the workers is told on its own. What a run costs besides
 itself is its share of that time less its own wall time.
@@ -110,7 +110,7 @@ def main() -> None:
         "speedup": two["runs_per_s"] / one["runs_per_s"],
         "runs_per_s_of_rounds": {workers: [found["runs_per_s"] for found in rounds[workers]] for workers in rounds},
     }
-    path = save("sweep", document, "distributed")
+    path = save("sweep", document)
     print(path.read_text(encoding="utf-8"))
 
 

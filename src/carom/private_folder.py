@@ -23,6 +23,7 @@ from pathlib import Path
 
 PREFIX = "carom-"
 MARK = "made-by-carom"  # in each folder, once it is locked: without it a folder is never removed
+_above: list[Path] = []  # the folder of the process that started this one
 _guard = threading.Lock()
 _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it
 
@@ -43,6 +44,11 @@ def private_folder() -> Path:
             known = _made[os.getpid()] = _make()
             atexit.register(remove_private_folder)
         return known[0]
+
+
+def move_into(folder: Path) -> None:
+    """Make this process's folder within that of the process that started it, which removes both."""
+    _above.append(folder)
 
 
 @contextlib.contextmanager
@@ -106,7 +112,7 @@ def _private_group() -> int:
 
 
 def _make() -> tuple[Path, int]:
-    names = (tempfile.gettempdir(), os.environ.get("XDG_RUNTIME_DIR"), "/tmp")
+    names = (*_above, tempfile.gettempdir(), os.environ.get("XDG_RUNTIME_DIR"), "/tmp")
     places = [Path(name).resolve() for name in names if name]
     fit = [place for place in places if os.access(place, os.W_OK | os.X_OK) and is_fixed(place / PREFIX)]
     if not fit:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import json
 import shutil
-import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -29,17 +27,10 @@ BOUNCY = "restitution=0.8,seed=6"
 
 @pytest.fixture(scope="module")
 def first(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, subprocess.CompletedProcess[str]]:
-    """Make a sweep, in the folder out, of which a third of the runs cannot run; return where, and what it said.
-
-    Another program has the port on which Dask shows what it does, as another sweep on the machine would.
-    """
+    """Make a sweep, in the folder out, of which a third of the runs cannot run; return where, and what it said."""
     folder = tmp_path_factory.mktemp("sweep")
     write_scene(folder)
-    with socket.socket() as other:
-        with contextlib.suppress(OSError):  # then it is taken already
-            other.bind(("127.0.0.1", 8787))
-            other.listen()
-        return folder, carom_process("sweep", "spheres.toml", *VARY, "-o", "out", cwd=folder)
+    return folder, carom_process("sweep", "spheres.toml", *VARY, "-o", "out", cwd=folder)
 
 
 @pytest.fixture
@@ -115,12 +106,6 @@ def test_a_sweep_is_widened_by_more_values_and_needs_no_workers_when_nothing_is_
     assert done.returncode == 0, done.stderr
     assert "2 of 2 runs done, 2 of them before" in done.stdout
     assert len(manifest(swept / "out")["runs"]) == 6  # nothing is lost of the wider one
-
-
-def test_another_sweep_on_the_machine_is_not_in_the_way(
-    first: tuple[Path, subprocess.CompletedProcess[str]],
-) -> None:
-    assert "4 of 6 runs done" in first[1].stdout and "8787" not in first[1].stderr
 
 
 @pytest.mark.parametrize(
@@ -218,7 +203,11 @@ def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
 @pytest.mark.parametrize(
     ("package", "arguments", "said"),
     [
-        ("distributed", ["spheres.toml", *VARY, "-o", "new"], 'pip install "carom[cluster]"'),
+        (
+            "distributed",
+            ["spheres.toml", *VARY, "--cluster", "tcp://127.0.0.1:9", "-o", "new"],
+            'pip install "carom[cluster]"',
+        ),
         ("matplotlib", ["--table", "out", "--plot", "x=seed", "y=seed"], 'pip install "carom[plot]"'),
         ("datafusion", ["--catalog", "out"], 'pip install "carom[catalog]"'),
     ],

@@ -173,10 +173,10 @@ def test_a_full_disk_leaves_a_manifest_that_says_so(tmp_path: Path) -> None:
 
 
 def children_of(process: int) -> list[int]:
-    """Find the workers of a sweep: what multiprocessing has spawned below it, but for its own tracker."""
+    """Find the workers of a sweep among what it has started."""
     lists = [path.read_text(encoding="utf-8") for path in Path(f"/proc/{process}/task").glob("*/children")]
     children = [int(child) for listed in lists for child in listed.split()]
-    return [child for child in children if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [child for child in children if b"carom.experiment.workers" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 def is_running(process: int) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from carom.experiment.fork.ensemble import Ensemble, ensemble
 from carom.experiment.fork.fork import fork, text_of, write_ensemble
 from carom.experiment.fork.inevitable import inevitable, judge
 from carom.experiment.fork.path import outcome_of
-from carom.experiment.fork.workers import Result, Task, Workers, by_seed, execute
+from carom.experiment.fork.perturbed import Result, Task, by_seed, execute
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import shades
@@ -54,18 +53,16 @@ def gas(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-class Here:
-    """Runs branches in this process."""
-
-    def results(self, tasks: Iterable[Task]) -> Iterator[Result]:
-        return map(execute, tasks)
+def here(tasks: Iterable[Task]) -> Iterator[Result]:
+    """Run branches in this process."""
+    return map(execute, tasks)
 
 
 def many(path: Path, at: float, seeds: int, outcome: str | None = None) -> Ensemble:
     branch = Branch(path, at)
     start = start_of(branch)
     expression = None if outcome is None else outcome_of(start, outcome)
-    return ensemble(start, branch, seeds, 1, cast(Workers, Here()), expression)
+    return ensemble(start, branch, seeds, 1, here, expression)
 
 
 @pytest.mark.parametrize("override", ["contact.restitution=0.5", "gravity.constant=1.0", "record.check_every=3"])
@@ -139,7 +136,7 @@ def test_branches_are_compared_at_their_end_whatever_the_interval_of_frames(
     gas: Path, at: float, samples: list[float]
 ) -> None:
     branch = Branch(gas, at, ("time.duration=2.37",))
-    found = ensemble(start_of(branch), branch, 2, 1, cast(Workers, Here()))
+    found = ensemble(start_of(branch), branch, 2, 1, here)
     assert found.time[-len(samples) :] == pytest.approx(samples)
     assert np.isfinite(found.rms).all() and (found.rms[:, -1] > 0.0).all()
 

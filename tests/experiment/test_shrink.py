@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,13 +17,14 @@ from carom.experiment.shrink.condition import condition_from
 from carom.experiment.shrink.delta_debugging import fewest
 from carom.experiment.shrink.expression import Expression, UnknownNameError
 from carom.experiment.shrink.invariance import IMAGES, INVARIANCES, FloatArray, Image, Varies
+from carom.experiment.shrink.judges import Judges, Task
 from carom.experiment.shrink.literal import Document
 from carom.experiment.shrink.numbers import digits_of, rounded
 from carom.experiment.shrink.observation import Observation, Touches
 from carom.experiment.shrink.reducer import Reducer, Reduction
 from carom.experiment.shrink.text import commented
 from carom.experiment.shrink.trials import Trials
-from carom.experiment.shrink.workers import Task, Workers
+from carom.experiment.workers import Ended
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
@@ -203,59 +203,62 @@ def test_delta_debugging_leaves_items_of_which_none_can_be_left_out() -> None:
     assert fewest(range(64), first) == [3, 17, 40]
 
 
-class Client:
-    """Judges documents that say whether they fail, and remembers what it was sent and told to forget."""
+class Processes:
+    """Judge documents that say whether they fail, and remember what they were sent; a verdict of None never comes."""
 
     def __init__(self) -> None:
-        self.sent: list[Document] = []
-        self.forgotten: list[Future[bool]] = []
+        self.sent: dict[int, Document] = {}
+        self.ready: list[Ended] = []
+        self.dropped = False
 
-    def submit(self, execute: Any, task: Task, pure: bool) -> Future[bool]:
-        self.sent.append(task.document)
-        future: Future[bool] = Future()
-        if task.document["fails"] is not None:
-            future.set_result(task.document["fails"])
-        return future
+    def send(self, function: Any, tasks: dict[int, Task]) -> None:
+        self.sent |= {key: task.document for key, task in tasks.items()}
+        told = {key: task.document["fails"] for key, task in tasks.items()}
+        self.ready += [Ended(key, fails) for key, fails in told.items() if fails is not None]
 
-    def cancel(self, futures: list[Future[bool]]) -> None:
-        self.forgotten += futures
+    def ended(self, seconds: float) -> list[Ended]:
+        ready, self.ready = self.ready[::-1], []  # in another order than they were sent
+        return ready
+
+    def drop(self) -> None:
+        self.dropped = True
 
 
-def judging(client: Client) -> Workers:
-    workers = Workers(2)
-    workers._client = cast(Any, client)
-    return workers
+def judging(processes: Processes) -> Judges:
+    judges = Judges(2)
+    judges._workers = cast(Any, processes)
+    return judges
 
 
 def test_of_candidates_on_workers_the_first_in_order_is_taken_and_those_ahead_are_dropped() -> None:
-    client, condition = Client(), condition_from("bodies > 1")
+    processes, condition = Processes(), condition_from("bodies > 1")
     documents: list[Document] = [{"fails": fails} for fails in (False, True, True)]
-    assert judging(client).first([*documents, *documents, *documents], condition, 10, lambda: None) == 1
-    assert len(client.sent) == 5 and len(client.forgotten) == 3  # two a worker are sent ahead
+    assert judging(processes).first([*documents, *documents, *documents], condition, 10, lambda: None) == 1
+    assert len(processes.sent) == 5 and processes.dropped  # two a worker are sent ahead
 
 
 def test_a_spent_budget_ends_the_wait_for_a_worker() -> None:
     def spent() -> None:
         raise OutOfTime("the budget was spent")
 
-    client = Client()
+    processes = Processes()
     with pytest.raises(OutOfTime):
-        judging(client).first([{"fails": None}] * 3, condition_from("bodies > 1"), 10, spent)
-    assert len(client.forgotten) == 2
+        judging(processes).first([{"fails": None}] * 3, condition_from("bodies > 1"), 10, spent)
+    assert processes.dropped
 
 
 @pytest.mark.slow
-def test_the_workers_of_a_sweep_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.experiment.shrink.workers.START", -1.0)
-    monkeypatch.setattr("carom.experiment.shrink.workers.MIN_SECONDS_TO_SEND", -1.0)
+def test_several_processes_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("carom.experiment.shrink.judges.START", -1.0)
+    monkeypatch.setattr("carom.experiment.shrink.judges.MIN_SECONDS_TO_SEND", -1.0)
     asked: list[int] = []
-    first = Workers.first
+    first = Judges.first
 
-    def counted(workers: Workers, documents: Sequence[Document], *given: Any) -> int | None:
+    def counted(judges: Judges, documents: Sequence[Document], *given: Any) -> int | None:
         asked.append(len(documents))
-        return first(workers, documents, *given)
+        return first(judges, documents, *given)
 
-    monkeypatch.setattr(Workers, "first", counted)
+    monkeypatch.setattr(Judges, "first", counted)
     scene, condition = Scene.from_dict(GAS), condition_from("contacts.impacts > 2")
     alone, together = (Reducer(condition, workers=count).reduce(scene) for count in (1, 2))
     assert together.document == alone.document and together.minimal

@@ -162,16 +162,14 @@ def _many(
 ) -> tuple[dict[str, Any], list[str]]:
     from dataclasses import replace
 
-    from carom.cli.extras import needing
-
-    with needing("cluster", "carom fork --seeds", "distributed", "dask"):
-        from carom.experiment.fork.chance import Chance, chances
-        from carom.experiment.fork.ensemble import ensemble
-        from carom.experiment.fork.fork import write_ensemble
-        from carom.experiment.fork.inevitable import inevitable
-        from carom.experiment.fork.path import outcome_of
-        from carom.experiment.fork.workers import Task, Workers, by_seed
-        from carom.experiment.sweep.cluster import connected
+    from carom.experiment.fork.chance import Chance, chances
+    from carom.experiment.fork.ensemble import ensemble
+    from carom.experiment.fork.fork import write_ensemble
+    from carom.experiment.fork.inevitable import inevitable
+    from carom.experiment.fork.path import outcome_of
+    from carom.experiment.fork.perturbed import Task, by_seed, results_of
+    from carom.experiment.workers import LocalWorkers
+    from carom.physics.parallel.cores import cores
     from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
@@ -181,16 +179,15 @@ def _many(
         def update(self, done: int, at: float = start.checkpoint.time) -> None:
             self._show(lambda now: f"{bar(done / seeds)} {done} of {seeds} forks at t = {units.text(at, TIME)}")
 
-    with connected(None, None, seeds) as client, Line() as line:
-        workers = Workers(client)
+    with LocalWorkers(min(cores(), seeds)) as workers, Line() as line:
 
         def draw(time: float) -> Iterator[bool]:
             tasks = [Task(replace(branch, at=time), seed, ulps, outcome) for seed in range(1, seeds + 1)]
-            for done, result in enumerate(by_seed(workers.results(tasks)), 1):
+            for done, result in enumerate(by_seed(results_of(tasks, workers)), 1):
                 line.update(done, time)
                 yield bool(result.outcome)
 
-        found = ensemble(start, branch, seeds, ulps, workers, expression, line.update)
+        found = ensemble(start, branch, seeds, ulps, lambda tasks: results_of(tasks, workers), expression, line.update)
         begin, end, moment = start.checkpoint.time, start.scene.time.duration, None
         if outcome is not None:
             here = Chance(begin, sum(found.outcomes), len(found.outcomes))

@@ -158,9 +158,11 @@ def _run(
     from carom.cli.sweep_progress import SweepProgress
     from carom.experiment.environment import command_line
     from carom.experiment.sweep.plan import plan
+    from carom.experiment.sweep.sweep import sweep as make
 
-    with needing("cluster", "carom sweep", "distributed", "dask"):
-        from carom.experiment.sweep.sweep import sweep as make
+    if cluster is not None:
+        with needing("cluster", "carom sweep --cluster", "distributed", "dask"):
+            import carom.experiment.sweep.cluster  # noqa: F401
     planned = plan(scene, overrides, vary, seeds, zipped)
     with SweepProgress(planned.title, len(planned.points), quiet) as progress:
         return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())

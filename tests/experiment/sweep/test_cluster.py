@@ -1,57 +1,118 @@
-"""Workers on this machine take orders from the sweep that started them, and from nobody else."""
+"""Tasks on a Dask cluster: what is known of one that ended, and of one whose result is lost."""
 
 from __future__ import annotations
 
-import socket
-import sys
+import signal
+import threading
+import time
+from collections.abc import Callable
+from operator import neg
 from typing import Any
 
-import psutil
 import pytest
-from distributed import Client
-from distributed.security import Security
 
-from carom.experiment.error import ExperimentError
-from carom.experiment.sweep.cluster import connected
+from carom.experiment.sweep.cluster import DaskWorkers
+from carom.experiment.workers import TaskDroppedError
 
 
-def listening() -> list[int]:
-    """The ports on which this process and those it started listen."""
-    here = psutil.Process()
-    sockets = [socket for process in (here, *here.children(recursive=True)) for socket in process.net_connections()]
-    assert {socket.laddr.ip for socket in sockets if socket.status == psutil.CONN_LISTEN} == {"127.0.0.1"}
-    return [socket.laddr.port for socket in sockets if socket.status == psutil.CONN_LISTEN]
+class Future:
+    """A future of Dask that has ended with a status; ``raised`` is what asking for its result raises."""
+
+    def __init__(self, key: str, status: str, raised: Exception) -> None:
+        self.key, self.status, self.raised = key, status, raised
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        call(self)
+
+    def result(self, timeout: float) -> None:
+        raise self.raised
 
 
-def answer(port: int, path: str) -> bytes:
-    """What is said on a port to somebody without a key."""
-    with socket.create_connection(("127.0.0.1", port), 5.0) as connection:
-        connection.settimeout(5.0)
-        connection.sendall(f"GET {path} HTTP/1.0\r\n\r\n".encode())
-        try:
-            return connection.recv(100)
-        except ConnectionError:
-            return b""
+class Scheduler:
+    """A client whose tasks have all ended in one way."""
+
+    status = "running"
+
+    def __init__(self, ended: str, raised: Exception) -> None:
+        self.ended, self.raised = ended, raised
+
+    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Future]:
+        return [Future(each, self.ended, self.raised) for each in key]
+
+    def cancel(self, futures: list[Any]) -> None:
+        raise AssertionError("nothing is left to cancel")
 
 
-@pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_local_workers_obey_only_who_has_the_key_of_the_sweep() -> None:
-    with connected(None, 1, 1) as client:
-        scheduler: Any = client.scheduler
-        address: str = scheduler.address
-        assert address.startswith("tls://127.0.0.1:") and client.run(int)
-        other: Any = Security
-        for protocol, key in (("tcp", None), ("tls", other.temporary())):
-            stranger: Any = Client
-            with pytest.raises(OSError):
-                stranger(address.replace("tls", protocol), security=key, timeout=2.0)
-        for port in listening():
-            for path in ("/", "/health", "/metrics", "/json/counts.json", "/info/main/workers.html"):
-                said = answer(port, path)
-                assert not said or said.startswith((b"HTTP/1.1 404", b"\x15\x03")), said  # not found, or a TLS alert
+def workers_of(client: Any) -> DaskWorkers:
+    workers = DaskWorkers("tcp://127.0.0.1:9")
+    workers._client = client
+    return workers
 
 
-def test_without_cryptography_a_local_sweep_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "cryptography", None)
-    with pytest.raises(ExperimentError, match=r'pip install "carom\[cluster\]"'), connected(None, 1, 1):
-        pass
+@pytest.mark.parametrize(
+    ("status", "raised", "known"),
+    [
+        ("finished", OSError("the scheduler is gone"), TaskDroppedError),
+        ("finished", TimeoutError(), TaskDroppedError),
+        ("cancelled", TimeoutError(), TaskDroppedError),
+        ("error", ValueError("no such scene"), ValueError),
+    ],
+)
+def test_a_task_whose_result_cannot_be_had_has_not_failed_and_one_that_raised_has(
+    status: str, raised: Exception, known: type[Exception]
+) -> None:
+    workers = workers_of(Scheduler(status, raised))
+    workers.send(neg, {"a": 1, "b": 2})
+    ended = workers.ended(1.0)
+    assert {each.key: type(each.error) for each in ended} == {"a": known, "b": known}
+    workers.drop()
+
+
+class UnderWay(Future):
+    """A future of a task that ends only long after it is asked for."""
+
+    def add_done_callback(self, call: Callable[[Any], None]) -> None:
+        self.end = threading.Timer(5.0, call, (self,))  # s; the test waits 0.2 s
+        self.end.start()
+
+
+class Busy(Scheduler):
+    """A client whose first task is under way."""
+
+    def __init__(self) -> None:
+        super().__init__("pending", TimeoutError())
+        self.cancelled: list[UnderWay] = []
+
+    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Future]:
+        self.sent = [UnderWay(each, self.ended, self.raised) for each in key]
+        return [*self.sent]
+
+    def call_stack(self) -> dict[str, list[str]]:
+        return {"worker": [self.sent[0].key]}
+
+    def cancel(self, futures: list[Any]) -> None:
+        self.cancelled += futures
+        for future in futures:
+            future.end.cancel()
+
+
+def test_tasks_that_have_not_begun_are_dropped_and_then_the_others() -> None:
+    client = Busy()
+    workers = workers_of(client)
+    workers.send(neg, {"first": 1, "second": 2, "third": 3})
+    assert workers.drop_waiting() == ["second", "third"] and client.cancelled == client.sent[1:]
+    workers.drop()
+    assert client.cancelled == [*client.sent[1:], client.sent[0]]
+
+
+def test_a_signal_whose_handler_is_slow_does_not_prolong_the_wait() -> None:
+    """The wait of a `SimpleQueue` that is interrupted until its time is over lasts for ever (CPython 3.11)."""
+    workers = workers_of(Busy())
+    workers.send(neg, {"endless": 1})
+    before = signal.signal(signal.SIGALRM, lambda number, frame: time.sleep(0.4))
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+        assert workers.ended(0.2) == []
+    finally:
+        signal.signal(signal.SIGALRM, before)
+        workers.drop()

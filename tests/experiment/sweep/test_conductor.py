@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,100 +12,76 @@ from carom.experiment.sweep.conductor import GONE, INTERRUPTED, Conductor
 from carom.experiment.sweep.folder import Folder
 from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest
 from carom.experiment.sweep.plan import plan
+from carom.experiment.workers import Ended, TaskDroppedError, WorkerDiedError
 from sweeps import write_scene
 
 
-class Ended:
-    """A future of Dask that has ended with a status; ``raised`` is what asking for its result raises."""
+class Processes:
+    """Workers on which the first task is under way for ever, or all end with an error."""
 
-    def __init__(self, key: str, status: str, raised: Exception) -> None:
-        self.key, self.status, self.raised = key, status, raised
+    are_there = True
 
-    def add_done_callback(self, call: Callable[[Any], None]) -> None:
-        call(self)
+    def __init__(self, error: Exception | None) -> None:
+        self.error = error
+        self.sent: list[Any] = []
+        self.dropped = False
 
-    def result(self, timeout: float) -> None:
-        raise self.raised
+    def send(self, function: Any, tasks: Any) -> None:
+        self.sent = list(tasks)
 
+    def ended(self, seconds: float) -> list[Ended]:
+        return [Ended(key, error=self.error) for key in self.sent] if self.error else []
 
-class Scheduler:
-    """A client whose runs have all ended in one way."""
+    def drop_waiting(self) -> list[Any]:
+        return self.sent[1:]
 
-    status = "running"
-
-    def __init__(self, ended: str, raised: Exception) -> None:
-        self.ended, self.raised = ended, raised
-
-    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Ended]:
-        return [Ended(each, self.ended, self.raised) for each in key]
-
-    def cancel(self, futures: list[Any]) -> None:
-        raise AssertionError("nothing is left to cancel")
+    def drop(self) -> None:
+        self.dropped = True
 
 
 class Silent:
-    def say(self, text: str) -> None: ...
+    def __init__(self) -> None:
+        self.said: list[str] = []
+
+    def say(self, text: str) -> None:
+        self.said.append(text)
+
     def begin(self, found: int) -> None: ...
     def ended(self, run: Any) -> None: ...
     def tick(self) -> None: ...
 
 
-def conducted(folder: Path, ended: str, raised: Exception) -> tuple[str, set[str]]:
-    manifest = Manifest.begin(Folder(folder / "out"), plan(write_scene(folder), seeds=3), "carom sweep")
-    client: Any = Scheduler(ended, raised)
-    stopped = Conductor(client, manifest, Silent()).conduct(manifest.todo, Interrupts())
-    return stopped, {run.status for run in manifest.runs.values()}
+def manifest_of(folder: Path) -> Manifest:
+    return Manifest.begin(Folder(folder / "out"), plan(write_scene(folder), seeds=3), "carom sweep")
 
 
-@pytest.mark.parametrize("lost", [OSError("the scheduler is gone"), TimeoutError()])
-def test_a_run_whose_report_cannot_be_had_has_not_failed(lost: Exception, tmp_path: Path) -> None:
-    assert conducted(tmp_path, "finished", lost) == (GONE, {PENDING})
+@pytest.mark.parametrize(
+    ("error", "stopped", "outcome"),
+    [
+        (TaskDroppedError("the scheduler is gone"), GONE, (PENDING, "")),
+        (ValueError("no such scene"), "", (FAILED, "error")),
+        (WorkerDiedError("the workers died"), "", (FAILED, "lost")),
+    ],
+)
+def test_a_run_that_raised_or_whose_workers_died_has_failed_and_one_whose_report_is_lost_has_not(
+    error: Exception, stopped: str, outcome: tuple[str, str], tmp_path: Path
+) -> None:
+    manifest = manifest_of(tmp_path)
+    assert Conductor(Processes(error), manifest, Silent()).conduct(manifest.todo, Interrupts()) == stopped
+    assert {(run.status, run.outcome) for run in manifest.runs.values()} == {outcome}
 
 
-def test_a_run_that_raised_has_failed(tmp_path: Path) -> None:
-    assert conducted(tmp_path, "error", ValueError("no such scene")) == ("", {FAILED})
+def test_the_first_interrupt_waits_for_the_runs_under_way_and_the_second_drops_them(tmp_path: Path) -> None:
+    manifest, processes, watch, interrupts = manifest_of(tmp_path), Processes(None), Silent(), Interrupts()
+    waits: list[int] = []
 
+    def ended(seconds: float) -> list[Ended]:
+        waits.append(interrupts.count)
+        interrupts.count = len(waits) // 2  # pressed while it waits for the second time, and for the fourth
+        return []
 
-class UnderWay(Ended):
-    """A future of a run that ends only after the conductor should have stopped waiting for it."""
-
-    def add_done_callback(self, call: Callable[[Any], None]) -> None:
-        self.end = threading.Timer(5.0, call, (self,))  # s; a conductor waits 0.2 s at a time
-        self.end.start()
-
-
-class Busy(Scheduler):
-    """A client whose only run goes on."""
-
-    cancelled = False
-
-    def map(self, function: Any, tasks: list[Any], key: list[str], **options: Any) -> list[Ended]:
-        self.run = UnderWay(key[0], "cancelled", TimeoutError())
-        return [self.run]
-
-    def call_stack(self) -> dict[str, list[str]]:
-        return {"worker": [self.run.key]}
-
-    def cancel(self, futures: list[Any]) -> None:
-        assert futures == [self.run]
-        self.run.end.cancel()
-        self.cancelled = True
-
-
-def test_the_second_interrupt_is_seen_even_when_its_handler_is_slow(tmp_path: Path) -> None:
-    """The wait of a `SimpleQueue` that is interrupted until its time is over lasts for ever (CPython 3.11)."""
-    interrupts = Interrupts()
-
-    def interrupt(number: int, frame: object) -> None:
-        time.sleep(0.4)
-        interrupts.count = 2
-
-    manifest = Manifest.begin(Folder(tmp_path / "out"), plan(write_scene(tmp_path), seeds=1), "carom sweep")
-    client: Any = Busy("pending", TimeoutError())
-    before = signal.signal(signal.SIGALRM, interrupt)
-    try:
-        signal.setitimer(signal.ITIMER_REAL, 0.1)
-        assert Conductor(client, manifest, Silent()).conduct(manifest.todo, interrupts) == INTERRUPTED
-    finally:
-        signal.signal(signal.SIGALRM, before)
-    assert client.cancelled
+    processes.ended = ended  # type: ignore[method-assign]
+    assert Conductor(processes, manifest, watch).conduct(manifest.todo, interrupts) == INTERRUPTED
+    assert waits == [0, 0, 1, 1] and processes.dropped
+    assert [line for line in watch.said if "Waiting for 1 run under way" in line]
+    assert {run.status for run in manifest.runs.values()} == {PENDING}

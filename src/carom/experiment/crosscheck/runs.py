@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
-from collections.abc import Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -18,10 +12,12 @@ from carom.experiment.engines.watched import COMPLETED, Watched, watch
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.trajectory import Trajectory, sample_times
+from carom.experiment.workers import Ended, LocalWorkers, WorkerDiedError
 from carom.physics.parallel.cores import cores
 from carom.scene.schema import Scene
 
 MIN_RUNS_FOR_PROCESSES = 8  # for fewer, processes take longer to start than they save
+_TICK = 60.0  # s of a wait for runs
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +66,9 @@ class Runs:
     def __init__(self, workers: int | None) -> None:
         self._workers = workers
         self._tasks: dict[Path, Task] = {}
-        self._begun: dict[Path, Future[Followed]] = {}
-        self._pool: ProcessPoolExecutor | None = None
+        self._pool: LocalWorkers | None = None
+        self._begun: set[Path] = set()
+        self._ended: dict[Path, Ended] = {}
 
     def __enter__(self) -> Self:
         return self
@@ -79,12 +76,8 @@ class Runs:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self._pool is None:
-            return
-        if kind is not None:
-            for process in multiprocessing.active_children():
-                process.terminate()
-        self._pool.shutdown(cancel_futures=True)
+        if self._pool is not None:
+            self._pool.__exit__(kind, error, traceback)
 
     def announce(self, task: Task) -> None:
         """Take a run that will be asked for."""
@@ -95,30 +88,22 @@ class Runs:
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
-        spawn = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(min(workers, len(self._tasks)), spawn)
-        with _ignoring_interrupts():
-            self._begun = {path: self._pool.submit(execute, task) for path, task in self._tasks.items()}
+        self._pool = LocalWorkers(min(workers, len(self._tasks)), attempts=1)
+        self._begun = set(self._tasks)
+        self._pool.send(execute, self._tasks)
 
     def result(self, task: Task) -> Followed:
         """Return what came of a run; wait for it, or follow it here."""
-        begun = self._begun.pop(task.path, None)
-        if begun is None:
+        if task.path not in self._begun:
             return execute(task)
+        self._begun.remove(task.path)
+        assert self._pool is not None
+        while task.path not in self._ended:
+            self._ended |= {ended.key: ended for ended in self._pool.ended(_TICK)}
         try:
-            return begun.result()
-        except BrokenProcessPool:
+            followed: Followed = self._ended.pop(task.path).result
+        except WorkerDiedError:
             raise ExperimentError(
-                f"{task.setting.name}, or a run beside it, ended its process; the same command continues, and with "
-                "--workers 1 it shows which"
+                f"{task.setting.name} ended its process; the same command continues, with --workers 1 without others"
             ) from None
-
-
-@contextmanager
-def _ignoring_interrupts() -> Iterator[None]:
-    """Begin processes that ignore the interrupt key from the start: this one ends them."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+        return followed

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,7 +12,7 @@ from carom.experiment.diff.divergence import Curve, Divergence, divergence_of
 from carom.experiment.fork.branch import Branch, Start
 from carom.experiment.fork.chance import Chance
 from carom.experiment.fork.path import Path, path_of
-from carom.experiment.fork.workers import Task, Workers
+from carom.experiment.fork.perturbed import Result, Task
 from carom.experiment.shrink.expression import Expression
 
 FloatArray = NDArray[np.float64]
@@ -49,7 +49,7 @@ def ensemble(
     branch: Branch,
     seeds: int,
     ulps: int,
-    workers: Workers,
+    run: Callable[[list[Task]], Iterable[Result]],
     outcome: Expression | None = None,
     watch: Callable[[int], None] = lambda done: None,
 ) -> Ensemble:
@@ -65,8 +65,8 @@ def ensemble(
         Number of branches.
     ulps
         Units in the last place by which each coordinate of a position is moved.
-    workers
-        Run the branches.
+    run
+        Runs the branches.
     outcome
         On the summary of each branch, from `outcome_of`.
     watch
@@ -78,7 +78,7 @@ def ensemble(
     outcomes: dict[int, bool] = {}
     text = None if outcome is None else outcome.text
     tasks = [Task(branch, seed, ulps, text) for seed in range(1, seeds + 1)]
-    for done, found in enumerate(workers.results(tasks), 1):
+    for done, found in enumerate(run(tasks), 1):
         square = found.apart.astype(np.float64) ** 2
         squares += square
         rms[found.seed - 1] = np.sqrt(square.mean(axis=1))

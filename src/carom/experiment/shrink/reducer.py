@@ -11,13 +11,13 @@ from carom.experiment.interrupts import Interrupts
 from carom.experiment.shrink.bodies import leave_out_bodies
 from carom.experiment.shrink.budget import Budget, OutOfTime
 from carom.experiment.shrink.condition import Condition
+from carom.experiment.shrink.judges import Judges
 from carom.experiment.shrink.literal import Document, at_moment, literal
 from carom.experiment.shrink.numbers import round_numbers
 from carom.experiment.shrink.parts import drop_parts, set_defaults
 from carom.experiment.shrink.smallest import Smallest
 from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_time
 from carom.experiment.shrink.trials import Trials
-from carom.experiment.shrink.workers import Workers
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -113,9 +113,9 @@ class Reducer:
         SceneError
             If the scene cannot run.
         """
-        with Interrupts() as interrupts, Workers(self.workers) as workers:
+        with Interrupts() as interrupts, Judges(self.workers) as judges:
             budget = Budget(self.seconds, interrupts)
-            trials = Trials(self.condition, budget, workers=workers)
+            trials = Trials(self.condition, budget, judges=judges)
             trials.watch = lambda: self._look(trials)
             try:
                 smallest = self._begin(scene, start or place(scene), trials)

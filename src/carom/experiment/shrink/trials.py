@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from carom.experiment.error import ExperimentError
 from carom.experiment.shrink.budget import Budget, OutOfTime
 from carom.experiment.shrink.condition import Condition
+from carom.experiment.shrink.judges import Judges
 from carom.experiment.shrink.literal import BODIES, Document
 from carom.experiment.shrink.observation import Observation, Touches, said_by
-from carom.experiment.shrink.workers import Workers
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
@@ -111,7 +111,7 @@ class Trials:
         Number of candidates that ran.
     watch
         Called before each candidate runs.
-    workers
+    judges
         Judge several candidates at a time, where these take long.
     """
 
@@ -120,7 +120,7 @@ class Trials:
     steps: int = FEWEST_STEPS
     count: int = 0
     watch: Callable[[], None] = lambda: None
-    workers: Workers | None = None
+    judges: Judges | None = None
     _seconds: float = 0.0  # that the last candidate took
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
 
@@ -155,7 +155,7 @@ class Trials:
     def promising(self, documents: list[Document], number: int) -> int | None:
         """Return the number of the next of several candidates that may show the failure; None if there is none.
 
-        Without workers that is the next one. Workers judge the others ahead, so it is the first that shows it.
+        Without judges that is the next one. They judge the others ahead, so it is the first that shows it.
 
         Raises
         ------
@@ -163,10 +163,10 @@ class Trials:
             If the time is over.
         """
         rest = documents[number:]
-        if self.workers is None or not self.workers.pay(self._seconds, len(rest)):
+        if self.judges is None or not self.judges.pay(self._seconds, len(rest)):
             return number if rest else None
         self.watch()
-        found = self.workers.first(rest, self.condition, self._most_steps, self.budget.check)
+        found = self.judges.first(rest, self.condition, self._most_steps, self.budget.check)
         self.count += len(rest) if found is None else found
         return None if found is None else number + found
 

@@ -1,118 +1,150 @@
-"""Workers of a sweep: own processes on this machine, or the user's Dask cluster. Needs `carom[cluster]`."""
+"""Runs tasks on the user's Dask cluster. Needs `carom[cluster]`."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import re
 import socket
-from collections.abc import Iterator
-from typing import Any
+import uuid
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import Any, Self
 
 import dask
-from distributed import Client, LocalCluster
-from distributed.security import Security
+from distributed import Client, Future, KilledWorker
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.task import unfit
-from carom.physics.parallel.cores import cores
+from carom.experiment.workers import Ended, TaskDroppedError, WorkerDiedError
 
-_LOOPBACK = "127.0.0.1"
 _CONNECT = 20.0  # s
+_ANSWER = 60.0  # s a scheduler may take
+_RETRIES = 3  # of a task whose result does not arrive
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
-_LOCAL_SETTINGS: dict[str, list[str]] = {  # any user of this machine can send HTTP requests, so nothing is served
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-}
-_PRELOAD = "carom.experiment.sweep.preload"
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
-_SETTINGS = {
-    "distributed.worker.memory.target": False,  # Dask does not manage the memory of runs
-    "distributed.worker.memory.spill": False,
-    "distributed.worker.memory.pause": False,
-    "distributed.worker.memory.terminate": False,
-    "distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s",
-    # Dask's own profiling, and its self-monitoring 50 times a second, took a sixth of two cores
-    "distributed.worker.profile.enabled": False,
-    "distributed.admin.tick.interval": "500ms",
-    "distributed.admin.system-monitor.interval": "5s",
-    "distributed.scheduler.active-memory-manager.start": False,
-}
+_SETTINGS = {"distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s"}
 
 
-@contextlib.contextmanager
-def connected(address: str | None, workers: int | None, runs: int) -> Iterator[Client]:
-    """Connect to the user's scheduler, or start workers here and end them afterwards.
+class DaskWorkers:
+    """The workers of a scheduler. Leaving the context leaves the cluster as it is.
 
     Parameters
     ----------
     address
-        Such as ``tcp://10.0.0.1:8786``; None starts a cluster on this machine.
-    workers
-        Processes to start here, one run at a time in each; by default one a core.
-    runs
-        Number of runs to make; no more processes are started.
-
-    Raises
-    ------
-    ExperimentError
-        If no scheduler answers at the address.
+        Such as ``tcp://10.0.0.1:8786``.
     """
-    for logger in _LOGGERS:
-        logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command itself reports what happens
-    with dask.config.set(_SETTINGS), contextlib.ExitStack() as stack:
-        if address is None:
-            stack.enter_context(dask.config.set(_LOCAL_SETTINGS))
-            cluster: Any = stack.enter_context(_local_cluster(min(workers or cores(), runs)))
-            yield stack.enter_context(Client(cluster, set_as_default=False))  # type: ignore[no-untyped-call]
-        else:
-            yield stack.enter_context(_client_of(address))
+
+    def __init__(self, address: str) -> None:
+        self._address = address
+        self._keys: dict[str, Any] = {}  # of the tasks, by those of Dask
+        self._futures: dict[str, Future[Any]] = {}  # likewise, of those that have not ended
+        # not a SimpleQueue: a signal that interrupts its wait when the time is over makes it wait for ever
+        self._done: queue.Queue[Future[Any]] = queue.Queue()
+        self._stack = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        """Connect.
+
+        Raises
+        ------
+        ExperimentError
+            If no scheduler answers at the address.
+        """
+        for logger in _LOGGERS:
+            logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command itself reports what happens
+        with self._stack:
+            self._stack.enter_context(dask.config.set(_SETTINGS))
+            self._client = self._stack.enter_context(_client_of(self._address))
+            self._stack = self._stack.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._stack.close()
+
+    @property
+    def are_there(self) -> bool:
+        """Whether the scheduler answers."""
+        return self._client.status in ("running", "connecting")
+
+    def send(self, function: Callable[[Any], Any], tasks: Mapping[Any, Any]) -> None:
+        """Run a function of a module for each task, in order; the keys name the tasks.
+
+        All are sent at once: a task is at most a page of text, and the scheduler keeps the order.
+        """
+        batch = uuid.uuid4().hex[:8]
+        names = {f"carom-{batch}-{key}": key for key in tasks}
+        self._keys |= names
+        sent: list[Any] = self._client.map(
+            function, list(tasks.values()), key=list(names), pure=False, retries=_RETRIES
+        )
+        for future in sent:
+            self._futures[future.key] = future
+            future.add_done_callback(self._done.put)
+
+    def ended(self, seconds: float) -> list[Ended]:
+        """Return the tasks that have ended; wait so long for the first."""
+        done = []
+        with contextlib.suppress(queue.Empty):
+            done.append(self._done.get(timeout=seconds))
+            while True:
+                done.append(self._done.get_nowait())
+        wanted = [future for future in done if self._futures.pop(str(future.key), None) is not None]
+        return [_ended(self._keys[str(future.key)], future) for future in wanted]
+
+    def drop_waiting(self) -> list[Any]:
+        """Drop the tasks that have not begun; return their keys."""
+        executing: dict[str, Any] = self._client.call_stack()
+        begun = {key for keys in executing.values() for key in keys}
+        return self._forget([key for key in self._futures if key not in begun])
+
+    def drop(self) -> None:
+        """Drop all tasks."""
+        self._forget(list(self._futures))
+
+    def refuse_unfit(self, root: str, scene: str, version: str) -> None:
+        """Refuse a cluster if some workers see another folder or have another version of carom.
+
+        Raises
+        ------
+        ExperimentError
+            Naming the worker.
+        """
+        try:
+            answers = self._client.run(unfit, root, scene, version, on_error="return")
+        except Exception as error:
+            raise ExperimentError(f"the workers do not answer: {type(error).__name__}: {error}") from None
+        for worker, answer in answers.items():
+            if isinstance(answer, BaseException):
+                raise ExperimentError(
+                    f"worker {worker}: {type(answer).__name__}: {answer}; it needs carom in its environment"
+                )
+            if answer:
+                raise ExperimentError(f"worker {worker} {answer}")
+
+    def _forget(self, names: list[str]) -> list[Any]:
+        futures = [self._futures.pop(name) for name in names]
+        if futures and self._client.status == "running":
+            self._client.cancel(futures)
+        return [self._keys[name] for name in names]
 
 
-def refuse_unfit(client: Client, root: str, scene: str, version: str) -> None:
-    """Refuse a cluster if some workers see another folder or have another version of carom.
-
-    Raises
-    ------
-    ExperimentError
-        Naming the worker.
-    """
+def _ended(key: Any, future: Future[Any]) -> Ended:
+    """Return the result of a task, or what is known if it sent none."""
+    if future.status in ("cancelled", "lost"):
+        return Ended(key, error=TaskDroppedError(f"the scheduler dropped it: {future.status}"))
     try:
-        answers = client.run(unfit, root, scene, version, on_error="return")
+        return Ended(key, future.result(timeout=_ANSWER))
+    except KilledWorker as error:
+        last = error.last_worker.address
+        return Ended(key, error=WorkerDiedError(f"the workers died, {last} last; is there enough memory?"))
     except Exception as error:
-        raise ExperimentError(f"the workers do not answer: {type(error).__name__}: {error}") from None
-    for worker, answer in answers.items():
-        if isinstance(answer, BaseException):
-            raise ExperimentError(
-                f"worker {worker}: {type(answer).__name__}: {answer}; it needs carom in its environment"
-            )
-        if answer:
-            raise ExperimentError(f"worker {worker} {answer}")
-
-
-def _local_cluster(workers: int) -> LocalCluster:
-    """Start workers that use TLS with a key of this sweep, because loopback ports are open to all users."""
-    return LocalCluster(  # type: ignore[no-untyped-call]
-        n_workers=workers,
-        threads_per_worker=1,
-        processes=True,
-        host=_LOOPBACK,
-        security=_key(),
-        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{_LOOPBACK}:0"},  # its port may be another sweep's
-        memory_limit=0,
-        silence_logs=logging.CRITICAL,
-        preload=[_PRELOAD],
-    )
-
-
-def _key() -> Security:
-    try:
-        return Security.temporary()  # type: ignore[no-untyped-call, no-any-return]
-    except ImportError:
-        raise ExperimentError(
-            "workers on this machine need cryptography, for the key by which they talk; install it with: pip install "
-            '"carom[cluster]"'
-        ) from None
+        if future.status != "error":  # the task has ended, and the scheduler died before it handed over the result
+            return Ended(key, error=TaskDroppedError(f"its result is lost: {error}"))
+        return Ended(key, error=error)
 
 
 def _client_of(address: str) -> Client:

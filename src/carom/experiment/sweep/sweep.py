@@ -1,4 +1,4 @@
-"""A sweep from its plan to its table. Needs `carom[cluster]`."""
+"""A sweep from its plan to its table."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.output import output_folder
 from carom.experiment.sweep import table
-from carom.experiment.sweep.cluster import connected, refuse_unfit
 from carom.experiment.sweep.conductor import Conductor, Watcher
 from carom.experiment.sweep.folder import Folder
 from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest, Run
 from carom.experiment.sweep.plan import Plan, Point
+from carom.experiment.workers import LocalWorkers, Workers
+from carom.physics.parallel.cores import cores
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +123,14 @@ def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
 
 
 def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | None, workers: int | None) -> str:
-    with connected(address, workers, len(todo)) as client:
-        if address:
-            refuse_unfit(client, str(manifest.folder.root), manifest.plan.digest, versions()["carom"])
-        with Interrupts(patience=2) as interrupts:
-            return Conductor(client, manifest, watch).conduct(todo, interrupts)
+    with contextlib.ExitStack() as stack:
+        made: Workers
+        if address is None:
+            made = stack.enter_context(LocalWorkers(min(workers or cores(), len(todo))))
+        else:
+            from carom.experiment.sweep.cluster import DaskWorkers  # noqa: PLC0415 - an extra
+
+            made = cluster = stack.enter_context(DaskWorkers(address))
+            cluster.refuse_unfit(str(manifest.folder.root), manifest.plan.digest, versions()["carom"])
+        interrupts = stack.enter_context(Interrupts(patience=2))
+        return Conductor(made, manifest, watch).conduct(todo, interrupts)

@@ -1,24 +1,23 @@
-"""Runs branches on the workers of a sweep, one thread each. Needs `carom[cluster]`."""
+"""Runs branches on workers, one thread each."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
-from distributed import Client, KilledWorker, as_completed
 from numpy.typing import NDArray
 
-from carom.experiment.error import ExperimentError
 from carom.experiment.fork.branch import Branch, Start, start_of
 from carom.experiment.fork.path import OPTION, Path, path_of
 from carom.experiment.shrink.expression import Expression
+from carom.experiment.workers import Workers
 from carom.physics.periodic_box import minimum_images
 
 FloatArray = NDArray[np.float64]
 
+_TICK = 60.0  # s of a wait for results
 _STARTS = 4  # moments and reference paths that a worker keeps
 
 
@@ -41,36 +40,25 @@ class Result:
     outcome: bool | None
 
 
-class Workers:
-    """The workers of a sweep. The bits do not depend on how many there are.
+def results_of(tasks: Iterable[Task], workers: Workers) -> Iterator[Result]:
+    """Yield results as they come; what has not begun when the caller stops is dropped.
 
-    Parameters
-    ----------
-    client
-        Connected to them; see `sweep.cluster.connected`.
+    The bits do not depend on how many workers there are.
+
+    Raises
+    ------
+    ExperimentError
+        If the workers died.
     """
-
-    def __init__(self, client: Client) -> None:
-        self._client = client
-
-    def results(self, tasks: Iterable[Task]) -> Iterator[Result]:
-        """Yield results as they come; what has not begun when the caller stops is dropped.
-
-        Raises
-        ------
-        ExperimentError
-            If the workers died.
-        """
-        futures: list[Any] = self._client.map(execute, list(tasks), pure=False)
-        try:
-            for future in as_completed(futures, loop=self._client.loop):  # type: ignore[no-untyped-call]
-                yield future.result()
-        except KilledWorker as error:
-            raise ExperimentError(
-                f"the workers died, {error.last_worker.address} last; is there enough memory?"
-            ) from None
-        finally:
-            self._client.cancel(futures)  # type: ignore[no-untyped-call]
+    left = {task.seed: task for task in tasks}
+    workers.send(execute, left)
+    try:
+        while left:
+            for ended in workers.ended(_TICK):
+                del left[ended.key]
+                yield ended.result
+    finally:
+        workers.drop()
 
 
 def by_seed(results: Iterable[Result]) -> Iterator[Result]:
