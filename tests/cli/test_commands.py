@@ -360,7 +360,16 @@ def test_repair_is_offered_for_a_damaged_recording_and_not_for_what_never_was_on
     assert "`carom repair 'my run.rrd'` saves" in carom("inspect", torn.name, cwd=tmp_path).stderr
     (tmp_path / "scene.toml").write_text(ONE_BODY * 20, encoding="utf-8")
     said = carom("inspect", "scene.toml", cwd=tmp_path).stderr
-    assert said.startswith("carom: scene.toml is not a recording (") and "repair" not in said
+    assert said == "carom: scene.toml is a scene, not a recording; `carom run scene.toml` records it\n"
+    (tmp_path / "notes.txt").write_text("bounce", encoding="utf-8")
+    said = carom("inspect", "notes.txt", cwd=tmp_path).stderr
+    assert said.startswith("carom: notes.txt is not a recording (") and "repair" not in said
+
+
+def test_a_scene_named_without_its_ending_is_offered(tmp_path: Path) -> None:
+    (tmp_path / "bounce.toml").write_text(ONE_BODY, encoding="utf-8")
+    done = carom("run", "bounce", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (2, "carom: bounce: no such file; did you mean bounce.toml?\n")
 
 
 @pytest.mark.parametrize(

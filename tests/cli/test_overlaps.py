@@ -10,6 +10,7 @@ import carom as library
 from carom.experiment.overview import overview
 from carom.experiment.report import worst_moment
 from carom.recording.read.recording import Recording
+from carom.scene.error import SceneError
 from command import carom
 from examples import pair
 
@@ -48,3 +49,18 @@ def test_a_small_overlap_keeps_its_digits(tmp_path: Path) -> None:
     scene = pair(time={"duration": 2.0, "fixed_dt": 1.0 + late}, contact={"timing": "end-of-step"})
     library.run(scene, tmp_path / "run.rrd")
     assert "deepest overlap 2e-05% of the smaller radius" in carom("inspect", "run.rrd", cwd=tmp_path).stdout
+
+
+def at_distance(overlap: float, place: float) -> list[dict[str, object]]:
+    """Return two balls of 0.03 m that overlap, at a place along x (m)."""
+    return [{"radius": 0.03, "position": [x, 0, 0]} for x in (place, place + 0.06 - overlap)]
+
+
+@pytest.mark.parametrize(("overlap", "place", "refused"), [(3e-9, 0.05, False), (1e-6, 0.05, True), (1e-3, 1e6, True)])
+def test_an_overlap_below_seven_digits_of_the_coordinates_is_none(overlap: float, place: float, refused: bool) -> None:
+    scene = library.Scene.from_dict({"body": at_distance(overlap, place), "time": {"duration": 1e-3}})
+    if refused:
+        with pytest.raises(SceneError, match="overlap by"):
+            library.Space(scene)
+    else:
+        library.Space(scene)

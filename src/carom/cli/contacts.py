@@ -90,9 +90,9 @@ def contacts(
         at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
         table = _table(recording, at, bodies or [], impacts, start, end, again)
         if output is not None:
-            _write(table, output)
+            _write(recording, table, output)
         elif as_csv:
-            say(_csv(table))
+            say(_csv(recording, table))
         elif as_json:
             say_json(_json(recording, table))
         else:
@@ -170,29 +170,57 @@ def _names(recording: Recording) -> Any:
     return names_of(recording)
 
 
-def _write(table: pa.Table, path: Path) -> None:
+def _write(recording: Recording, table: pa.Table, path: Path) -> None:
     import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
     from carom.recording.errors import RecordingError
     from carom.recording.write.whole_file import whole_file
 
+    named = _named(recording, table)
     try:
         with whole_file(path) as part:
-            (pc.write_csv if path.suffix == ".csv" else pq.write_table)(table, part)
+            if path.suffix == ".csv":
+                pc.write_csv(_with_units(named), part)
+            else:
+                pq.write_table(named, part)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
     say(f"{path} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
 
 
-def _csv(table: pa.Table) -> str:
+def _csv(recording: Recording, table: pa.Table) -> str:
     import io
 
     import pyarrow.csv as pc
 
     out = io.BytesIO()
-    pc.write_csv(table, out)
+    pc.write_csv(_with_units(_named(recording, table)), out)
     return str(out.getvalue().decode()).rstrip("\n")
+
+
+def _named(recording: Recording, table: pa.Table) -> pa.Table:
+    """Add the names of both bodies or planes, and to each field its unit."""
+    import pyarrow as pa
+
+    from carom.recording.read.contact_tables import UNITS
+
+    names, fields = _names(recording), []
+    for field in table.schema:
+        unit = {"unit": UNITS[field.name]} if field.name in UNITS else None
+        fields.append(field.with_metadata(unit))
+    named = table.cast(pa.schema(fields, table.schema.metadata))
+    for place, number in ((4, "i"), (5, "j")):  # after step, time, i and j
+        texts = [names.of(each) for each in table[number].to_pylist()]
+        named = named.add_column(place, f"name_{number}", pa.array(texts, pa.string()))
+    return named
+
+
+def _with_units(table: pa.Table) -> pa.Table:
+    """Write the units into the names of the columns, where a format has no other place for them."""
+    units = [(field.metadata or {}).get(b"unit", b"").decode() for field in table.schema]
+    names = zip(table.column_names, units, strict=True)
+    return table.rename_columns([f"{name} [{unit}]" if unit else name for name, unit in names])
 
 
 def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:

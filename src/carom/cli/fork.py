@@ -143,7 +143,9 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
         "floor": float(found.diff.curve.floor[-1]),
     }
     lines = [f"{text[0].upper()}{text[1:]}."]
-    if not found.outcome.ok:
+    if found.outcome.status == "expectation missed":
+        lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
+    elif not found.outcome.ok:
         lines.append(f"The fork ended early, {found.outcome.status}: {found.outcome.reason}.")
     if found.diff.divergence is not None and found.diff.divergence.is_exponential:
         rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error

@@ -108,7 +108,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     yield "energy", f"{first} at first, {last} at last"
     yield "", f"integration error at most {error_text(energy['max_error'])} of the energy scale"
-    taken_up = "not conserved: something fixed takes it"
+    taken_up = "not checked: planes, walls or fixed bodies may take up any"
     if linear is not None and math.isnan(linear):
         yield "momentum", NOT_RECORDED
         return

@@ -18,6 +18,7 @@ from carom.experiment.ending import accuracy_text, error_text, in_words
 from carom.experiment.run import Outcome
 from carom.physics.status import StepStatus
 from carom.plan.auto import largest_step
+from carom.plan.doubts import doubts
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.schema import Scene
@@ -82,7 +83,7 @@ class Progress(LiveLine):
             )
         linear, angular = moments.momentum_error, moments.angular_momentum_error
         if linear is None:
-            table.add_row("momentum", "not conserved: planes, walls or fixed bodies take it")
+            table.add_row("momentum", "not checked: planes, walls or fixed bodies may take up any")
         else:
             angular_text = "not conserved in a periodic box" if angular is None else error_text(angular.value)
             table.add_row("momentum", f"error at most {error_text(linear.value)}, angular {angular_text}")
@@ -111,7 +112,7 @@ class Progress(LiveLine):
 
 
 def notes_on(scene: Scene) -> list[str]:
-    """Return what a person should know before a run: what of data files is not used, and what test particles do."""
+    """Return what a person should know before a run: on data files, on test particles, and on likely mistakes."""
     notes = [note for notes in scene.notes for note in notes]
     if count := scene.test_particles:
         are = "is a test particle" if count == 1 else "are test particles"
@@ -119,7 +120,7 @@ def notes_on(scene: Scene) -> list[str]:
             f"{count} of {counted(scene.count, 'body')} {are} (mass 0): attracted, but not attracting; the checks of "
             "energy and momentum do not cover them"
         )
-    return notes
+    return notes + doubts(scene)
 
 
 def _fewer_frames(scene: Scene, outcome: Outcome) -> str:

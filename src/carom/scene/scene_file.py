@@ -30,6 +30,9 @@ def _found(source: str | Path) -> Path:
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
     if str(source) in bundled:
         return bundled[str(source)]
+    beside = path.with_name(f"{path.name}.toml")
+    if beside.is_file():
+        raise SceneError(f"{source}: no such file; did you mean {beside}?")
     near = difflib.get_close_matches(str(source), bundled, n=1) or difflib.get_close_matches(path.stem, bundled, n=1)
     meant = f'; did you mean the bundled scene "{near[0]}"?' if near else ""
     raise SceneError(f"{source}: no such file, and no bundled scene of that name{meant} (`carom scenes` lists them)")

@@ -20,6 +20,8 @@ from carom.scene.units.system import UnitSystem
 FloatArray = NDArray[np.float64]
 
 MOST_PAIRS = 3  # that a message names
+WRITTEN = 5e-7  # half a unit in the last of seven digits, of numbers that begin with 1; files and people write no fewer
+MOST_WRITTEN = 1e-3  # of a radius: an overlap above it is one, however far from the origin
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:
@@ -82,14 +84,14 @@ def refuse_overflow(start: Start) -> None:
 
 
 def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
-    """Refuse overlapping bodies; touching is allowed, up to the rounding of the positions."""
+    """Refuse overlapping bodies; touching is allowed, up to the rounding of positions of seven digits."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return
     i, j = pairs.T
     reach = start.radius[i] + start.radius[j]
     distance = np.sqrt(squared_distance(start.position[i], start.position[j], box))
-    rounding = _rounding(start, reach)
+    rounding = _rounding(start, reach) + np.minimum(_written(start)[i] + _written(start)[j], MOST_WRITTEN * reach)
     overlap = reach - distance
     deep = np.flatnonzero(overlap > rounding)
     if len(deep) == 0:
@@ -115,7 +117,7 @@ def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
 def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
     """Refuse bodies that reach into a plane or a wall."""
     depth = solids.depth(start.position, start.radius)
-    rounding = _rounding(start, start.radius)[:, None]
+    rounding = (_rounding(start, start.radius) + np.minimum(_written(start), MOST_WRITTEN * start.radius))[:, None]
     if len(solids) and np.max(depth - rounding) > 0.0:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
         deep = scene.unit_system.text(depth[body, plane], LENGTH)
@@ -129,3 +131,8 @@ def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
 def _rounding(start: Start, length: FloatArray) -> FloatArray:
     """Return the possible rounding errors of lengths, in m."""
     return np.asarray(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()))
+
+
+def _written(start: Start) -> FloatArray:
+    """Return how far each centre may be from where it was meant, (n,) m, if its coordinates have seven digits."""
+    return np.asarray(WRITTEN * np.sqrt(np.sum(start.position * start.position, axis=1)))

@@ -36,6 +36,13 @@ SCHEMA = pa.schema(
     ]
 )
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
+UNITS = {  # of the columns that have one
+    "time": "s",
+    **dict.fromkeys(("x", "y", "z"), "m"),
+    "approach_speed": "m/s",
+    **dict.fromkeys(("normal_impulse", "tangential_impulse"), "N s"),
+    "energy_lost": "J",
+}
 SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
 
 
