@@ -37,6 +37,19 @@ def test_json_has_the_sum_the_causes_the_chain_and_the_cone(folder: Path) -> Non
     assert [entry["body"] for entry in told["cone"]["bodies"]] == told["cone"]["closed"] == [0, 1]
 
 
+def test_a_body_at_rest_has_no_shares_and_one_that_fell_no_chain(tmp_path: Path) -> None:
+    (tmp_path / "fall.toml").write_text(
+        "gravity = {constant = 0, uniform = [0, 0, -9.81]}\ntime = {duration = 0.5, fixed_dt = 0.05}\n[[plane]]\n"
+        "[[body]]\nposition = [0, 0, 1]\nradius = 1\nmass = 1\n[[body]]\nposition = [9, 0, 9]\nradius = 1\nmass = 1\n"
+    )
+    carom("run", "fall.toml", "-o", "fall.rrd", cwd=tmp_path)
+    rests = carom("why", "fall.rrd", "--body", "0", cwd=tmp_path).stdout
+    assert "Contacts hold body 0 still" in rests and "plane 0: 4.905 N s" in rests and "%" not in rests
+    fell = carom("why", "fall.rrd", "--body", "1", cwd=tmp_path).stdout
+    assert "100%  forces gave it" in fell and "forces since then 100%" in fell
+    assert "There is no chain of causes: impacts passed on 0.0% of the velocity from other bodies" in fell
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

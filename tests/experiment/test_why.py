@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import carom
 from carom.experiment.why.answer import Answer
@@ -23,6 +24,8 @@ from carom.recording.view.causes import CauseEdge
 from carom.scene.schema import Scene
 from carom.scene.start import Start
 from examples import cloud, pair, scene_of
+
+FloatArray = NDArray[np.float64]
 
 ROUNDING = 1e-12  # some 1000 impulses of 1e-16 each
 
@@ -125,12 +128,151 @@ def test_the_answer_for_a_body_in_a_pile_is_a_flow_of_impulse(tmp_path: Path) ->
         scene_of(stack, plane=[{}], gravity=fall, contact=law, time={"duration": 1.0, "fixed_dt": 0.01}), tmp_path
     )
     answer = why(recording, question_of(recording, "0", None, None))
-    assert answer.is_flow
+    assert answer.is_flow and answer.accounts[0].rests
     causes = {cause.partner: cause for cause in answer.accounts[0].causes}
     assert causes.keys() == {1, 3}
     weight = 10.0 * answer.time  # N s per kg; the plane bears all 6 kg, and bodies 1 and 2 press with 5
     assert causes[3].impulse[2] == pytest.approx(6.0 * weight, rel=0.02)  # the first step is not held yet
     assert causes[1].impulse[2] == pytest.approx(-5.0 * weight, rel=0.02)
+
+
+def table_of_balls(seed: int, floor: bool, dt: float, friction: float = 0.0) -> Scene:
+    """Unequal balls in random motion, in free space or on a floor, with impacts at their own times."""
+    rng = np.random.default_rng(seed)
+    place = np.array([[x, y, z] for x in range(3) for y in range(2) for z in range(1 if floor else 2)], dtype=float)
+    place = 1.1 * place + rng.uniform(-0.2, 0.2, place.shape)
+    velocity = 2.0 * (place.mean(axis=0) - place) + rng.normal(0.0, 1.0, place.shape)
+    if floor:
+        place[:, 2], velocity[:, 2] = 0.3, 0.0
+    mass = rng.uniform(0.5, 2.0, len(place)).tolist()
+    balls = [
+        {"position": at, "velocity": v, "radius": 0.3, "mass": m}
+        for at, v, m in zip(place.tolist(), velocity.tolist(), mass, strict=True)
+    ]
+    return scene_of(
+        balls,
+        plane=[{}] if floor else [],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81 if floor else 0.0]},
+        contact={
+            "restitution": 0.9,
+            "timing": "time-of-impact",
+            "static_friction": friction,
+            "kinetic_friction": friction,
+        },
+        time={"duration": 1.0, "fixed_dt": dt},
+        record={"every": 0.5},
+    )
+
+
+def answer_of(scene: Scene, folder: Path) -> tuple[FloatArray, FloatArray]:
+    """Return the shares of the start, forces and impacts of all bodies, and those behind them; and all velocities."""
+    folder.mkdir()
+    recording = recorded(scene, folder)
+    bodies = tuple(range(len(recording.bodies.mass)))
+    history = History.replay(recording, recording.checkpoint(0), 1.0, bodies, lambda status: None)
+    answer = answer_from(Question(bodies, None, 1.0, ""), [history], recording.bodies.mass)
+    own = [[one.start_share, one.forces_share, one.share_of("impact")] for one in answer.accounts]
+    shares = np.array([*np.ravel(own), *answer.cone.shares, *answer.cone.from_forces])
+    return shares, np.array([one.velocity for one in answer.accounts])
+
+
+@pytest.mark.parametrize(
+    ("floor", "friction", "steps"), [(False, 0.3, (0.1, 0.02)), (True, 0.0, (0.01, 0.005))], ids=["free", "on a floor"]
+)
+@pytest.mark.parametrize("seed", [1, 3])
+def test_shares_of_one_motion_are_the_same_at_any_step(
+    floor: bool, friction: float, steps: tuple[float, float], seed: int, tmp_path: Path
+) -> None:
+    """Without friction, a floor bears the weight, so balls on it move straight, and impacts are exact at any step."""
+    (coarse, v), (fine, w) = (answer_of(table_of_balls(seed, floor, dt, friction), tmp_path / f"{dt}") for dt in steps)
+    assert v == pytest.approx(w, abs=1e-9), "the motion is the same"
+    assert coarse == pytest.approx(fine, abs=1e-8)  # rounding; the positions at impacts amplify it by up to 1e2
+
+
+def test_three_balls_hit_in_one_step_owe_their_speed_to_the_one_that_moved(tmp_path: Path) -> None:
+    """The cue hits 1, which hits 2 and then 3, within one step of 0.1 s; the later impact gave 2 nothing."""
+    balls = [
+        {"position": [-0.1, 0.0, 0.0], "velocity": [2.0, 0.0, 0.0]},
+        {"position": [0.0, 0.0, 0.0]},
+        {"position": [0.06, 0.03, 0.0]},
+        {"position": [0.062, -0.034, 0.0]},
+    ]
+    for ball in balls:
+        ball |= {"radius": 0.0285, "mass": 0.17}  # type: ignore[dict-item]
+    law = {"restitution": 0.9, "timing": "time-of-impact", "static_friction": 0.0, "kinetic_friction": 0.0}
+    scene = scene_of(
+        cast("list[dict[str, Any]]", balls),
+        gravity={"constant": 0.0},
+        contact=law,
+        time={"duration": 0.3, "fixed_dt": 0.1},
+    )
+    recording = recorded(scene, tmp_path)
+    assert len(recording.impacts()) == 3 and len(recording.impacts()["step"].unique()) == 1
+    for body in "23":
+        answer = why(recording, question_of(recording, body, None, None))
+        assert [(link.by, link.body) for link in answer.chain] == [(1, int(body)), (0, 1)]
+        assert [link.share for link in answer.chain] == pytest.approx([1.0, 1.0])
+        assert answer.cone.shares[0] == pytest.approx(1.0)
+
+
+def on_a_floor(**sections: Any) -> Scene:
+    """Three balls on a floor, of which the first hits the second, and that the third."""
+    places = {"a": 0.0, "b": 0.5, "c": 1.2}
+    balls = [{"name": name, "position": [x, 0.0, 0.1], "radius": 0.1, "mass": 1.0} for name, x in places.items()]
+    balls[0]["velocity"] = [2.0, 0.0, 0.0]
+    sections.setdefault("time", {"duration": 0.7, "fixed_dt": 0.01})
+    return scene_of(
+        cast("list[dict[str, Any]]", balls),
+        plane=[{}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        record={"every": 0.4},
+        **sections,
+    )
+
+
+def test_over_a_floor_the_weight_gives_nothing_and_the_chain_leads_to_the_ball_that_moved(tmp_path: Path) -> None:
+    law = {"restitution": 0.9, "static_friction": 0.0, "kinetic_friction": 0.0}
+    recording = recorded(on_a_floor(contact=law), tmp_path)
+    answer = why(recording, question_of(recording, "c", None, None), 0.0)
+    assert answer.kind == "impacts" and answer.first_cause == 0
+    assert [(link.by, link.body) for link in answer.chain] == [(1, 2), (0, 1)]
+    assert answer.cone.shares == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)  # the floor holds to 1e-9 of a speed a step
+    (account,) = answer.accounts
+    assert account.forces_share == pytest.approx(0.0, abs=1e-6)
+    assert account.share_of("impact") == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_what_slows_a_ball_gave_it_nothing(tmp_path: Path) -> None:
+    """Friction of the floor takes half of the third ball's speed, and lets it hop a little when it is hit."""
+    links = []
+    for dt in (0.002, 0.0005):
+        (tmp_path / f"{dt}").mkdir()
+        law = {"restitution": 0.9, "static_friction": 0.2, "kinetic_friction": 0.2}
+        scene = on_a_floor(contact=law, time={"duration": 0.7, "fixed_dt": dt})
+        recording = recorded(scene, tmp_path / f"{dt}")
+        answer = why(recording, question_of(recording, "c", None, None), 0.0)
+        assert answer.kind == "impacts" and [(link.by, link.body) for link in answer.chain] == [(1, 2), (0, 1)]
+        (account,) = answer.accounts
+        assert account.velocity[0] < 0.5 * 0.95 * 0.95 * 2.0
+        assert account.share_of("contact", "stop") == pytest.approx(0.0, abs=1e-3)
+        assert account.forces_share < 0.06, "the weight gives only what a hop gains on its way down"
+        links.append([link.share for link in answer.chain])
+    assert links[0] == pytest.approx(links[1], abs=0.03)  # the smallest hops are impacts only at small steps
+    assert min(links[1]) > 0.85
+
+
+def test_an_impact_that_gave_next_to_nothing_is_no_chain_of_causes(tmp_path: Path) -> None:
+    balls = [
+        {"position": [0.0, 0.0, 3.0], "radius": 0.1, "mass": 1.0},
+        {"position": [0.05, 0.0, 3.25], "velocity": [0.0, 0.0, -0.05], "radius": 0.1, "mass": 1.0},
+    ]
+    fall = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}
+    scene = scene_of(balls, gravity=fall, time={"duration": 2.0, "fixed_dt": 0.05})
+    recording = recorded(scene, tmp_path)
+    answer = why(recording, question_of(recording, "0", None, None), 0.0)
+    assert [cause.kind for cause in answer.accounts[0].causes] == ["impact"]
+    assert answer.kind == "forces" and answer.chain == [] and 0.0 < answer.cone.passed_to((0,)) < 0.01
 
 
 def gas(seed: int) -> Scene:

@@ -109,7 +109,7 @@ def _document(answer: Answer, names: Names, units: UnitSystem) -> dict[str, Any]
             "step": answer.step,
         },
         "window": {"begin": answer.begin, "begin_step": answer.begin_step, "source": answer.source},
-        "answer": "flow" if answer.is_flow else "impacts",
+        "answer": answer.kind,
         "accounts": [_account_document(account, names) for account in answer.accounts],
         "chain": [
             {
@@ -161,6 +161,7 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
         "by_contacts": account.by_contacts.tolist(),
         "by_forces": account.by_forces.tolist(),
         "unexplained": account.unexplained,
+        "rests": account.rests,
         "start_share": account.start_share,
         "forces_share": account.forces_share,
         "causes": [
@@ -222,7 +223,7 @@ def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) 
     )
     for velocity, share, text in parts:
         if velocity.any() or share:
-            yield f"  {_speed(velocity, units)}  {share:5.0%}  {text}"
+            yield f"  {_speed(velocity, units)}  {'' if account.rests else f'{share:5.0%}  '}{text}"
 
 
 def _speed(velocity: FloatArray, units: UnitSystem) -> str:
@@ -249,12 +250,12 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     table.add_column("with", no_wrap=True)
     table.add_column("kind", no_wrap=True)
     measured = (("impulse", IMPULSE), ("work", ENERGY), ("lost", ENERGY))
-    for column in (*(units.labelled(*each) for each in measured), "of the speed"):
+    for column in (*(units.labelled(*each) for each in measured), *([] if account.rests else ["of the speed"])):
         table.add_column(column, justify="right", no_wrap=True)
-    for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_CAUSES]:
+    for cause in account.largest[:MOST_CAUSES]:
         impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
         lost = units.shown(cause.energy_lost, ENERGY)
-        numbers = (f"{impulse:.4g}", f"{work:+.4g}", f"{lost:.4g}", f"{cause.share:.1%}")
+        numbers = [f"{impulse:.4g}", f"{work:+.4g}", f"{lost:.4g}", f"{cause.share:.1%}"][: 3 if account.rests else 4]
         time = f"{units.shown(cause.moment, TIME):.9g}"
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     print_whole(table)
@@ -268,9 +269,9 @@ def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
     for account in answer.accounts:
         lines += [f"{line}  " for line in _summary(account, answer, names, units)]
         lines.append("")
-        for cause in sorted(account.causes, key=lambda cause: -cause.share)[:MOST_EDGES]:
+        for cause in account.largest[:MOST_EDGES]:
             lines.append(
-                f"- {cause.share:.1%}: {_kind(cause, units)}, {names.of(cause.partner)}, "
+                f"- {'' if account.rests else f'{cause.share:.1%}: '}{_kind(cause, units)}, {names.of(cause.partner)}, "
                 f"{units.text(cause.size, IMPULSE, '.3g')}, t = {units.text(cause.moment, TIME, '.9g')}"
             )
         lines.append("")
@@ -284,18 +285,22 @@ def _kind(cause: Cause, units: UnitSystem) -> str:
 
 
 def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Say what is behind the impulses: a chain of impacts, or a flow over contacts."""
+    """Say what is behind the impulses: a chain of impacts, a flow over contacts, or neither."""
     cone = answer.cone
     others = len(answer.bodies) - len(answer.question.bodies)
+    resting = [account for account in answer.accounts if account.rests]
     if answer.is_flow:
+        at_rest = f"hold {' and '.join(names.of(account.body) for account in resting)} still"
         yield (
-            "Contacts at rest gave it more than impacts, so no single impact is the cause: "
-            "the answer is a flow of impulse over contacts."
+            f"Contacts {at_rest if resting else 'at rest gave it more than impacts'}, so no single impact is the "
+            "cause: the answer is a flow of impulse over contacts."
         )
-        for edge in answer.edges[:MOST_EDGES]:
+        edges = sorted(answer.edges, key=lambda edge: -edge.impulse) if resting else answer.edges
+        for edge in edges[:MOST_EDGES]:
             between = names.pair((edge.i, edge.j))
             impulse = units.text(edge.impulse, IMPULSE, ".4g")
-            yield f"  {edge.share:6.1%}  {between}: {impulse} in {counted(edge.count, 'impulse')}"
+            share = "" if resting else f"{edge.share:6.1%}  "
+            yield f"  {share}{between}: {impulse} in {counted(edge.count, 'impulse')}"
     elif answer.chain:
         yield "The chain of causes, backwards:"
         what = "the velocity" if len(answer.question.bodies) == 1 else "both velocities"
@@ -307,11 +312,16 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         first = answer.first_cause
         given = "had its velocity before, or forces gave it"
         yield f"  {names.of(first)} {given}: it is the first cause."
+    else:
+        passed = cone.passed_to(answer.question.bodies)
+        yield f"There is no chain of causes: impacts passed on {passed:.1%} of the velocity from other bodies."
     forces = float(cone.from_forces.sum())
     left = float(cone.shares.sum())
     bodies = f"{counted(others, 'other body')} of {cone.count - 1}" if others else "no other body"
     yield f"In all, {bodies} could have had an effect by contacts."
     since = units.text(answer.begin, TIME, ".9g")
+    if len(resting) == len(answer.accounts):
+        return
     yield f"Behind it all: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
 
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.experiment.why.cone import components, directions, gained
 from carom.experiment.why.history import History, Step
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
+
+_AT_REST = 1e-3  # of the impulses that hold a body, in a step
 
 
 @dataclass(slots=True)
@@ -73,6 +76,7 @@ class Account:
     start_share: float = 1.0  # of the velocity, that it had at the beginning
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
+    _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held it in the last step
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
     _lost: dict[int, float] = field(default_factory=dict)  # J, by partner, in the step, without impacts
 
@@ -89,10 +93,18 @@ class Account:
         return float(np.linalg.norm(rest)) / self.fastest if self.fastest > 0.0 else 0.0
 
     @property
-    def is_held(self) -> bool:
-        """Whether contacts at rest gave it more than impacts did."""
-        held = sum(cause.size for cause in self.causes if cause.holds)
-        return held > sum(cause.size for cause in self.causes if not cause.holds)
+    def rests(self) -> bool:
+        """Whether contacts hold it still: its speed is below a thousandth of the impulses by which they hold it."""
+        return bool(np.linalg.norm(self.velocity) <= _AT_REST * (self._bearing or -1.0))
+
+    @property
+    def largest(self) -> list[Cause]:
+        """The causes, those with the largest share first; of a body at rest, those with the largest impulse."""
+        return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
+
+    def share_of(self, *kinds: str) -> float:
+        """Return the share of the velocity that causes of these kinds gave."""
+        return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
     def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows, contacts: Rows) -> None:
         """Go back over a step, or its beginning.
@@ -109,6 +121,9 @@ class Account:
             (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
         """
         self._lost = self._lost_at_rest(contacts, impacts)
+        if self._bearing is None:
+            self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
+        shares = self._divide(rows, sum(kicks, np.zeros(3)), step.before[self.body])
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         now = self._velocity_after(step, rows, first + last if late else first)
@@ -120,15 +135,48 @@ class Account:
             begin = end - 1
             while begin > 0 and keys[begin - 1] == keys[end - 1]:
                 begin -= 1
-            now = self._undo(rows[begin:end], now, last if late else first, impacts)
+            now = self._undo(rows[begin:end], shares[begin:end], now, last if late else first, impacts)
             end = begin
-        kicked = first + last
-        self.by_forces = self.by_forces + kicked
+        self.by_forces = self.by_forces + first + last
         self.start_velocity = step.before[self.body].copy()
-        change, had = float(np.linalg.norm(kicked)), float(np.linalg.norm(self.start_velocity))
-        if change > 0.0:
-            self.forces_share += self.start_share * change / (change + had)
-            self.start_share *= had / (change + had)
+
+    def _divide(self, rows: Rows, forces: FloatArray, start: FloatArray) -> FloatArray:
+        """Divide the share of the velocity that is left, as `Cone` does; return those of impulses, (k,).
+
+        The forces changed the velocity by (3,) m/s from ``start``, at the beginning of the step.
+        """
+        shares = np.zeros(len(rows))
+        changes = self._impulses(rows) / self.mass
+        bearing = ~rows["impact"]
+        after = (start + forces + changes.sum(axis=0))[None]
+        before = after - forces - changes[bearing].sum(axis=0)
+        net = after - before
+        given = np.maximum(0.0, np.vstack((changes[bearing], forces)) @ net[0])
+        if net.any():
+            acting = np.linalg.norm(np.vstack((changes[bearing], forces)), axis=1).sum(keepdims=True)
+            part = float(gained(before, after, acting)[0])
+            given *= self.start_share * part / given.sum()
+            shares[bearing] = given[:-1]
+            self.forces_share += float(given[-1])
+            self.start_share *= 1.0 - part
+        while not bearing.all():
+            struck = ~bearing & (rows["instant"] == rows["instant"][~bearing][-1])
+            after, before = before, before - changes[struck].sum(axis=0)
+            sizes = np.sqrt((changes[struck] ** 2).sum(axis=1))
+            along = directions(after, before, sizes.sum(keepdims=True))
+            given, kept = components(changes[struck], along[[0] * len(sizes)]), components(before, along)[0]
+            whole = float(given.sum()) + kept
+            if whole > 0.0:
+                shares[struck] = self.start_share * given / whole
+                self.start_share *= kept / whole
+            bearing = bearing | struck
+        return shares
+
+    def _impulses(self, rows: Rows) -> FloatArray:
+        """Return the impulses on this body, (k, 3) N s."""
+        impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+        impulses[rows["i"] == self.body] *= -1.0
+        return impulses
 
     def _lost_at_rest(self, contacts: Rows, impacts: Rows) -> dict[int, float]:
         """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
@@ -144,35 +192,28 @@ class Account:
         """Return the other end of a contact."""
         return int(row["i"]) if row["j"] == self.body else int(row["j"])
 
-    def _undo(self, rows: Rows, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
-        """Undo impulses that act together; return the velocity before them.
+    def _undo(self, rows: Rows, shares: FloatArray, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
+        """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
         Contacts at rest act while a force does. Their work is along the mean velocity without its ``kick``, (3,) m/s,
         which they take back where it presses: a ball that slides on a floor gets none from the floor's normal force.
         """
-        impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
-        impulses[rows["i"] == self.body] *= -1.0
+        impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
         change = impulses.sum(axis=0) / self.mass
         before: FloatArray = after - change
         self.by_contacts = self.by_contacts + change
         given, had = float(sizes.sum()) / self.mass, float(np.linalg.norm(before))
         self.fastest = max(self.fastest, given, had)
-        for row, impulse, size in zip(rows, impulses, sizes.tolist(), strict=True):
+        for row, impulse, size, share in zip(rows, impulses, sizes.tolist(), shares.tolist(), strict=True):
             if size > 0.0:
-                share = self.start_share * size / self.mass / (given + had)
                 mean = 0.5 * (after + before - (kick if row["holds"] else 0.0))
                 self._add(row, impulse, size, float(impulse @ mean), share, impacts)
-        if given > 0.0:
-            self.start_share *= had / (given + had)
         return before
 
     def _velocity_after(self, step: Step, rows: Rows, kicked: FloatArray) -> FloatArray:
         """Return the velocity right after the last of the impulses, given the kicks before it, (3,) m/s in all."""
-        now: FloatArray = step.before[self.body] + kicked
-        for row in rows:
-            sign = 1.0 if row["j"] == self.body else -1.0
-            now = now + sign * np.array([row["x"], row["y"], row["z"]]) / self.mass
+        now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
         return now
 
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:

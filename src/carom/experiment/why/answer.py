@@ -29,8 +29,15 @@ class Answer:
 
     @property
     def is_flow(self) -> bool:
-        """Whether contacts at rest gave more than impacts did: the answer is a flow of impulse."""
-        return any(account.is_held for account in self.accounts)
+        """Whether contacts hold a body still, or gave it more than impacts did: the answer is a flow of impulse."""
+        return any(a.rests or a.share_of("contact", "stop") > a.share_of("impact") for a in self.accounts)
+
+    @property
+    def kind(self) -> str:
+        """What is behind it most: "flow", "impacts", "forces", or "start", the velocities at the beginning."""
+        if self.is_flow or self.chain:
+            return "flow" if self.is_flow else "impacts"
+        return "forces" if self.cone.from_forces.sum() > self.cone.shares.sum() else "start"
 
     @property
     def bodies(self) -> NDArray[np.int64]:

@@ -31,7 +31,8 @@ IMPULSE = np.dtype(
         ("x", np.float64),  # N s, the impulse on j; i takes the opposite
         ("y", np.float64),
         ("z", np.float64),
-        ("holds", np.bool_),  # whether it holds a contact at rest; if not, it is of an impact
+        ("holds", np.bool_),  # whether it holds a contact at rest
+        ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
     ]
 )
 
@@ -129,7 +130,8 @@ def _given(space: Space) -> Iterator[Rows]:
         rows = np.zeros(len(chosen), IMPULSE)
         rows["i"], rows["j"], rows["time"] = some.pairs[chosen, 0], some.pairs[chosen, 1], some.time[chosen]
         rows["x"], rows["y"], rows["z"] = J[chosen].T
-        rows["holds"] = some.holds
+        rows["holds"] = some.impact is None
+        rows["impact"] = False if some.impact is None else some.impact[chosen]
         later = np.diff(rows["time"], prepend=time) > 0.0
         rows["instant"] = instant + np.cumsum(later)
         instant, time = int(rows["instant"][-1]), float(rows["time"][-1])

@@ -43,7 +43,8 @@ class Impulses(NamedTuple):
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
     time: FloatArray  # (k,) s, when
     turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
-    holds: bool = False  # whether they hold contacts at rest
+    impact: NDArray[np.bool_] | None = None  # (k,) whether the contact closed faster than its rest speed;
+    # None: they hold contacts at rest
 
 
 class ContactTap:
@@ -147,18 +148,20 @@ class ContactTap:
             pairs = np.empty_like(self._held.pairs)
             pairs[self._held.place] = self._held.pairs
             began = np.full(len(pairs), self._began)
-            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES), began, holds=True)
+            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES), began)
         if len(self._drift):
-            time = np.minimum(self._began + self._drift.time, self._ended)
-            yield Impulses(self._drift.pairs, *_geometry(self._drift.log), columns(self._drift.log, IMPULSES), time)
+            time, log = np.minimum(self._began + self._drift.time, self._ended), self._drift.log
+            impact = self._drift.approach > self._drift.rest_speed
+            yield Impulses(self._drift.pairs, *_geometry(log), columns(log, IMPULSES), time, impact=impact)
         if len(solver.order.pairs):
             pairs, recorded = solver.order.pairs, solver.recorded
             corrections = np.zeros((len(pairs), 4))
             corrections[:, 1:] = columns(recorded, ("correction_x", "correction_y", "correction_z"))
             geometry, ended = _geometry(solver.contacts), np.full(len(pairs), self._ended)
-            yield Impulses(pairs, *geometry, corrections, ended, turns=False, holds=True)
-            yield Impulses(pairs, *geometry, columns(recorded, IMPULSES), ended)
-            yield Impulses(pairs, *geometry, solver.impulses, ended, holds=True)
+            impact = solver.states["approach_speed"] > solver.states["rest_speed"]
+            yield Impulses(pairs, *geometry, corrections, ended, turns=False)
+            yield Impulses(pairs, *geometry, columns(recorded, IMPULSES), ended, impact=impact)
+            yield Impulses(pairs, *geometry, solver.impulses, ended)
 
     def work(self, solver: ContactSolver) -> FloatArray:
         """Return the ledger of each contact of the step, (k, 3) J."""
