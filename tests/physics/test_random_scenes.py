@@ -214,19 +214,23 @@ def test_ten_thousand_scenes_obey_the_laws(document: Document) -> None:
     Auditor(scene_from(document)).run()
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the bias, 0.2 overlap/dt, and the adaptive step, cfl r/v, feed each other: 0.01 J become 10⁶ J",
+RUNS_AWAY = "the bias, 0.2 overlap/dt, and the adaptive step, cfl r/v, feed each other: 0.01 J become 10⁶ J"
+
+
+@pytest.mark.parametrize(
+    "timing",
+    ["auto", pytest.param("end-of-step", marks=pytest.mark.xfail(strict=True, reason=RUNS_AWAY))],
 )
-def test_baumgarte_and_the_adaptive_step_do_not_run_away() -> None:
+def test_baumgarte_and_the_adaptive_step_do_not_run_away(timing: str) -> None:
     # Two giants at 0.1 m/s squeeze a pebble. It takes all of the bias, v = 0.2 overlap/dt, so that the next dt is
     # cfl r/v = 5 cfl r/overlap of this one: it falls, and the bias rises, as soon as the overlap passes 5 cfl r, which
-    # at cfl = 0.05 is a quarter of the pebble's radius. Thrown to and fro, it cannot leave before v is 10⁵ m/s.
+    # at cfl = 0.05 is a quarter of the pebble's radius. Thrown to and fro, it cannot leave before v is 10⁵ m/s. With
+    # times of impact the pebble is held, and does not overlap.
     giants = [{"mass": 1.0, "position": [1.03 * s, 0.0, 0.0], "velocity": [-0.1 * s, 0.0, 0.0]} for s in (-1.0, 1.0)]
     document = {
         "body": [*giants, {"mass": 1e-4, "radius": 0.03}],
         "gravity": {"constant": 0.0},
-        "contact": {"stabilisation": "baumgarte", "restitution": 0.0},
+        "contact": {"stabilisation": "baumgarte", "restitution": 0.0, "timing": timing},
         "time": {"duration": 3.0, "cfl": 0.05},
     }
     space = Space(scene_from(document), threads=1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from carom.physics.contact.constraint_graph import OVERFLOW
-from carom.physics.contact.continuous.event_loop import MAX_IMPACTS
 from carom.scene.schema import Contact
 
 DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
@@ -30,7 +29,7 @@ def limits_of(
     too_few_sweeps
         Whether contacts still closed after the sweeps.
     exhausted
-        Whether a body had as many impacts as a step resolves.
+        Whether a body had so many impacts that its contacts were held.
     crossed
         Whether a body would have passed through a plane.
     deepest
@@ -46,8 +45,8 @@ def limits_of(
         reached.append(("WARN", still_closing(contact)))
     if exhausted:
         text = (
-            f"A body had {MAX_IMPACTS} impacts in one step; what is left is resolved at its end, and bodies may "
-            "overlap meanwhile; a shorter step (time.fixed_dt, time.cfl) leaves less."
+            "A body had so many impacts in one step that its last contacts were held, without a rebound; in shorter "
+            "steps (time.fixed_dt, time.cfl) more of them rebound."
         )
         reached.append(("WARN", text))
     if crossed:

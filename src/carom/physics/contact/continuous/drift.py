@@ -232,7 +232,7 @@ class EventDrivenDrift:
         T.rest_speed[:] = 0.0
         drift = T.drift[0]
         drift["dt"] = drift["kick"] = drift["clock"] = dt
-        drift["exhausted"] = 0
+        drift["exhausted"] = drift["strays"] = 0
         pairs = np.empty((MOST_CONTACTS * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
         count = resolve_touching(T, pairs, self._log)

@@ -17,23 +17,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.continuous.event_queue import put
+from carom.physics.contact.continuous.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.continuous.time_of_impact import time_of_impact, time_of_impact_in_box
-from carom.physics.contact.continuous.trajectories import ROUNDING, Neighbours, Trajectories, advance, leaves_reach
-from carom.physics.contact.geometry import normal_and_distance
+from carom.physics.contact.continuous.trajectories import (
+    MOST_HOLDS,
+    ROUNDING,
+    Neighbours,
+    Trajectories,
+    advance,
+    contact_geometry,
+    leaves_reach,
+)
 from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
 from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.jit import inner, long_kernel
-from carom.physics.periodic_box import nearest_image
 from carom.physics.rotation import turn_one
 from carom.physics.vector import add, along, between, vector
 
 Records = NDArray[np.void]
 
-COLLAPSE_FROM = 50  # impacts of a body in a drift; each further one with e < 1 doubles its negligible speed
 SLOW = 0.25  # of the rest speed; faster contacts are resolved where they touch, and rebound above the rest speed.
 # With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, marbles-in-a-box by 5 mm instead of 1 mm.
-MAX_IMPACTS = 1000  # of a body in a drift; a collapse has infinitely many
+
+# Impacts of a body in a drift; then its contacts are held. A collapse (e < 1) has infinitely many in a finite time.
+# Where a force presses, a light ball stops one of 300 times its mass by itself. Without dissipation, there are always
+# finitely many; a light ball turns one of 10⁷ times its mass.
+MAX_IMPACTS = 1000
+MAX_IN_COLLAPSE = 100  # with e < 1, where no force presses
+MAX_ELASTIC = 10_000
 
 IMPACT = np.dtype(
     [
@@ -75,22 +87,30 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 @long_kernel
 def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
     """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number."""
-    n = len(T.x)
-    for row in range(len(log)):
+    n, row = len(T.x), 0
+    while row + MOST_CONTACTS <= len(log):
         known = _go_to_next(neighbours, T)
         if known < 0:
             return row
         partner = T.body[known].partner
         i, j = min(known, partner), max(known, partner)
-        collide(i, j, log[row], T)
         lossy = LAW.dissipates(T.materials[material_index(i, j, n, T.places)])
+        if T.body[i].exhausted or (j < n and T.body[j].exhausted):
+            held, row = hold_group(i, j, neighbours, T, log, row)
+            for k in range(len(held)):
+                _count_impact(held[k], lossy, T)
+            for k in range(len(held)):
+                _predict_again(held[k], neighbours, T)
+            continue
+        collide(i, j, log[row], T)
+        row += 1
         _count_impact(known, lossy, T)
         _count_impact(partner, lossy, T)
         if T.inverse_mass[known] > 0.0:
             _predict_again(known, neighbours, T)
         if T.inverse_mass[partner] > 0.0:
             _predict_again(partner, neighbours, T)
-    return len(log)
+    return row
 
 
 @inner
@@ -116,22 +136,18 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
 
 @inner
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
-    """Count an impact of a body; note if it is the last one, and if its new path leaves its reach.
-
-    If impacts dissipate, bodies can collide infinitely often in a finite time. A few bodies stop when they close only
-    by rounding; in a crowd the neighbours keep stirring each body. The negligible speed therefore grows with the number
-    of impacts, until the crowd is left to the end of the step. Under a pressing force, `SLOW` ends the series instead.
-    """
+    """Count an impact of a body; note if it is the last one before it is held, and if its new path leaves its reach."""
     if T.inverse_mass[i] == 0.0:
         return
     body, drift = T.body[i], T.drift[0]
     vx, vy, vz = vector(T.v, i)
     body.negligible_speed = max(body.negligible_speed, ROUNDING * (abs(vx) + abs(vy) + abs(vz)))
     body.impacts += 1
-    if lossy and body.impacts > COLLAPSE_FROM and T.rest_speed[i] == 0.0:
-        body.negligible_speed *= 2.0
-    if body.impacts == MAX_IMPACTS:
-        drift.exhausted += 1
+    collapses = lossy and T.rest_speed[i] == 0.0
+    most = MAX_IN_COLLAPSE if collapses else (MAX_IMPACTS if lossy else MAX_ELASTIC)
+    if body.impacts >= most and not body.exhausted:
+        body.exhausted = True
+        drift.exhausted += 0 if collapses else 1
     if not body.strays and leaves_reach(i, T):
         body.strays = True
         T.strays.bodies[drift.strays] = i
@@ -144,14 +160,13 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict a body's next impact on the rest of its path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
     body.impact_time = np.inf
-    if body.impacts < MAX_IMPACTS:
-        _predict_with_planes(i, i + 1, T)
-        if body.strays:
-            _predict(i, i + 1, T.everyone, T)
-        else:
-            _predict(i, i + 1, neighbours, T)
-            if drift.strays > 0:
-                _predict(i, i + 1, T.strays, T)
+    _predict_with_planes(i, i + 1, T)
+    if body.strays:
+        _predict(i, i + 1, T.everyone, T)
+    else:
+        _predict(i, i + 1, neighbours, T)
+        if drift.strays > 0:
+            _predict(i, i + 1, T.strays, T)
     drift.queued = put(i, drift.queued, T.queue, T.body)
 
 
@@ -167,7 +182,9 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
         for m in range(neighbours.first[i], neighbours.last[i]):
             j = neighbours.bodies[m]
             other = T.body[j]
-            if j == i or other.impacts >= MAX_IMPACTS or T.inverse_mass[i] + T.inverse_mass[j] == 0.0:
+            if j == i or T.inverse_mass[i] + T.inverse_mass[j] == 0.0:
+                continue
+            if one.holds >= MOST_HOLDS and other.holds >= MOST_HOLDS:
                 continue
             s, t = clock - one.now, clock - other.now
             xi, yi, zi = along(T.x, T.v, i, s)
@@ -192,9 +209,9 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
     x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
     clock, dt, kick = T.drift[0].clock, T.drift[0].dt, T.drift[0].kick
     for i in range(lo, hi if len(offset) > 0 else lo):
-        if T.inverse_mass[i] == 0.0:
-            continue
         body = T.body[i]
+        if body.holds >= MOST_HOLDS:
+            continue
         s = clock - body.now
         slow = SLOW * T.rest_speed[i] + body.negligible_speed
         for p in range(len(offset)):
@@ -216,7 +233,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and log it."""
     v, a, omega, clock = T.v, T.a, T.omega, T.drift[0].clock
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
-    nx, ny, nz, ri, rj = _contact_geometry(i, j, T)
+    nx, ny, nz, ri, rj = contact_geometry(i, j, T)
     s = clock - T.drift[0].kick
     vx, vy, vz = between(v, i, j)
     ax, ay, az = between(a, i, j)
@@ -260,27 +277,6 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         add(v, j, mj, Jx, Jy, Jz)
     entry.vix, entry.viy, entry.viz = along(v, a, i, s)
     entry.vjx, entry.vjy, entry.vjz = along(v, a, j, s)
-
-
-@inner
-def _contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
-    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
-
-    The arm at a plane is the height, which is the radius when a body meets it.
-    """
-    x, n = T.x, len(T.x)
-    if j >= n:
-        height = -T.offset[j - n]
-        for k in range(3):
-            height += T.surface[j - n, k] * x[i, k]
-        N = T.surface[j - n]
-        return -N[0], -N[1], -N[2], max(0.0, height), 0.0
-    dx, dy, dz = between(x, i, j)
-    if T.box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
-    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
-    share = d / (T.radius[i] + T.radius[j])
-    return nx, ny, nz, share * T.radius[i], share * T.radius[j]
 
 
 @inner

@@ -1,5 +1,7 @@
 """Impacts at one moment: all pairs that touch are resolved one by one, repeatedly, until none closes.
 
+If that has no end, contacts are held (`held_group`).
+
 An integrator that ends its step at an impact calls this there. Positions and velocities are those of the impact, so
 each impulse is that of the event loop. Rigid bodies have no unique answer where several pairs meet at once: as in the
 event loop, pairs are taken in their order.
@@ -11,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.contact.continuous.event_loop import COLLAPSE_FROM, MAX_IMPACTS, collide
-from carom.physics.contact.continuous.trajectories import ROUNDING, Trajectories
+from carom.physics.contact.continuous.event_loop import MAX_ELASTIC, MAX_IN_COLLAPSE, collide
+from carom.physics.contact.continuous.held_group import MOST_CONTACTS, hold_group
+from carom.physics.contact.continuous.trajectories import MOST_HOLDS, ROUNDING, Trajectories, arrive
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.parallel.jit import inline, long_kernel
 from carom.physics.vector import between, vector
@@ -31,34 +34,45 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
     Parameters
     ----------
     T
-        The bodies at the impact; `DRIFT` has the same time for clock and kick, and ``exhausted`` 0.
+        The bodies at the impact; `DRIFT` has the same time for clock and kick, and ``exhausted`` and ``strays`` 0.
     pairs
         (m, 2) room for the pairs that touch; the first row is one that does, whatever its gap. Without room nothing
         is done.
     log
         (k,) `IMPACT`, room for their log.
     """
-    count = _find(T, pairs)
-    row, growth = 0, 1.0
-    for sweep in range(MAX_IMPACTS):
+    count, row = _find(T, pairs), 0
+    for i in range(len(T.x) if count > 0 else 0):
+        arrive(i, T)
+    for sweep in range(MAX_ELASTIC + MOST_HOLDS):
         before = row
         for c in range(count):
             i, j = ends_of(pairs, c)
             speed, speeds = _closing(i, j, T)
-            if LAW.dissipates(T.materials[material_index(i, j, len(T.x), T.places)]):
-                speeds *= growth
-            if speed > ROUNDING * speeds or (sweep == 0 and c == 0):
-                if row == len(log):
-                    T.drift[0].exhausted = 1
-                    return row
+            if not (speed > ROUNDING * speeds or (sweep == 0 and c == 0)):
+                continue
+            lossy = LAW.dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
+            if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // 2:
                 collide(i, j, log[row], T)
                 row += 1
+            elif row + MOST_CONTACTS <= len(log):
+                _exhaust(i, T)
+                _exhaust(j, T)
+                row = hold_group(i, j, T.everyone, T, log, row)[1]
+            else:
+                T.drift[0].exhausted = 1
+                return row
         if row == before:
             return row
-        if sweep >= COLLAPSE_FROM:
-            growth *= 2.0  # infinitely many impacts, see `event_loop`
     T.drift[0].exhausted = 1
     return row
+
+
+@inline
+def _exhaust(i: int, T: Trajectories) -> None:
+    """Let the contacts of a body be held from now on."""
+    if i < len(T.x):
+        T.body[i].exhausted = T.inverse_mass[i] > 0.0
 
 
 @inline

@@ -11,22 +11,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.diagnostics.motion import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
-from carom.physics.vector import add, along, vector
+from carom.physics.periodic_box import nearest_image
+from carom.physics.vector import add, along, between, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
+TOUCHING = 1e-9  # of the radius, the first standoff of an exhausted body
+MOST_HOLDS = 100  # of an exhausted body in a drift; then only others meet it. Its standoff is beyond any gap by then.
 FARTHEST = 1e150  # m, largest reach, whose square is finite
 
 TRAJECTORY = np.dtype(
     [
         ("now", np.float64),  # s from the beginning of the drift, the time of the body's position
         ("impacts", np.int64),  # so far in this drift
-        ("negligible_speed", np.float64),  # m/s; slower closing is rounding or a collapse, not an impact
+        ("negligible_speed", np.float64),  # m/s; slower closing is rounding, not an impact
         ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
         ("partner", np.int64),  # the other end of that impact: body j, or n + p for plane p
         ("partner_impacts", np.int64),  # impacts of the partner when that impact was predicted
@@ -35,7 +39,10 @@ TRAJECTORY = np.dtype(
         ("start_x", np.float64),  # m, where it was at the beginning of the drift
         ("start_y", np.float64),
         ("start_z", np.float64),
+        ("standoff", np.float64),  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
+        ("holds", np.int64),  # how often its contacts were held in this drift
         ("strays", np.bool_),  # whether its path leaves that reach
+        ("exhausted", np.bool_),  # whether it has had its largest number of impacts
     ],
     align=True,
 )
@@ -123,9 +130,17 @@ def begin(T: Trajectories, dt: float, kick: float) -> None:
         body = T.body[i]
         vx, vy, vz = vector(T.v, i)
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
-        body.now, body.impact_time, body.impacts, body.queue_place = 0.0, np.inf, 0, -1
-        body.strays = False
+        body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
+        arrive(i, T)
+
+
+@inner
+def arrive(i: int, T: Trajectories) -> None:
+    """Begin the path of a body at the present time; it has had no impacts."""
+    body = T.body[i]
+    body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
+    body.standoff, body.holds = TOUCHING * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
 
 
 @inner
@@ -136,6 +151,27 @@ def advance(i: int, T: Trajectories) -> None:
     vx, vy, vz = vector(T.v, i)
     add(T.x, i, s, vx, vy, vz)
     T.body[i].now = clock
+
+
+@inner
+def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
+    """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
+
+    The arm at a plane is the height, which is the radius when a body meets it.
+    """
+    x, n = T.x, len(T.x)
+    if j >= n:
+        height = -T.offset[j - n]
+        for k in range(3):
+            height += T.surface[j - n, k] * x[i, k]
+        N = T.surface[j - n]
+        return -N[0], -N[1], -N[2], max(0.0, height), 0.0
+    dx, dy, dz = between(x, i, j)
+    if T.box[0] > 0.0:
+        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
+    nx, ny, nz, d = normal_and_distance(dx, dy, dz)
+    share = d / (T.radius[i] + T.radius[j])
+    return nx, ny, nz, share * T.radius[i], share * T.radius[j]
 
 
 @inner

@@ -1,0 +1,375 @@
+"""Contacts that are held through what is left of a drift, where impacts have no end.
+
+A light ball between a heavy one and a floor rattles: it needs about as many impacts as the ratio of the masses to stop
+the heavy ball, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither close
+nor rebound. A body that has had its largest number of impacts in a drift is exhausted, and its contacts go to the limit
+at once. Each further impact is that of a group: the pair, the bodies that touch its exhausted ends, the bodies that
+touch those of them that are exhausted, too, and so on. For each contact of the group,
+
+    v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
+
+so that none of them closes further than that in this drift. Of all velocities that satisfy this, those after the
+impulses are the nearest to those before, by kinetic energy. They are found by the dual method of Goldfarb & Idnani
+(1983), which is finite. It works with orthogonal directions of the velocities √m v. The matrix of the contacts would
+lose a light body between heavy ones to rounding, from ratios of 10¹² on.
+
+Bodies that separate and meet again could be held without end as well. Each time, the gap up to which their contacts are
+held doubles, until it covers the whole drift.
+
+Rejected: impulses with e = 0 one by one, which would be as many as the impacts; and leaving an exhausted body out of
+the drift, so that others pass through it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.continuous.trajectories import (
+    ROUNDING,
+    Neighbours,
+    Trajectories,
+    advance,
+    contact_geometry,
+)
+from carom.physics.parallel.jit import inline, inner, kernel
+from carom.physics.periodic_box import nearest_image
+from carom.physics.vector import along, between, vector
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Records = NDArray[np.void]
+
+MOST_BODIES = 48  # in a group; others are held in groups of their own
+MOST_CONTACTS = 3 * MOST_BODIES
+DEPENDENT = 1e-29  # of the square of a direction: what is left of it beside the others is rounding
+SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body, left closing
+
+
+class Group(NamedTuple):
+    """Bodies and contacts that are held together."""
+
+    body: IntArray  # (MOST_BODIES,) the bodies that move
+    v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift
+    root: FloatArray  # (MOST_BODIES,) 1/√kg, of the inverse mass
+    ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
+    place: IntArray  # (MOST_CONTACTS, 2) of the ends in `body`; -1 of one that does not move
+    normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
+    before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before
+    allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows
+    impulse: FloatArray  # (MOST_CONTACTS,) N s
+
+
+@inner
+def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Records, row: int) -> tuple[IntArray, int]:
+    """Hold the contacts of a pair that meets and of its group.
+
+    Parameters
+    ----------
+    i, j
+        Body, and body or plane; one of the bodies is exhausted.
+    neighbours
+        The possible partners of each body that did not stray.
+    log, row
+        (k,) `IMPACT`, and its first free row. There must be room for `MOST_CONTACTS`.
+
+    Returns
+    -------
+    bodies
+        The bodies of the pair, and those whose velocities changed.
+    row
+        The first free row.
+    """
+    group = Group(
+        np.empty(MOST_BODIES, np.int64),
+        np.empty((MOST_BODIES, 3)),
+        np.empty(MOST_BODIES),
+        np.empty((MOST_CONTACTS, 2), np.int64),
+        np.empty((MOST_CONTACTS, 2), np.int64),
+        np.empty((MOST_CONTACTS, 3)),
+        np.empty(MOST_CONTACTS),
+        np.empty(MOST_CONTACTS),
+        np.zeros(MOST_CONTACTS),
+    )
+    bodies, contacts = _gather(i, j, neighbours, T, group)
+    fastest = 0.0
+    for k in range(bodies):
+        fastest = max(fastest, abs(group.v[k, 0]) + abs(group.v[k, 1]) + abs(group.v[k, 2]))
+    find_impulses(bodies, contacts, SPEED_ROUNDING * fastest, group)
+    changed, count = np.empty(bodies, np.int64), 0
+    for k in range(bodies):
+        b = group.body[k]
+        moved = b in (i, j)
+        for d in range(3):
+            moved = moved or T.v[b, d] != group.v[k, d]
+            T.v[b, d] = group.v[k, d]
+        if moved:
+            changed[count] = b
+            count += 1
+            T.body[b].negligible_speed = max(T.body[b].negligible_speed, SPEED_ROUNDING * fastest)
+    for end in range(2 if j < len(T.x) else 1):
+        body = T.body[j if end else i]
+        if body.exhausted:
+            body.holds += 1
+            body.standoff *= 2.0
+    return changed[:count], _log(contacts, T, group, log, row)
+
+
+@inner
+def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Group) -> tuple[int, int]:
+    """Find the group of a pair that meets; return the numbers of its bodies and contacts."""
+    n, drift = len(T.x), T.drift[0]
+    bodies = _join(i, 0, T, group)
+    if j < n:
+        bodies = _join(j, bodies, T, group)
+    contacts = _add(i, j, bodies, 0, T, group)
+    k = 0
+    while k < bodies:
+        b = group.body[k]
+        body = T.body[b]
+        k += 1
+        if not body.exhausted:
+            continue
+        for p in range(len(T.offset)):
+            if contacts < MOST_CONTACTS and not (b == i and n + p == j):
+                height = contact_geometry(b, n + p, T)[3]
+                if height - T.radius[b] <= body.standoff:
+                    contacts = _add(b, n + p, bodies, contacts, T, group)
+        for source in range(2):
+            among = T.strays if source == 1 else (T.everyone if body.strays else neighbours)
+            if source == 1 and (drift.strays == 0 or body.strays):
+                continue
+            for m in range(among.first[b], among.last[b]):
+                other = among.bodies[m]
+                if other == b or (min(b, other) == i and max(b, other) == j):
+                    continue
+                place = _place(other, bodies, group)
+                if 0 <= place < k and T.body[other].exhausted:
+                    continue  # it has added this contact
+                if contacts == MOST_CONTACTS or not _is_near(b, other, T):
+                    continue
+                if place < 0 and T.inverse_mass[other] > 0.0:
+                    if bodies == MOST_BODIES:
+                        continue
+                    bodies = _join(other, bodies, T, group)
+                contacts = _add(min(b, other), max(b, other), bodies, contacts, T, group)
+    return bodies, contacts
+
+
+@inline
+def _standoff(i: int, T: Trajectories) -> float:
+    """Return the gap in m up to which the contacts of a body are held."""
+    body = T.body[i]
+    return float(body.standoff) if body.exhausted else 0.0
+
+
+@inner
+def _is_near(i: int, j: int, T: Trajectories) -> bool:
+    """Tell whether the gap between two bodies is so small that their contact is held."""
+    clock = T.drift[0].clock
+    xi, yi, zi = along(T.x, T.v, i, clock - T.body[i].now)
+    xj, yj, zj = along(T.x, T.v, j, clock - T.body[j].now)
+    dx, dy, dz = xj - xi, yj - yi, zj - zi
+    if T.box[0] > 0.0:
+        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
+    R = T.radius[i] + T.radius[j] + _standoff(i, T) + _standoff(j, T)
+    return bool(dx * dx + dy * dy + dz * dz <= R * R)
+
+
+@inline
+def _place(i: int, bodies: int, group: Group) -> int:
+    """Return the place of a body in the group; -1 if it is not in it."""
+    for k in range(bodies):
+        if group.body[k] == i:
+            return k
+    return -1
+
+
+@inner
+def _join(i: int, bodies: int, T: Trajectories, group: Group) -> int:
+    """Add a body that moves, at the present time; return the number of bodies."""
+    if T.inverse_mass[i] == 0.0:
+        return bodies
+    advance(i, T)
+    group.body[bodies], group.root[bodies] = i, np.sqrt(T.inverse_mass[i])
+    group.v[bodies, 0], group.v[bodies, 1], group.v[bodies, 2] = vector(T.v, i)
+    return bodies + 1
+
+
+@inner
+def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Group) -> int:
+    """Add a contact; return the number of contacts."""
+    if j < len(T.x):
+        advance(i, T)
+        advance(j, T)
+    nx, ny, nz, ri, rj = contact_geometry(i, j, T)
+    gap, left = ri + rj - T.radius[i] - T.radius[j], T.drift[0].dt - T.drift[0].clock
+    group.ends[contacts, 0], group.ends[contacts, 1] = i, j
+    group.place[contacts, 0], group.place[contacts, 1] = _place(i, bodies, group), _place(j, bodies, group)
+    group.normal[contacts, 0], group.normal[contacts, 1], group.normal[contacts, 2] = nx, ny, nz
+    vx, vy, vz = between(T.v, i, j)
+    group.before[contacts] = vx * nx + vy * ny + vz * nz
+    group.allowed[contacts] = gap / left if gap > 0.0 and left > 0.0 else 0.0
+    return contacts + 1
+
+
+@kernel
+def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -> None:
+    """Find the impulses, and the velocities after them.
+
+    Parameters
+    ----------
+    bodies, contacts
+        Their numbers.
+    negligible
+        m/s, closing speed that needs no impulse.
+    group
+        The bodies and contacts, with impulses 0; velocities and impulses are written.
+    """
+    most = min(contacts, 3 * bodies)
+    active, count = np.empty(most, np.int64), 0  # contacts that are held
+    Q, R = np.empty((most, 3 * bodies)), np.empty((most, most))  # of their directions
+    load, share, z = np.empty(most), np.empty(most), np.empty(3 * bodies)  # load: √kg m/s
+    scale, ignored = np.empty(contacts), np.zeros(contacts, np.bool_)
+    for c in range(contacts):
+        square = 0.0
+        for end in range(2):
+            k = group.place[c, end]
+            square += group.root[k] * group.root[k] if k >= 0 else 0.0
+        scale[c] = np.sqrt(square)
+    for _ in range(20 * contacts):
+        worst, c = negligible, -1
+        for k in range(contacts):
+            excess = -_normal_velocity(k, group) - group.allowed[k]
+            if excess > worst and not ignored[k]:
+                worst, c = excess, k
+        if c < 0:
+            break
+        added = 0.0
+        while True:
+            square = _project(c, count, scale[c], group, Q, R, share, z)
+            full = np.inf
+            if square > DEPENDENT and count < most:
+                full = (-_normal_velocity(c, group) - group.allowed[c]) / (scale[c] * square)
+            partial, gone = np.inf, -1
+            for k in range(count):
+                if share[k] > 0.0 and load[k] < partial * share[k]:
+                    partial, gone = load[k] / share[k], k
+            step = min(full, partial)
+            if step == np.inf:  # it depends on contacts that no impulse opens
+                ignored[c] = True
+                break
+            if full < np.inf:
+                for k in range(bodies):
+                    for d in range(3):
+                        group.v[k, d] += step * z[3 * k + d] * group.root[k]
+            for k in range(count):
+                load[k] = max(0.0, load[k] - step * share[k])
+            added += step
+            if full <= partial:
+                _extend(count, square, Q, R, share, z)
+                active[count], load[count] = c, added
+                count += 1
+                break
+            for k in range(gone, count - 1):
+                active[k], load[k] = active[k + 1], load[k + 1]
+            count -= 1
+            for k in range(count):  # from the first: a group is small, and contacts seldom open
+                _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, share, z), Q, R, share, z)
+    for k in range(count):
+        group.impulse[active[k]] = load[k] / scale[active[k]]
+
+
+@inline
+def _normal_velocity(c: int, group: Group) -> float:
+    """Return v_n of a contact in the drift, in m/s; what does not move is at rest."""
+    vn = 0.0
+    for end in range(2):
+        k = group.place[c, end]
+        if k >= 0:
+            for d in range(3):
+                vn += (2 * end - 1) * group.normal[c, d] * group.v[k, d]
+    return vn
+
+
+@inner
+def _project(
+    c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, share: FloatArray, z: FloatArray
+) -> float:
+    """Find what is left of the direction of a contact beside those of the first ``count`` held; return its square.
+
+    Writes it to ``z``. The last column of ``share`` gets the coefficients R of the others; before, by how much their
+    loads fall as that of the contact rises.
+    """
+    z[:] = 0.0
+    for end in range(2):
+        k = group.place[c, end]
+        if k >= 0:
+            for d in range(3):
+                z[3 * k + d] += (2 * end - 1) * group.normal[c, d] * group.root[k] / scale
+    for k in range(count):
+        share[k] = 0.0
+    for _ in range(2):  # twice, since the first leaves rounding
+        for k in range(count):
+            component = 0.0
+            for d in range(len(z)):
+                component += Q[k, d] * z[d]
+            share[k] += component
+            for d in range(len(z)):
+                z[d] -= component * Q[k, d]
+    if count < len(R):
+        for k in range(count):
+            R[k, count] = share[k]
+    for k in range(count - 1, -1, -1):
+        for later in range(k + 1, count):
+            share[k] -= R[k, later] * share[later]
+        share[k] /= R[k, k]
+    square = 0.0
+    for d in range(len(z)):
+        square += z[d] * z[d]
+    return square
+
+
+@inline
+def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, share: FloatArray, z: FloatArray) -> None:
+    """Add the direction that `_project` found last."""
+    length = np.sqrt(square)
+    R[count, count] = length
+    for d in range(len(z)):
+        Q[count, d] = z[d] / length
+
+
+@inner
+def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -> int:
+    """Log the contacts that had an impulse, with half the sum of the speeds before and after it; return the next row.
+
+    Summed over the group, -λ (v_n + v_n')/2 is the energy that is lost.
+    """
+    clock = T.drift[0].clock
+    s = clock - T.drift[0].kick
+    for c in range(contacts):
+        Jn = group.impulse[c]
+        if not Jn > 0.0:
+            continue
+        i, j = group.ends[c, 0], group.ends[c, 1]
+        nx, ny, nz, ri, rj = contact_geometry(i, j, T)
+        ax, ay, az = between(T.a, i, j)
+        vx, vy, vz = between(T.v, i, j)
+        change = s * (ax * nx + ay * ny + az * nz)
+        before, after = group.before[c] + change, vx * nx + vy * ny + vz * nz + change
+        entry = log[row]
+        row += 1
+        entry.i, entry.j, entry.time = i, j, clock
+        entry.nx, entry.ny, entry.nz = nx, ny, nz
+        entry.approach, entry.rest_speed = max(0.0, -before), max(T.rest_speed[i], T.rest_speed[j])
+        entry.restitution_loss = -Jn * (0.5 * (before + after))
+        entry.friction_loss = entry.stabilisation_gain = 0.0
+        entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
+        entry.friction_x = entry.friction_y = entry.friction_z = 0.0
+        x, y, z = vector(T.x, i)
+        entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
+        entry.vix, entry.viy, entry.viz = along(T.v, T.a, i, s)
+        entry.vjx, entry.vjy, entry.vjz = along(T.v, T.a, j, s)
+    return row
