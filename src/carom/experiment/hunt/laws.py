@@ -54,6 +54,13 @@ def _is_free(scene: Scene, needs: Requirements) -> bool:
     return not scene.anchored and not needs.tree.modelled
 
 
+def _stands(scene: Scene, needs: Requirements) -> bool:
+    """Tell whether overlaps at rest are pushed apart: contacts may rest, and no setting leaves them as they are."""
+    contact = scene.contact
+    pushes = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
+    return needs.resting.modelled and pushes
+
+
 def _invariance(name: str, says: str, *kinds: str) -> Law:
     return Law(name, says, f"invariance {name}", lambda scene, needs: applies(name, scene), kinds)
 
@@ -81,6 +88,7 @@ LAWS = [
         "expect.contact_audit",
         lambda scene, needs: needs.contact.modelled,
     ),
+    Law("overlap", "no overlap above 5 % of a radius lasts", "overlap at rest", _stands),
     Law("replay", "the bits do not depend on threads, checkpoints or the search", "replay differs", lambda *_: True),
     _invariance("scaling", "other units that are powers of two change no bit"),
     _invariance("mirror", "a mirror image has the same bits"),

@@ -1,6 +1,6 @@
-"""The scenes that are hunted: bodies that meet, crowds, groups, planets, and what has a law of its own, with switches.
+"""The scenes that are hunted: bodies that meet, crowds, columns, groups, planets, and what has a law of its own.
 
-Most switches change any scene: forces, walls and planes, materials and pairs, units, how steps are chosen, how contacts
+Switches change most of them: forces, walls and planes, materials and pairs, units, how steps are chosen, how contacts
 are found and solved. The schema refuses some combinations; these scenes are counted and left.
 """
 
@@ -43,7 +43,7 @@ def drawn(seed: int, index: int) -> Drawn:
 
 
 def _drawn(draw: Draw) -> Drawn:
-    kind = draw.integer(0, 19)
+    kind = draw.integer(0, 21)
     if kind < 3:
         document = smooth(draw, steps=SMOOTH_STEPS, integrators=ORDERED)
         document["time"]["duration"] = SMOOTH_STEPS * document["time"]["fixed_dt"]
@@ -57,6 +57,8 @@ def _drawn(draw: Draw) -> Drawn:
     scale = scales(draw)
     if kind < 6:
         return Drawn(_planets(draw, scale))
+    if kind > 19:
+        return Drawn(_column(draw, scale))
     if kind < 8:
         document = _groups(draw, scale)
     elif kind < 12:
@@ -128,7 +130,7 @@ def _set_time(draw: Draw, time: Document, T: float) -> None:
 
 def _bound(draw: Draw, document: Document, scale: Scales) -> None:
     """Put walls around a scene, planes beside it, or fix one of its bodies; not in a periodic box."""
-    if "domain" in document or "body" not in document:
+    if "domain" in document or "group" in document:
         return
     bodies, gap = document["body"], draw.choice(0.0, 0.0, 0.01, 0.1, 1.0) * scale.L
     position = np.array([body["position"] for body in bodies])
@@ -195,31 +197,78 @@ def _crowd(draw: Draw, scale: Scales) -> Document:
     return document
 
 
+def _column(draw: Draw, scale: Scales) -> Document:
+    """Draw a column that gets heavier upwards, by masses or by radii of one density, over a plane or a wall."""
+    L, U, M = scale
+    count, ratio, gap = draw.integer(2, 5), draw.choice(0.5, 1.0, 2.0, 3.0), draw.choice(0.0, 1e-3, 0.01, 0.05)
+    aside = draw.choice(0.0, 0.0, 1e-9, 1e-3)
+    bodies: list[Document] = []
+    z, grows = 0.0, draw.choice(False, True)
+    for number in range(count):
+        radius = L * (10.0 ** (ratio * number / 3.0) if grows else 1.0)
+        z += gap * L + radius
+        place = [aside * L * (number % 2), 0.0, z]
+        bodies.append({"position": place, "radius": radius, "mass": M * 10.0 ** (ratio * number)})
+        z += radius
+    document: Document = {
+        "body": bodies,
+        "time": {"duration": draw.choice(0.3, 0.6) * L / U},
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -U * U / L]},
+        "contact": {
+            "restitution": draw.choice(0.0, 0.2, 0.5, 0.8),
+            "static_friction": draw.choice(0.0, 0.3),
+            "timing": draw.choice("auto", "auto", "end-of-step", "time-of-impact"),
+        },
+        "record": {"every": "step", "check_every": 1},
+    }
+    if draw.choice(False, True):
+        document["plane"] = [{}]
+    else:
+        for body in bodies:
+            body["position"][2] -= 0.5 * z
+        document["domain"] = {"boundary": "walls", "size": [2.5 * bodies[-1]["radius"]] * 2 + [z * (1.0 + 1e-9)]}
+    if one_in(draw, 4):
+        document["time"]["fixed_dt"] = L / U * draw.choice(1e-3, 0.01, 0.05)
+    return document
+
+
 def _groups(draw: Draw, scale: Scales) -> Document:
-    """Draw groups of bodies that carom places itself."""
-    document, (L, U, M) = meeting(draw, scale=scale, most_bodies=1), scale
-    count, room = draw.integer(2, 24), L * draw.choice(6.0, 10.0)
+    """Draw groups that carom places itself, some beside a body or over a plane."""
+    document, L = meeting(draw, scale=scale, most_bodies=1), scale.L
+    room = L * draw.choice(6.0, 10.0)
+    document["group"] = [_group(draw, scale, room) for _ in range(draw.choice(1, 1, 2))]
+    del document["body"]
+    if one_in(draw, 3):
+        document["body"] = [
+            {"position": row(vector(draw) * room), "radius": L * draw.choice(0.5, 1.0, 4.0), "mass": scale.M}
+        ]
+    if "domain" in document:
+        document["domain"]["size"] = [4.0 * room] * 3
+    elif one_in(draw, 3):
+        document["plane"] = [{"point": [0.0, 0.0, draw.choice(-1.0, -0.5, 0.0) * room]}]
+    return document
+
+
+def _group(draw: Draw, scale: Scales, room: float) -> Document:
+    """Draw a group in a region of about 2 room."""
+    L, U, M = scale
     shape = draw.choice("ball", "box", "cylinder", "shell")
     region: Document = {"shape": shape}
     region |= {"size": [2.0 * room] * 3} if shape == "box" else {"radius": room}
     region |= {"cylinder": {"height": room}, "shell": {"inner_radius": 0.3 * room}}.get(shape, {})
     group: Document = {
-        "count": count,
+        "count": draw.integer(1, 24),
         "radius": draw.choice(L, L, None) or {"min": 0.5 * L, "max": L},
         "mass": M,
         "region": region,
-        "arrangement": draw.choice("random", "random", "cubic", "fcc", "hcp"),
+        "arrangement": draw.choice("random", "random", "cubic", "fcc", "hcp", "compressed"),
         "velocity": {"mean": row(vector(draw) * U), "dispersion": draw.choice(0.0, 1.0) * U},
     }
     if one_in(draw, 2):
         group["spin"] = {"dispersion": U / L}
     if one_in(draw, 4):
         group["bulk_rotation"] = row(vector(draw) * (U / room))
-    document["group"] = [group]
-    del document["body"]
-    if "domain" in document:
-        document["domain"]["size"] = [4.0 * room] * 3
-    return document
+    return group
 
 
 def _planets(draw: Draw, scale: Scales) -> Document:

@@ -10,7 +10,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.expectation import Verdict
 from carom.experiment.shrink.expression import Expression, UnknownNameError
 from carom.experiment.shrink.invariance import Varies
-from carom.experiment.shrink.observation import Observation, Pair, end_name
+from carom.experiment.shrink.observation import LASTING, SUNK, Observation, Pair, end_name
 from carom.experiment.shrink.whole_run import ReplayDiffers
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
@@ -86,7 +86,8 @@ def condition_from(text: str | None) -> Condition:
     text
         None: whatever goes wrong, an error or a missed promise. ``expect`` or ``expect.NAME`` (a missed promise),
         ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``,
-        ``replay differs``, ``invariance NAME``, otherwise an expression over the numbers of ``carom inspect --json``.
+        ``overlap at rest``, ``replay differs``, ``invariance NAME``, otherwise an expression over the numbers of
+        ``carom inspect --json``.
 
     Raises
     ------
@@ -103,6 +104,8 @@ def condition_from(text: str | None) -> Condition:
         return Warned(text, matched[1] or "")
     if " ".join(text.lower().split()) == "replay differs":
         return ReplayDiffers(text)
+    if " ".join(text.lower().split()) == "overlap at rest":
+        return Sunk(text)
     if matched := _INVARIANCE.fullmatch(text):
         return Varies(text, matched[1])
     if text.strip().lower() == "crash":
@@ -265,6 +268,37 @@ class Met:
             raise ExperimentError(f"--while {self.text}: no body {end}; there are {len(names.bodies)}, from 0 on")
         near = nearest(end, known)
         raise ExperimentError(f'--while {self.text}: no body "{end}"' + (f'; did you mean "{near}"?' if near else ""))
+
+
+@dataclass(frozen=True, slots=True)
+class Sunk:
+    """An overlap that lasts, see `Touches`."""
+
+    text: str
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Accept every run."""
+
+    def pinned(self, seen: Observation) -> Sunk:
+        """Return the condition, of whichever pair."""
+        if not self.holds(seen):
+            raise ExperimentError(f"nothing to shrink: no overlap above {SUNK:.0%} of a radius lasts {LASTING} steps")
+        return self
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether there is one."""
+        return not seen.error and bool(seen.touches.sunk)
+
+    def said(self, seen: Observation) -> str:
+        """Name the pair that overlaps most."""
+        pair, depth = max(seen.touches.sunk.items(), key=lambda one: one[1])
+        return f"{' and '.join(sorted(pair))} overlap by {depth:.3g} of a radius, at rest"
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies that overlap."""
+        return {end for pair in seen.touches.sunk for end in pair} & set(seen.space.names)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from carom.experiment.environment import versions
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.run import closing_summary
@@ -18,18 +20,41 @@ from carom.scene.names import Names
 
 Pair = frozenset[str]  # names of both ends
 
+SUNK = 0.05  # of the smaller radius: a deeper overlap must not last
+LASTING = 20  # steps
+STEADY = 0.01  # of the smaller radius: an overlap that changes less in so many steps is one at rest
+
 
 class Touches:
-    """The pairs that met so far, by their names, which stay when other bodies are left out."""
+    """The pairs that met so far, by their names, which stay when other bodies are left out.
+
+    Attributes
+    ----------
+    pairs
+        Those that met.
+    sunk
+        Those that overlap at rest: the overlap over the smaller radius.
+    """
 
     def __init__(self, space: Space) -> None:
         self._names = Names(list(space.names), list(half_spaces(space.scene).name))
+        self._radius = space.state.radius
+        self._since: dict[Pair, tuple[int, float]] = {}  # step from which on an overlap is steady, and the overlap then
         self.pairs: set[Pair] = set()
+        self.sunk: dict[Pair, float] = {}
 
     def see(self, frame: Frame) -> None:
-        """Add the impacts since the frame before."""
+        """Add the impacts since the frame before, and look for overlaps that last."""
         if frame.impacts is not None:
             self.pairs |= {self._pair(int(row["i"]), int(row["j"])) for row in frame.impacts}
+        since, self._since = self._since, {}
+        for (i, j), overlap in zip(frame.contacts.pairs, frame.contacts.overlaps, strict=True):
+            depth = float(overlap / min(self._radius[i], self._radius[j] if j < len(self._radius) else np.inf))
+            if depth > SUNK:
+                pair = self._pair(int(i), int(j))
+                step, before = since.get(pair, (frame.step, depth))
+                self._since[pair] = (step, before) if abs(depth - before) <= STEADY else (frame.step, depth)
+        self.sunk = {pair: depth for pair, (step, depth) in self._since.items() if frame.step - step >= LASTING}
 
     def _pair(self, i: int, j: int) -> Pair:
         return frozenset((end_name(self._names, i), end_name(self._names, j)))
