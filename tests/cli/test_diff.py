@@ -44,7 +44,11 @@ def test_a_difference_exits_1_and_says_where_and_what_it_looks_like(
         assert part in done.stdout
     assert (tmp_path / "both.rrd").exists()
     shown = carom("inspect", "both.rrd", cwd=tmp_path)
-    assert shown.returncode == 2 and "shows several runs" in shown.stderr
+    assert shown.returncode == 0, shown.stderr
+    for part in ("run.rrd", "other.rrd", "A jump, not round-off: at step 40", "carom view both.rrd"):
+        assert part in shown.stdout
+    refused = carom("contacts", "both.rrd", cwd=tmp_path)
+    assert refused.returncode == 2 and "shows several runs" in refused.stderr
 
 
 def test_diff_prints_json_that_a_script_can_use(run_file: Path, other: Path, tmp_path: Path) -> None:

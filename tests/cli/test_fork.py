@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import signal
 from pathlib import Path
 
 import pytest
 
+from carom.experiment.fork import fork as forking
+from carom.experiment.run import simulate
 from command import carom, carom_process
 
 SEEDED = ("--at", "0.5", "--perturb", "1ulp", "--seeds", "2")
@@ -23,6 +26,23 @@ def test_a_fork_writes_both_courses_and_prints_their_difference(folder: Path) ->
     told = json.loads(carom("fork", "run.rrd", "--at", "0.5", *options, cwd=folder).stdout)
     assert told["step"] == 5 and told["rms"] == pytest.approx(0.5, rel=0.15)  # 0.5 m/s for about a second
     assert [path.name for path in folder.iterdir() if path.name.startswith(".carom")] == []
+
+
+def test_a_fork_that_is_stopped_says_so_in_its_file_and_exits_1(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    presses = iter([signal.SIGINT])
+
+    def interrupt(status: object) -> None:
+        for number in presses:
+            signal.raise_signal(number)
+
+    monkeypatch.setattr(forking, "simulate", lambda space, path, watch: simulate(space, path, watch=interrupt))
+    made = ("--set", "time.duration=1e7", "--set", "record.every=1e3", "-o", "stopped.rrd")
+    done = carom("fork", "run.rrd", "--at", "0.5", *made, cwd=folder)
+    assert done.returncode == 1, done.stderr
+    shown = json.loads(carom("inspect", "stopped.rrd", "--json", cwd=folder).stdout)
+    for text in (done.stdout, shown["verdict"]):
+        assert "The fork ended early, interrupted: stopped by the user at t = " in text
+    assert shown["a"] == "run.rrd" and shown["verdict"].startswith("Forked at step 5, t = 0.5 s")
 
 
 @pytest.mark.slow

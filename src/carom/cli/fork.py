@@ -103,14 +103,17 @@ def fork(
         branch = Branch(path, simulated(at, Recording.open(path).units), tuple(overrides or ()))
         start = start_of(branch)
         if seeds == 1:
-            document, lines = _one(start, target, None if perturb is None else 1, ulps)
+            document, lines, early = _one(start, target, None if perturb is None else 1, ulps)
         else:
             document, lines = _many(start, branch, target, seeds, ulps, outcome, times or DEFAULT_TIMES, when)
+            early = False
     if as_json:
         say_json(document)
-        return
-    for line in [*lines, f"{target} written; {command('view', target)}"]:
-        say(line)
+    else:
+        for line in [*lines, f"{target} written; {command('view', target)}"]:
+            say(line)
+    if early:
+        raise typer.Exit(1)
 
 
 def _ulps(text: str | None) -> int:
@@ -123,10 +126,11 @@ def _ulps(text: str | None) -> int:
     return int(match[1])
 
 
-def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str]]:
+def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str], bool]:
+    """Make one fork; return its document, its description, and whether it ended early."""
     from carom.experiment.diff.divergence import rate_text
+    from carom.experiment.fork.fork import ended_early, text_of
     from carom.experiment.fork.fork import fork as go_on
-    from carom.experiment.fork.fork import text_of
 
     found: Fork = go_on(start, target, shift, ulps)
     text = text_of(start, found.diff)
@@ -143,14 +147,15 @@ def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict
         "floor": float(found.diff.curve.floor[-1]),
     }
     lines = [f"{text[0].upper()}{text[1:]}."]
-    if found.outcome.status == "expectation missed":
-        lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
+    early = ended_early(found.outcome)
+    if early:
+        lines.append(early)
     elif not found.outcome.ok:
-        lines.append(f"The fork ended early, {found.outcome.status}: {found.outcome.reason}.")
+        lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
     if found.diff.divergence is not None and found.diff.divergence.is_exponential:
         rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
         lines.append(f"The distance grows by e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
-    return document, lines
+    return document, lines, bool(early)
 
 
 def _last_step(start: Start) -> float:

@@ -17,6 +17,7 @@ from carom.scene.units.dimension import ENERGY, TIME
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom.recording.read.recording import Recording
     from carom.scene.units.system import UnitSystem
 
 NOT_RECORDED = "not recorded, or lost"
@@ -29,12 +30,18 @@ def inspect(
     file: RecordingArgument,
     as_json: JsonOption = False,
 ) -> None:
-    """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions."""
+    """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions.
+
+    Of a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
+    """
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
 
     with opened(file) as path:
         recording = Recording.open(path)
+        if recording.is_overlay:
+            _print_comparison(recording, file, as_json)
+            return
         summary, units = recording.summary(), recording.units
     if as_json:
         say_json(summary)
@@ -55,6 +62,21 @@ def inspect(
     if summary["profile"]:
         console.print()
         console.print(_profile(summary["profile"]))
+
+
+def _print_comparison(recording: Recording, file: Path, as_json: bool) -> None:
+    """Print what a file that shows several runs compares, and the verdict."""
+    from carom.cli.terminal import Terminal
+
+    compared = {"title": recording.title, **recording.overlaid}
+    if as_json:
+        say_json(compared)
+        return
+    table = _grid()
+    for name, text in compared.items():
+        table.add_row(name, str(text))
+    table.add_row("next", command("view", file))
+    Terminal(soft_wrap=True).print(table)
 
 
 def _grid() -> Table:

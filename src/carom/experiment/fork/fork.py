@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from carom.experiment.diff.diff import Diff, diff, overlay
+from carom.experiment.ending import in_words
 from carom.experiment.fork.branch import Start
 from carom.experiment.fork.ensemble import Ensemble
 from carom.experiment.run import Outcome, Watcher, simulate
+from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import Forecast, write_forecast
 from carom.scene.units.dimension import LENGTH, TIME
@@ -44,15 +45,23 @@ def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher |
     RecordingError
         If it cannot be written.
     """
-    with tempfile.TemporaryDirectory(prefix=".carom-fork-", dir=out.parent) as folder:
-        part = Path(folder) / f"{out.stem}.rrd"
+    with temporary_folder() as folder:
+        part = folder / f"{out.stem}.rrd"
         outcome = simulate(start.space(None, shift, ulps), part, watch=watch)
         branch = Recording.open(part)
         found = diff(start.recording, branch)
-        overlay(
-            start.recording, branch, replace(found, verdict=replace(found.verdict, text=text_of(start, found))), out
-        )
+        text = text_of(start, found)
+        if early := ended_early(outcome):
+            text = f"{text}. {early.removesuffix('.')}"
+        overlay(start.recording, branch, replace(found, verdict=replace(found.verdict, text=text)), out)
     return Fork(outcome, found)
+
+
+def ended_early(outcome: Outcome) -> str:
+    """Say why a fork stopped before its end; return nothing if it did not, even if it missed a promise."""
+    if outcome.status in ("completed", "expectation missed"):
+        return ""
+    return f"The fork ended early, {in_words(outcome.status)}: {outcome.reason}."
 
 
 def text_of(start: Start, found: Diff) -> str:
