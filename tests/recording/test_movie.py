@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import re
 import signal
 import subprocess
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import imageio_ffmpeg
 import numpy as np
+import psutil
 import pytest
 from numpy.typing import NDArray
 from PIL import Image
@@ -170,19 +172,33 @@ def test_a_close_up_movie_keeps_its_two_bodies_in_the_middle(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_a_movie_without_leaving_a_file(recorded: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_movie_that_is_ended_leaves_neither_viewer_nor_temporary_files(
+    recorded: Path, tmp_path: Path, number: signal.Signals
+) -> None:
+    output, temporary = tmp_path / "output", tmp_path / "temporary"
+    output.mkdir()
+    temporary.mkdir()
     process = subprocess.Popen(
         [sys.executable, "-m", "carom", "movie", str(recorded), "-o", "movie.mp4"],
-        cwd=tmp_path,
+        cwd=output,
         stderr=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
+        env=os.environ | {"TMPDIR": str(temporary)},
     )
     assert process.stderr is not None
     for line in process.stderr:  # the second line comes after 5 s, when pictures are taken
         if "picture " in line:
             break
-    process.send_signal(signal.SIGINT)
+    children = psutil.Process(process.pid).children(recursive=True)
+    assert [child for child in children if child.name() == "rerun"]
+    assert list(temporary.rglob("rerun-data-*"))
+    process.send_signal(number)
     said = process.communicate(timeout=60)[1]
-    assert process.returncode == 130 and "Traceback" not in said
-    assert not list(tmp_path.iterdir())
+    assert not psutil.wait_procs(children, timeout=30)[1]
+    assert not list(temporary.rglob("rerun-data-*"))
+    if number == signal.SIGKILL:
+        return
+    assert process.returncode == (130 if number == signal.SIGINT else 143) and "Traceback" not in said
+    assert not list(output.iterdir()) and not list(temporary.iterdir())
