@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import re
 import tomllib
 import warnings
@@ -28,12 +29,15 @@ from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, othe
 from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
+from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH
 from carom.scene.units.system import UnitSystem
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
 MOST_MESSAGES = 8
+_LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that files may have
+_SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer digits
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -233,14 +237,67 @@ def _with_bodies(
             wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))
             row += section.count or 0
     _refuse(wrong)
+    taken = _take_over_laws(scene, units, data, places, found)
     known = [{"count": len(one.columns), "sha256": one.sha256} for one in found]
     sections = tuple(section.model_copy(update=values) for section, values in zip(scene.bodies, known, strict=True))
-    if sections != scene.bodies:
+    if sections != scene.bodies or taken:
         document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
         for index, values in enumerate(known):
             document["bodies"][index].update(values)
+        for key, number in taken.items():
+            apply_override(document, f"gravity.{key}={number!r}")
         text = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
-        scene = scene.model_copy(update={"bodies": sections})
+        numbers = {key: units.converted(number, _LAW[key]) for key, number in taken.items()}
+        gravity = scene.gravity.model_copy(update=numbers)
+        scene = scene.model_copy(update={"bodies": sections, "gravity": gravity})
     files = source.files if isinstance(source, HeldBodies) else source if isinstance(source, DataFiles) else None
     scene._held = HeldBodies(sections, tuple(found), units, files)
     return scene, text
+
+
+def _take_over_laws(
+    scene: Scene, units: UnitSystem, data: dict[str, Any], places: KeyPlaces, found: list[Found]
+) -> dict[str, float]:
+    """Compare what moves the bodies in their files with the scene; add notes to what was found.
+
+    Returns
+    -------
+    taken
+        Plain numbers for those keys of [gravity] that the scene leaves out and a file has.
+
+    Raises
+    ------
+    SceneError
+        If the scene contradicts a file, or two files contradict each other.
+    """
+    given: Any = data.get("gravity", {})
+    is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
+    taken, wrong = dict[str, float](), list[Callable[[], str]]()
+    for index, one in enumerate(found):
+        law, notes, refuted = one.law, list[str](), ""
+        if law is None:
+            continue
+        if is_off and law.constant > 0.0:
+            notes.append(f"G = {law.constant:g} is not used, because the scene has no gravity between bodies")
+        for key, dimension in () if is_off else _LAW.items():
+            number = float(getattr(law, key))
+            if key not in given and key not in taken and (number > 0.0 or key == "constant"):
+                taken[key] = number
+            own = taken.get(key, units.shown(getattr(scene.gravity, key), dimension))
+            if taken.get(key) == number:
+                notes.append(f"gravity.{key} = {number:g} is taken from it")
+            elif number == 0.0 and key == "softening" and own > 0.0:
+                notes.append(f"it has no softening, and the scene has {own:g}")
+            elif not math.isclose(own, number, rel_tol=_SAME_LAW):
+                refuted = f"gravity.{key} is {number!r} in it, and {own!r} here; leave gravity.{key} out, or set that"
+        if law.periodic and scene.domain.boundary != "periodic":
+            refuted = 'its box is periodic; set domain.boundary = "periodic" and domain.size'
+        if not law.collides and scene.contact.enabled:
+            notes.append("its bodies pass through each other; contact.enabled = false does the same here")
+        called = scene.bodies[index].called
+        found[index] = one._replace(notes=(*one.notes, *(f"{called}: {note}" for note in notes)))
+        if refuted:
+            place = f"{places.of(('bodies', index, 'file'))}bodies.{index}: {called}: "
+            wrong.append(partial(str, place + refuted))
+    _refuse(wrong)
+    return taken

@@ -67,14 +67,12 @@ def open_arrow(path: Path, called: str, snapshot: int) -> Table:
     return _ArrowTable(called, reader.schema.names, lambda wanted, _: table.select(wanted), snapshot)
 
 
-class _ArrowTable:
+class _ArrowTable(Table):
     """Columns of an Arrow table."""
-
-    units = ""
 
     def __init__(self, called: str, names: Sequence[str], read: _Read, snapshot: int) -> None:
         self.called = called
-        self.names: Sequence[str] = list(names)
+        self.names = list(names)
         self._read = read
         self._snapshot = snapshot
 

@@ -64,15 +64,14 @@ def open_table(path: Path, called: str, snapshot: int) -> Table:
         return _Guarded(opener(path, called, snapshot), form)
 
 
-class _Guarded:
+class _Guarded(Table):
     """A table whose errors are all `SceneError`."""
 
     def __init__(self, table: Table, form: _Format) -> None:
         self._table = table
         self._form = form
-        self.called: str = table.called
-        self.names: Sequence[str] = table.names
-        self.units: str = table.units
+        self.called, self.names, self.units = table.called, table.names, table.units
+        self.law, self.notes = table.law, table.notes
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""

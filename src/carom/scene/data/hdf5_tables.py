@@ -33,11 +33,10 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
     return _Datasets(path, called, names)
 
 
-class _Datasets:
+class _Datasets(Table):
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
-        self.units = ""
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:

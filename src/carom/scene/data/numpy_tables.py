@@ -25,11 +25,10 @@ def open_npz(path: Path, called: str, snapshot: int) -> Table:
     return _Archive(path, called, names)
 
 
-class _Archive:
+class _Archive(Table):
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
-        self.units = ""
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:

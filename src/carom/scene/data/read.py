@@ -80,7 +80,7 @@ def read_columns(
     _refuse_moving_fixed(columns, table.called)
     _refuse_inertia(columns, table.called)
     unused = unused_columns(section, mapping, table.names)
-    return columns, (f"{table.called}: columns that are not used: {unused}",) if unused else ()
+    return columns, (*table.notes, *((f"{table.called}: columns that are not used: {unused}",) if unused else ()))
 
 
 class _Reader:

@@ -1,16 +1,24 @@
-"""Simulationarchives of REBOUND, by rebound itself."""
+"""Simulationarchives of REBOUND, by rebound itself, with the law that moves their particles."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from carom.scene.data.table import Raw, Table, refuse_many_rows
+from carom.scene.counted import counted
+from carom.scene.data.mapping import printable
+from carom.scene.data.table import Arrays, Law, Raw, Table, refuse_many_rows
 from carom.scene.error import SceneError
 from carom.scene.units.rebound import units_of_rebound
+
+_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # ways to sum one law
+_DAMAGED = "corrupted"  # in the warning about an archive that ends early
+_KNOWN = ("test particle (type 0) has finite mass", "might not be synchronized")  # warnings about what is done here
 
 
 def open_rebound(path: Path, called: str, snapshot: int) -> Table:
@@ -21,32 +29,81 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
         raise SceneError(
             f'{called}: a Simulationarchive needs rebound; install it with: pip install "carom[rebound]"'
         ) from None
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", ".*corrupted.*", RuntimeWarning)
+    with warnings.catch_warnings(record=True) as given:
+        warnings.simplefilter("always")
         archive = rebound.Simulationarchive(str(path))
-    count = len(archive)
-    if not -count <= snapshot < count:
-        raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
-    simulation = archive[snapshot % count]
+        count = len(archive)
+        if not -count <= snapshot < count:
+            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
+        simulation = archive[snapshot % count]
+        simulation.synchronize()  # maps leave positions and velocities of different times in between
+    said = list(dict.fromkeys(str(warning.message) for warning in given))
+    notes = [] if not any(_DAMAGED in text for text in said) else [_cut_off(simulation, snapshot % count, count)]
+    notes += [
+        f"REBOUND warns: {text.splitlines()[0]}" for text in said if not any(k in text for k in (_DAMAGED, *_KNOWN))
+    ]
+    if simulation.gravity not in (*_GRAVITY, "none"):
+        raise SceneError(f'{called}: its gravity is "{printable(str(simulation.gravity))}", which carom does not have')
+    if simulation.boundary not in ("none", "open", "periodic"):
+        raise SceneError(
+            f'{called}: its boundary is "{printable(str(simulation.boundary))}", which carom does not have'
+        )
+    if simulation.boundary == "open":
+        notes.append('boundary = "open": REBOUND removes bodies that leave its box, and carom keeps them')
     refuse_many_rows(called, simulation.N)
-    arrays = {"position": np.zeros((simulation.N, 3)), "velocity": np.zeros((simulation.N, 3))}
-    arrays |= {"mass": np.zeros(simulation.N), "radius": np.zeros(simulation.N)}
-    simulation.serialize_particle_data(
-        xyz=arrays["position"], vxvyvz=arrays["velocity"], m=arrays["mass"], r=arrays["radius"]
+    if simulation.N_var:
+        notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
+    particles = len(simulation.particles)  # without variational ones, which N counts before version 5
+    table = Arrays(_arrays(simulation, particles, called, notes), called)
+    table.units = units_of_rebound(simulation.units)
+    table.law = Law(
+        constant=0.0 if simulation.gravity == "none" else float(simulation.G),
+        softening=float(simulation.softening),
+        periodic=simulation.boundary == "periodic",
+        collides=simulation.collision != "none",
     )
-    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
-    return _Particles(called, there, units_of_rebound(simulation.units))
+    table.notes = tuple(f"{called}: {note}" for note in notes)
+    return table
 
 
-class _Particles:
-    """Particles of one snapshot; a radius or mass that REBOUND has as 0 throughout is left out."""
+def _cut_off(simulation: Any, index: int, count: int) -> str:
+    snapshots = counted(count, "intact snapshot")
+    return f"the file is damaged or ends early; of {snapshots} number {index}, t = {simulation.t:g}, is read"
 
-    def __init__(self, called: str, arrays: dict[str, Raw], units: str) -> None:
-        self.called = called
-        self.units = units
-        self._arrays = arrays
-        self.names: Sequence[str] = list(arrays)
 
-    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Return arrays by their names."""
-        return {name: self._arrays[name] for name in names}
+def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
+    """Return the particles; a radius or mass that REBOUND has as 0 throughout is left out."""
+    everything = simulation.N
+    position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
+    mass, radius = np.zeros(everything), np.zeros(everything)
+    simulation.serialize_particle_data(xyz=position, vxvyvz=velocity, m=mass, r=radius)
+    names = _names(simulation, n)
+    found: dict[str, Raw] = {"position": position[:n], "velocity": velocity[:n]}
+    found |= {"mass": _attracting(simulation, mass[:n], called, notes), "radius": radius[:n]}
+    there = {name: array for name, array in found.items() if array.any() or name == "position"}
+    return there | ({"name": np.array(names, dtype=object)} if any(names) else {})
+
+
+def _attracting(simulation: Any, mass: NDArray[np.float64], called: str, notes: list[str]) -> NDArray[np.float64]:
+    """Return the masses that attract: test particles of REBOUND may have one, which does nothing."""
+    n, active = len(mass), int(simulation.N_active)
+    light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest whole number
+    if not light.any():
+        return mass
+    if simulation.testparticle_type == 0:
+        few = counted(len(light), "test particle")
+        notes.append(f"N_active = {active}: {few}, whose masses attract nothing, of mass 0 here")
+        return np.concatenate((mass[:active], np.zeros_like(light)))
+    if len(light) > 1:
+        raise SceneError(
+            f"{called}: testparticle_type = 1 with N_active = {active}: {len(light)} bodies attract the others and not "
+            "each other, which carom does not have; set N_active = -1 or testparticle_type = 0 in REBOUND"
+        )
+    return mass
+
+
+def _names(simulation: Any, n: int) -> Sequence[str]:
+    """Return the names; empty texts where there are none. REBOUND has them from version 5 on."""
+    if getattr(simulation, "_N_name_list", 1) == 0:
+        return []
+    return [getattr(simulation.particles[k], "name", None) or "" for k in range(n)]

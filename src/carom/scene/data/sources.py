@@ -12,6 +12,7 @@ from typing import NamedTuple, Protocol
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.formats import open_table
 from carom.scene.data.read import read_columns
+from carom.scene.data.table import Law
 from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
@@ -25,6 +26,7 @@ class Found(NamedTuple):
     sha256: str
     material: Material | None = None  # that gave them a density, if that is known
     notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
+    law: Law | None = None  # what moved them where they come from, if that is known
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class DataFiles:
             )
         table = open_table(path, section.file, section.snapshot)
         columns, notes = read_columns(section, table, wanted.units, wanted.material)
-        return Found(columns, digest, wanted.material, notes)
+        return Found(columns, digest, wanted.material, notes, table.law)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:

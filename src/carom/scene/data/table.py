@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,34 +21,36 @@ _EXACT = 2**53  # whole numbers below it are floats without rounding
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
 
 
-class Table(Protocol):
+class Law(NamedTuple):
+    """What moves the bodies of a simulation, as its file says; numbers are plain ones of the table."""
+
+    constant: float  # gravitational; 0 without gravity
+    softening: float
+    periodic: bool  # whether its box is
+    collides: bool
+
+
+class Table:
     """The columns of a file; only those that are asked for are read."""
 
-    @property
-    def called(self) -> str:
-        """What messages call it."""
-
-    @property
-    def names(self) -> Sequence[str]:
-        """The names of its columns."""
-
-    @property
-    def units(self) -> str:
-        """The length, time and mass that its numbers are in, such as "au, day, M_sun"; empty if it does not say."""
+    called: str  # what messages call it
+    names: Sequence[str]  # of its columns
+    units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if it does not say
+    law: Law | None = None  # None if it does not say
+    notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
+        raise NotImplementedError
 
 
-class Arrays:
-    """Columns that a Python program gives as arrays."""
+class Arrays(Table):
+    """Columns that a Python program gives as arrays, or that another package read."""
 
-    called = "the arrays"
-    units = ""
-
-    def __init__(self, arrays: Mapping[str, Raw]) -> None:
-        self._arrays = arrays
+    def __init__(self, arrays: Mapping[str, Raw], called: str = "the arrays") -> None:
+        self.called = called
         self.names = list(arrays)
+        self._arrays = arrays
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Return arrays by their names."""

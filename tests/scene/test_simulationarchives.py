@@ -1,0 +1,173 @@
+"""What a Simulationarchive of REBOUND says of its physics is taken over, or refused by name."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.schema import Scene
+
+rebound = pytest.importorskip("rebound")
+
+APART = "contact.enabled = false\n"
+
+
+def save(path: Path, prepare: Callable[[Any], None] = lambda simulation: None, units: Any = None) -> Any:
+    """Write a star of mass 1 with two bodies of mass 0.01; return the simulation."""
+    simulation = rebound.Simulation()
+    if units:
+        simulation.units = units
+    simulation.add(m=1.0, name="sun")
+    simulation.add(m=0.01, a=1.0)
+    simulation.add(m=0.01, a=0.8, e=0.1)
+    simulation.testparticle_hidewarnings = 1
+    prepare(simulation)
+    simulation.save_to_file(str(path), delete_file=True)
+    return simulation
+
+
+def scene_of(folder: Path, top: str = APART, file: str = "a.bin", more: str = "") -> Scene:
+    text = f'{top}\n[time]\nduration = 20.0\n[[bodies]]\nfile = "{file}"\nradius = 1e-6\n{more}'
+    (folder / "scene.toml").write_text(text, encoding="utf-8")
+    return Scene.load(folder / "scene.toml")
+
+
+def notes_of(scene: Scene) -> str:
+    return "\n".join(note for notes in scene.notes for note in notes)
+
+
+def two_active_of(count: int, kind: int = 0) -> Callable[[Any], None]:
+    def prepare(simulation: Any) -> None:
+        simulation.N_active, simulation.testparticle_type = count, kind
+
+    return prepare
+
+
+def soft(simulation: Any) -> None:
+    simulation.softening = 0.2
+
+
+def varied(simulation: Any) -> None:
+    simulation.add_variation()
+
+
+def other_constant(simulation: Any) -> None:
+    simulation.G = 0.7
+
+
+@pytest.mark.parametrize(
+    "prepare",
+    [lambda simulation: None, two_active_of(1), two_active_of(2), two_active_of(2, 1), soft, varied, other_constant],
+)
+def test_the_bodies_of_an_archive_move_as_they_do_in_rebound(tmp_path: Path, prepare: Callable[[Any], None]) -> None:
+    simulation = save(tmp_path / "a.bin", prepare)
+    space = Space(scene_of(tmp_path), 1)
+    for _ in space.run():
+        pass
+    simulation.integrate(20.0)
+    there = np.array([particle.xyz for particle in simulation.particles])
+    # 5 turns, both to rounding, which grows as t^{3/2}
+    assert np.abs(space.state.position - there).max() < 1e-12
+    assert list(space.names) == ["sun", "body 1", "body 2"]
+
+
+def test_an_archive_says_what_is_taken_from_it_and_what_is_not(tmp_path: Path) -> None:
+    save(tmp_path / "a.bin", two_active_of(1))
+    scene = scene_of(tmp_path)
+    assert notes_of(scene).splitlines() == [
+        "a.bin: N_active = 1: 2 test particles, whose masses attract nothing, of mass 0 here",
+        "a.bin: gravity.constant = 1 is taken from it",
+    ]
+    assert scene.gravity.constant == 1.0
+    assert "constant = 1.0" in scene.toml
+    (tmp_path / "again.toml").write_text(scene.toml, encoding="utf-8")
+    assert Scene.load(tmp_path / "again.toml").gravity.constant == 1.0
+    assert scene.changed(["time.duration=5"]).notes == scene.notes
+    assert "G = 1 is not used" in notes_of(scene_of(tmp_path, APART + "gravity.constant = 0"))
+    save(tmp_path / "a.bin")
+    assert "its bodies pass through each other; contact.enabled = false" in notes_of(scene_of(tmp_path, ""))
+
+
+def test_the_constant_of_an_archive_is_taken_in_the_units_of_the_scene(tmp_path: Path) -> None:
+    simulation = save(tmp_path / "a.bin", units=("days", "AU", "Msun"))
+    own = scene_of(tmp_path, APART + 'units = "au, day, M_sun"')
+    assert own.gravity.constant == simulation.G
+    si = scene_of(tmp_path, APART + '[units]\nlength = "au"\ntime = "day"\nmass = "M_sun"')
+    assert si.gravity.constant == pytest.approx(6.674e-11, rel=1e-3)  # REBOUND's own value has 5 digits
+    assert si.gravity.constant == pytest.approx(simulation.G * 149597870700.0**3 / 86400.0**2 / 1.98841e30, rel=1e-4)
+
+
+def shear(simulation: Any) -> None:
+    simulation.configure_box(10.0) if hasattr(simulation, "configure_box") else setattr(simulation, "root_size", 10.0)
+    simulation.boundary = "shear"
+
+
+def periodic(simulation: Any) -> None:
+    shear(simulation)
+    simulation.boundary = "periodic"
+
+
+REFUSED: dict[str, tuple[Callable[[Any], None], str, str]] = {
+    "another constant": (
+        lambda simulation: None,
+        "gravity.constant = 6.67e-11",
+        "gravity.constant is 1.0 in it, and 6.67",
+    ),
+    "another softening": (soft, "gravity.softening = 0.1", "gravity.softening is 0.2 in it, and 0.1 here"),
+    "bodies that attract some": (two_active_of(1, 1), "", "testparticle_type = 1 with N_active = 1: 2 bodies attract"),
+    "a shearing box": (shear, "", 'its boundary is "shear"'),
+    "a periodic box": (periodic, "gravity.constant = 0", 'its box is periodic; set domain.boundary = "periodic"'),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_carom_does_not_have_or_the_scene_contradicts_is_refused(tmp_path: Path, case: str) -> None:
+    prepare, top, said = REFUSED[case]
+    save(tmp_path / "a.bin", prepare)
+    with pytest.raises(SceneError) as caught:
+        scene_of(tmp_path, APART + top)
+    assert said in str(caught.value)
+    assert "bodies.0: a.bin: " in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_archives_with_different_constants_are_refused(tmp_path: Path) -> None:
+    save(tmp_path / "a.bin")
+    save(tmp_path / "b.bin", other_constant)
+    with pytest.raises(SceneError, match=r"bodies\.1: b\.bin: gravity\.constant is 0\.7 in it, and 1\.0 here"):
+        scene_of(tmp_path, more='[[bodies]]\nfile = "b.bin"\nradius = 1e-6\n')
+
+
+def test_an_archive_that_is_cut_off_gives_its_intact_snapshots_without_a_raw_warning(tmp_path: Path) -> None:
+    simulation = save(tmp_path / "a.bin", two_active_of(1))
+    for time in (1.0, 2.0):
+        simulation.integrate(time)
+        simulation.save_to_file(str(tmp_path / "a.bin"))
+    whole, intact = (tmp_path / "a.bin").read_bytes(), scene_of(tmp_path, more="snapshot = 1\n").data[0]
+    (tmp_path / "a.bin").write_bytes(whole[:-100])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        scene = scene_of(tmp_path)
+    assert scene.data[0] == intact
+    assert "a.bin: the file is damaged or ends early; of 2 intact snapshots number 1, t = 1, is read" in notes_of(scene)
+    with pytest.raises(SceneError, match="there is no snapshot 2: it has 2"):
+        scene_of(tmp_path, more="snapshot = 2\n")
+
+
+def test_a_snapshot_between_half_steps_is_synchronised(tmp_path: Path) -> None:
+    def leap(simulation: Any) -> None:
+        simulation.integrator, simulation.dt = "whfast", 0.05
+        simulation.integrator.safe_mode = 0
+        simulation.steps(7)
+
+    simulation = save(tmp_path / "a.bin", leap)
+    found = scene_of(tmp_path).data[0]
+    simulation.synchronize()
+    assert np.abs(found.position - [particle.xyz for particle in simulation.particles]).max() < 1e-15
