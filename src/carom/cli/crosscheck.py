@@ -135,7 +135,7 @@ def crosscheck(
         _show_several(documents, loaded, refused, parent)
     elif documents:
         name, document = next(iter(documents.items()))
-        _show(document, loaded[name].unit_system)
+        _show(document, loaded[name].unit_system, checks[name].folder)
     if not finished:
         say(STOPPED, err=True)
         raise typer.Exit(1)
@@ -189,8 +189,10 @@ def _console() -> Terminal:
     return console
 
 
-def _show(document: dict[str, Any], units: UnitSystem) -> None:
+def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
     from rich.markup import escape
+
+    from carom.experiment.crosscheck.crosscheck import OWN
 
     console = _console()
     console.print(_table(document, units))
@@ -201,6 +203,10 @@ def _show(document: dict[str, Any], units: UnitSystem) -> None:
             "A run diverges where it is farther from the reference than a hundredth of the size.",
             soft_wrap=True,
         )
+    partings = [run["parting"] for run in document["runs"] if run.get("parting")]
+    if number := next((each["impact"] for each in partings if each["impact"]), None):
+        where = command("view", folder / f"{OWN.name}.rrd", "--event", f"impact:{number}")
+        console.print(f"Impacts are the first whose outcome differs, by their numbers in carom's run: {escape(where)}")
     for engine, notes in document["notes"].items():
         if notes:
             console.print(f"{engine}: {escape('; '.join(notes))}.", soft_wrap=True)
@@ -273,7 +279,8 @@ def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitS
         return "nowhere" if reference["complete"] else f"not compared after {units.text(reference['horizon'], TIME)}"
     if parting["impact"] == 0:
         return f"t = {units.text(parting['time'], TIME)}, before any impact"
-    return f"impact {parting['impact']}, {parting['between']}, t = {units.text(parting['impact_time'], TIME)}"
+    number = "" if parting["impact"] is None else f" {parting['impact']}"
+    return f"impact{number}, {parting['between']}, t = {units.text(parting['impact_time'], TIME)}"
 
 
 def _number(value: float | None) -> str:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.experiment.crosscheck.examination import Examination, examined_other, examined_own
-from carom.experiment.crosscheck.parting import parting_of
+from carom.experiment.crosscheck.parting import NumberedImpacts, parting_of
 from carom.experiment.crosscheck.runs import Runs, Task
 from carom.experiment.engines.engine import Engine
 from carom.experiment.engines.watched import Watched
@@ -172,8 +172,7 @@ class Crosscheck:
     def _own(self, result: Result) -> Examination:
         """Run carom and record it."""
         try:
-            path = self.folder / f"{OWN.name}.rrd"
-            outcome = simulate(recording_space(self.scene, self.threads), path, force=True)
+            outcome = simulate(recording_space(self.scene, self.threads), self._recording(OWN), force=True)
         except (PhysicsError, RecordingError) as error:
             raise ExperimentError(f"carom: {error}") from error
         broken = [(event.time, event.kind) for event in outcome.warnings]
@@ -187,7 +186,8 @@ class Crosscheck:
         reference = self.study.reference
         if reference is None or result.status != "measured":
             return None
-        found = parting_of(self.study.trajectory(result), reference, broken, dt, self._names())
+        numbered = NumberedImpacts.of(self._recording(OWN))
+        found = parting_of(self.study.trajectory(result), reference, broken, dt, self._names(), numbered)
         return None if found is None else asdict(found)
 
     def _names(self) -> Names:

@@ -118,7 +118,8 @@ class _Solver:
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
         self._velocity: list[FloatArray] = []  # (n, 3) m/s, likewise
         self._met: dict[tuple[int, int], float] = {}
-        self._struck: list[float] = []
+        self._struck: list[float] = []  # s, of every impact
+        self._ends: list[tuple[int, int]] = []  # likewise, its bodies
         self._ended = ""
         size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
         length = max(float(np.abs(size).max()), float(start.radius.max()))
@@ -151,6 +152,8 @@ class _Solver:
             impacts=len(self._struck),
             steps=0,
             frames=0,
+            struck=np.array(self._ends, dtype=np.int64).reshape(-1, 2),
+            struck_at=np.array(self._struck),
         )
         return EventDrivenSolution(trajectory, self._ended, self._struck)
 
@@ -310,7 +313,8 @@ class _Solver:
         impact.resolve(e, material.static_friction, material.kinetic_friction)
         self._met.setdefault((i, j), self._time)
         if rate < -self._rate_noise(state, pair, self._tolerance):
-            self._struck.append(self._time)
+            self._struck.append(float(self._time))
+            self._ends.append((i, j))
 
     def _flight(self) -> float:
         """Return the shortest time in s after which a touching pair reaches its largest separation."""

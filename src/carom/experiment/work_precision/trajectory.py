@@ -8,7 +8,7 @@ at the ends. A body that was struck follows its flight from impact to impact.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Self
 
@@ -60,28 +60,31 @@ class Trajectory:
     impacts: int  # contacts that closed faster than at rest, summed over the steps
     steps: int
     frames: int  # in a recording of the run; 0 for a reference, which is not recorded
+    # of exact references only: the ends of every impact, (k, 2), and its time in s, (k,)
+    struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 
     def __len__(self) -> int:
         return len(self.time)
 
     def until(self, count: int) -> Trajectory:
         """Return the first ``samples`` samples, with everything else unchanged."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
     def save(self, path: Path) -> None:
         """Write a ``.npz`` atomically."""
         with whole_file(path) as part:
-            np.savez(part, **{field.name: getattr(self, field.name) for field in fields(self)})
+            np.savez(part, **{each.name: getattr(self, each.name) for each in fields(self)})
 
     @classmethod
     def load(cls, path: Path) -> Self:
         """Read a file written by `save`. Raises ValueError or OSError if it is not one."""
         with np.load(path, allow_pickle=False) as kept:
-            missing = [field.name for field in fields(cls) if field.name not in kept]
+            missing = [each.name for each in fields(cls) if each.name not in kept]
             if missing:
                 raise ValueError(f"{path}: no {missing[0]} in it")
-            values = {field.name: kept[field.name] for field in fields(cls)}
+            values = {each.name: kept[each.name] for each in fields(cls)}
         return cls(**{name: value if value.ndim else value.item() for name, value in values.items()})
 
 
