@@ -13,6 +13,7 @@ import carom
 from carom.experiment import report as reports
 from carom.experiment.replay import replay
 from carom.experiment.report import Report, report, worst_moment
+from carom.physics.event import Event
 from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -91,6 +92,44 @@ def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:
     time, why = worst_moment(recording)
     assert why.startswith("Energy rose by") and 0.0 < time <= 3.0
     assert not why.endswith(".")  # it stands within a sentence
+
+
+def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two balls that start inside each other: the overlap gives a warning, and breaks a promise if there is one."""
+    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
+    document = {
+        "title": "Two balls",
+        "description": "Look at the overlap.\nIt is deep.",
+        "body": [
+            {"position": [0, 0, 0], "radius": 1.0, "mass": 1.0},
+            {"position": [3, 0, 0], "radius": 1.0, "mass": 1.0, "velocity": [-1.7, 0, 0]},
+        ],
+        "gravity": {"constant": 0.0},
+        "contact": {"timing": "end-of-step"},
+        "time": {"duration": 3.0, "fixed_dt": 1.0},
+        "record": {"every": "step"},
+    }
+    recording = carom.run(Scene.from_dict(document), tmp_path / "warned.rrd")
+    time, why = worst_moment(recording)
+    assert time == 1.0 and why == "the deepest overlap, 70% of the smaller radius, body 0 and body 1"
+    made = report(recording, tmp_path / "warned.zip")
+    with zipfile.ZipFile(made.path) as packed:
+        text = packed.read("README.md").decode()
+    assert "\n> Look at the overlap.\n> It is deep.\n" in text
+    assert "## Warnings (1)" in text and "t = 1 s: Bodies overlap by more than 10% of the smaller radius;" in text
+
+    promised = Scene.from_dict(document | {"expect": {"max_overlap": 0.1}})
+    recording = carom.run(promised, tmp_path / "missed.rrd")
+    time, why = worst_moment(recording)
+    assert time == 1.0
+    assert why == "the promise max_overlap was missed: 0.7, at most 0.1, body 0 and body 1"
+
+    broken = Event(2, 2.0, "WARN", "Energy rose.", "energy-rise")
+    not_finite = Event(3, 3.0, "WARN", "Two bodies are not finite.", "law-not-finite")
+    monkeypatch.setattr(Recording, "warnings", lambda _: [broken, not_finite])
+    assert worst_moment(recording) == (3.0, "Two bodies are not finite")
+    monkeypatch.setattr(Recording, "warnings", lambda _: [broken])
+    assert worst_moment(recording) == (2.0, "Energy rose")
 
 
 def test_a_report_of_a_run_without_contacts_is_about_its_last_frame(tmp_path: Path) -> None:

@@ -86,8 +86,13 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
     ]
 
 
+def promise_text(verdict: dict[str, Any]) -> str:
+    """Say what was measured and promised."""
+    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}"
+
+
 def _promise(verdict: dict[str, Any]) -> str:
     kept = "kept" if verdict["met"] else "MISSED"
     if not verdict.get("judged", True):
         kept = "not judged, the run ended elsewhere"
-    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}: {kept}"
+    return f"{promise_text(verdict)}: {kept}"

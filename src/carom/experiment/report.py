@@ -11,13 +11,15 @@ from typing import Any
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.excerpt import excerpt
-from carom.experiment.overview import is_worth_a_look, overview, value_shown
+from carom.experiment.overview import is_worth_a_look, overview, promise_text, value_shown
 from carom.experiment.replay import Replay, replay
+from carom.physics.contact.limits import OVERLAPS
 from carom.physics.error import PhysicsError
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene
 from carom.recording.view.picture import try_to_render
 from carom.scene.command import command
 from carom.scene.counted import counted
@@ -30,7 +32,9 @@ FRAMES = 120  # of the clip, half of them before the time in question
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
-MOST_WARNINGS = 3
+MOST_WARNINGS = 50
+NOT_FINITE = "law-not-finite"  # what the audit of another engine found; a run of carom fails
+LAWS = ("energy", "law-")  # how the kinds of events about broken laws begin
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
@@ -98,31 +102,49 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
-    """Return the time in s that a report is about, and what happened then."""
+    """Return the time in s that a report is about, and what happened then.
+
+    That is the worst that went wrong: a state that is not finite or a run that failed, then a broken law, a missed
+    promise, another warning, and at last the extremes of a run in which nothing did.
+    """
     recording.require_frames()
     summary = recording.summary()
     moments: dict[str, Any] = summary["moments"]
     last = float(recording.fingerprints()["time"][-1].as_py())
     if recording.outcome.startswith(("failed", "disk")):
         return last, in_words(recording.outcome)
-    warnings = _warnings(recording)
-    if warnings:
-        time, text = warnings[0]
-        return time, text.rstrip(".")
+    warnings = recording.warnings()
+    broken = [event for event in warnings if event.kind.startswith(LAWS)]
+    for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
+        return event.time, event.text.rstrip(".")
+    for name, verdict in summary["expect"].items():
+        if verdict.get("judged", True) and not verdict["met"]:
+            return _missed(name, verdict, moments, last)
+    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a step that changes fast harms least
+        deepest = moments.get("overlap")
+        if event.text.startswith(OVERLAPS) and deepest:
+            return deepest["time"], _extreme("overlap", moments, recording.units)
+        return event.time, event.text.rstrip(".")
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
         return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
-    for name, wording in WORST.items():
+    for name in WORST:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
-            what = wording.format(value=value_shown(name, moments[name]["value"], recording.units))
-            return moments[name]["time"], f"{what}, {moments[name]['between']}"
+            return moments[name]["time"], _extreme(name, moments, recording.units)
     moment = recording.moment()
     return moment, "the last frame" if moment == last else "the frame in which contacts did most"
 
 
-def _warnings(recording: Recording) -> list[tuple[float, str]]:
-    """Return times and texts of the energy warnings, and of the laws that another engine broke."""
-    return [(event.time, event.text) for event in recording.warnings() if event.kind.startswith(("energy", "law-"))]
+def _missed(name: str, verdict: dict[str, Any], moments: dict[str, Any], last: float) -> tuple[float, str]:
+    """Return when a promise was broken worst, in s, and that in words."""
+    worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
+    between = f", {worst['between']}" if worst.get("between") else ""
+    return worst.get("time", last), f"the promise {name} was missed: {promise_text(verdict)}{between}"
+
+
+def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
+    between = f", {moments[name]['between']}" if moments[name]["between"] else ""
+    return WORST[name].format(value=value_shown(name, moments[name]["value"], units)) + between
 
 
 def _replay(recording: Recording) -> str:
@@ -160,6 +182,7 @@ def _summary(
         "",
         f"**{why[0].upper()}{why[1:].splitlines()[0]}**, t = {units.text(moment, TIME, '.9g')}.",
         "",
+        *_description(recording),
         *(["![The moment](picture.png)", ""] if picture else []),
         "| | |",
         "|---|---|",
@@ -195,12 +218,23 @@ def _ledger(clip: Recording) -> list[str]:
     return ["## Where energy went in the clip", "", "| | | |", "|---|---|---|", *table, ""]
 
 
+def _description(recording: Recording) -> list[str]:
+    """Quote what the scene says of itself."""
+    try:
+        description = recorded_scene(recording).description.strip()
+    except (SceneError, RecordingError):  # of another engine, or of a newer version
+        return []
+    return [*(f"> {line}".rstrip() for line in description.splitlines()), ""] if description else []
+
+
 def _warned(recording: Recording) -> list[str]:
-    warnings = _warnings(recording)
+    """List all warnings."""
+    warnings = recording.warnings()
     if not warnings:
         return []
-    shown = [f"t = {recording.units.text(time, TIME, '.9g')}: {text}" for time, text in warnings[:MOST_WARNINGS]]
-    return [f"## Warnings ({len(warnings)})", "", "```text", *shown, "```", ""]
+    shown = [f"t = {recording.units.text(e.time, TIME, '.9g')}: {e.text}" for e in warnings[:MOST_WARNINGS]]
+    more = [f"… and {len(warnings) - MOST_WARNINGS} more"] if len(warnings) > MOST_WARNINGS else []
+    return [f"## Warnings ({len(warnings)})", "", "```text", *shown, *more, "```", ""]
 
 
 def _plain(properties: Any) -> dict[str, Any]:

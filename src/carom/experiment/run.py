@@ -386,4 +386,6 @@ def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -
         key = f"expect.{verdict.name}"
         summary |= {f"{key}.bound": verdict.bound, f"{key}.limit": verdict.limit}
         summary |= {f"{key}.measured": verdict.measured, f"{key}.met": verdict.met, f"{key}.judged": verdict.judged}
+        if verdict.worst is not None:
+            summary |= {f"{key}.time": verdict.worst.time, f"{key}.between": verdict.worst.between}
     return summary

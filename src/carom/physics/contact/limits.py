@@ -6,6 +6,7 @@ from carom.physics.contact.constraint_graph import OVERFLOW
 from carom.scene.schema import Contact
 
 DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
+OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
 
 
 def limits_of(
@@ -58,10 +59,7 @@ def limits_of(
         reached.append(("WARN", text))
     if deepest > DEEP_OVERLAP and not contact.allow_overlap:
         more = " or more sweeps (contact.sweeps)" if contact.sweeps != "auto" else ""
-        text = (
-            f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius; "
-            f"try a shorter step (time.fixed_dt, time.cfl){more}."
-        )
+        text = f"{OVERLAPS}; try a shorter step (time.fixed_dt, time.cfl){more}."
         reached.append(("WARN", text))
     return reached
 
