@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.placement import place
+from carom.physics.placement.growth import densest
 from carom.physics.placement.lattice import CELLS
 from carom.scene.error import SceneError
 from carom.scene.neighbours import overlapping_pairs
@@ -214,3 +215,38 @@ def test_a_virial_ratio_needs_gravity() -> None:
     group = {"velocity": {"virial": 0.5}, "radius": 1e-3, "region": {"shape": "plummer", "scale": 1.0}}
     with pytest.raises(SceneError, match=r"group\.0\.velocity\.virial without gravity"):
         place(Scene.from_dict({"gravity": {"constant": 0.0}, "group": [group]}))
+
+
+def test_groups_of_one_region_are_compressed_together() -> None:
+    region = {"shape": "box", "size": [12.0] * 3}
+    sizes = ((280, {"min": 0.43, "max": 1.0}), (500, 0.5))  # 0.28 and 0.15 of the box; 0.17 follow
+    groups: list[dict[str, object]] = [
+        {"count": count, "radius": radius, "arrangement": "compressed", "region": region} for count, radius in sizes
+    ]
+    groups.append({"count": 140, "radius": 0.8, "arrangement": "compressed", "region": region})
+    scene = Scene.from_dict(
+        {"domain": {"boundary": "periodic", "size": [12.0] * 3}, "gravity": {"constant": 0}, "group": groups}
+    )
+    start = place(scene)
+    filled = 4.0 / 3.0 * np.pi * np.sum(start.radius**3) / 12.0**3
+    assert filled > 0.6, "two groups one after the other jam at the second"
+    assert [list(start.group).count(k) for k in range(3)] == [280, 500, 140]
+    assert len(overlapping_pairs(start.position, start.radius, np.full(3, 12.0))) == 0
+
+
+def test_unequal_spheres_are_compressed_beyond_what_equal_ones_fill() -> None:
+    side, small, large = 10.0, 420, 100
+    radius = np.repeat([0.5, 1.0], [small, large])
+    filled = 4.0 / 3.0 * np.pi * np.sum(radius**3) / side**3
+    assert 0.632 < filled < densest(radius), "0.62 is the limit of equal spheres"
+    assert densest(np.ones(9)) == pytest.approx(0.62, abs=1e-12)
+    region = {"shape": "box", "size": [side] * 3}
+    groups = [
+        {"count": n, "radius": r, "arrangement": "compressed", "region": region} for n, r in ((420, 0.5), (100, 1))
+    ]
+    start = place(
+        Scene.from_dict(
+            {"domain": {"boundary": "periodic", "size": [side] * 3}, "gravity": {"constant": 0}, "group": groups}
+        )
+    )
+    assert len(overlapping_pairs(start.position, start.radius, np.full(3, side))) == 0

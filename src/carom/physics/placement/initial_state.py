@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from carom.physics.placement.check import (
     refuse_unresolved,
     written_name,
 )
-from carom.physics.placement.growth import DENSEST, grown, shrunken
+from carom.physics.placement.growth import densest, grown, shrunken
 from carom.physics.placement.lattice import lattice
 from carom.physics.placement.plummer import drawn_velocities, mass_within
 from carom.physics.placement.random_placement import positions
@@ -40,7 +40,7 @@ from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Body, Group, Region, Scene
 from carom.scene.schema.group import LATTICES
 from carom.scene.start import Start, join
-from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.system import UnitSystem
 
 FloatArray = NDArray[np.float64]
 
@@ -75,13 +75,26 @@ def _place(scene: Scene) -> Start:
         refuse_overlaps(scene, parts[0], box)
         refuse_immersion(scene, parts[0], solids)
     pull = 0.0 if scene.gravity.method == "none" else scene.gravity.constant
-    streams = np.random.SeedSequence(scene.seed).spawn(len(scene.group))
+    streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(scene.seed).spawn(len(scene.group))]
     _refuse_full_box(scene)
     units = scene.unit_system
+    centres: dict[int, FloatArray] = {}  # of groups that were compressed together with an earlier one
+    radii: dict[int, FloatArray] = {}
     for index, group in enumerate(scene.group):
+        if index not in centres:
+            mixture = _mixture(scene, index)
+            radii |= {member: drawn_radii(scene.group[member], streams[member]) for member in mixture}
+            spheres = [(part.position, part.radius) for part in parts]
+            spheres += [(centres[member], radii[member]) for member in centres if member > index]
+            around = Surroundings(tuple(spheres), solids, box)
+            region = _region(mixture, radii, units)
+            radius = np.concatenate([radii[member] for member in mixture])
+            position = _arranged(mixture, region, radius, around, streams[index], units)
+            ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
+            centres |= dict(zip(mixture, np.split(position, ends), strict=True))
         made = made_of(scene, group)
-        around = Surroundings(tuple((part.position, part.radius) for part in parts), solids, box)
-        parts.append(_group(index, made, around, np.random.default_rng(streams[index]), pull, units))
+        region = group.region or default_region(index, radii[index], units)
+        parts.append(_group(index, made, region, radii[index], centres[index], streams[index], pull))
     start = join(parts)
     refuse_overflow(start)
     return start if box is None else replace(start, position=_inside(start.position, box))
@@ -137,23 +150,43 @@ def _explicit(bodies: Sequence[Body]) -> Start:
     )
 
 
+def _mixture(scene: Scene, index: int) -> dict[int, Group]:
+    """Return the groups that are placed together with a group, which is the first of them, by their indices.
+
+    Groups that are compressed into one region grow together. One after the other, the first would leave no space for
+    the next.
+    """
+    first = scene.group[index]
+    if first.arrangement != "compressed" or first.region is None:
+        return {index: first}
+    alike = (first.arrangement, first.region)
+    groups = list(enumerate(scene.group))[index:]
+    return {k: group for k, group in groups if (group.arrangement, group.region) == alike}
+
+
+def _region(mixture: Mapping[int, Group], radii: Mapping[int, FloatArray], units: UnitSystem) -> Region:
+    """Return the region of a mixture; refuse it if it is too small, or too far away for the radii."""
+    index, group = next(iter(mixture.items()))
+    if group.arrangement not in LATTICES:
+        _refuse_full_region(mixture, radii)
+    region = group.region or default_region(index, radii[index], units)
+    reach = max(map(abs, region.centre)) + float(half_extent(region).max())
+    for member in mixture:
+        refuse_unresolved(f"group.{member}", ("group", member), reach, float(radii[member].min()), units)
+    return region
+
+
 def _group(
     index: int,
     group: Group,
-    around: Surroundings,
+    region: Region,
+    radius: FloatArray,
+    position: FloatArray,
     rng: np.random.Generator,
     constant: float,
-    units: UnitSystem = SI,
 ) -> Start:
-    if group.arrangement not in LATTICES:
-        _refuse_full_region(index, group)
+    """Return the bodies of a group that has been placed."""
     n = group.count
-    radius = drawn_radii(group, rng)
-    region = group.region or default_region(index, radius, units)
-    room = float(half_extent(region).max())
-    reach = max(map(abs, region.centre)) + room
-    refuse_unresolved(f"group.{index}", ("group", index), reach, float(radius.min()), units)
-    position = _arranged(index, group, region, radius, around, rng, units)
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
     rotation = np.array(group.bulk_rotation)
     velocity = np.array(group.velocity.mean) + group.velocity.dispersion * rng.standard_normal((n, 3))
@@ -183,15 +216,15 @@ def _group(
 
 
 def _arranged(
-    index: int,
-    group: Group,
+    mixture: Mapping[int, Group],
     region: Region,
     radius: FloatArray,
     around: Surroundings,
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Return the centres of a group, (n, 3) m."""
+    """Return the centres of a mixture, (n, 3) m."""
+    index, group = next(iter(mixture.items()))
     if group.arrangement in LATTICES:
 
         def is_clear(points: FloatArray) -> NDArray[np.bool_]:
@@ -208,23 +241,29 @@ def _arranged(
     refuse_too_large(index, region, radius, units)
     if group.arrangement == "random":
         return positions(index, region, radius, around, rng)
-    packing = packing_fraction(group)
-    loose = positions(index, region, shrunken(radius, packing), around, rng)
+    packing = sum(map(packing_fraction, mixture.values()))
+    loose = positions(index, region, shrunken(radius, packing), around, rng, dense=True)
     return grown(index, region, loose, radius, packing, around, rng)
 
 
-def _refuse_full_region(index: int, group: Group) -> None:
-    packing, fullest, way_out = packing_fraction(group), FULLEST, ""
+def _refuse_full_region(mixture: Mapping[int, Group], radii: Mapping[int, FloatArray]) -> None:
+    """Refuse a region that a mixture would fill more than its arrangement can."""
+    index, group = next(iter(mixture.items()))
+    if group.region is None:
+        return
+    radius = np.concatenate([radii[member] for member in mixture])
+    packing, way_out = sum(map(packing_fraction, mixture.values())), ""
     if group.arrangement == "compressed":
-        fullest, jams = DENSEST, "compression goes up to"
+        fullest, jams = densest(radius), "compression of these radii goes up to"
     else:
-        jams = "random placement jams at"
-        if packing <= DENSEST and (group.region is None or group.region.shape != "plummer"):
+        fullest, jams = FULLEST, "random placement jams at"
+        if packing <= densest(radius) and group.region.shape != "plummer":
             way_out = ', or set arrangement = "compressed"'
     if packing > fullest:
+        others = "".join(f" with group.{member}" for member in mixture if member != index)
         raise SceneError(
-            f"group.{index}.region is too small: {group.count} bodies would fill {packing:.3g} of it, and {jams} "
-            f"{fullest}; enlarge the region or lower count or radius{way_out}",
+            f"group.{index}.region is too small: {len(radius)} bodies{others} would fill {packing:.3g} of it, and "
+            f"{jams} {fullest:.3g}; enlarge the region or lower count or radius{way_out}",
             ("group", index, "region"),
         )
 
@@ -234,10 +273,13 @@ def _refuse_full_box(scene: Scene) -> None:
     if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
         return
     filled = sum(mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
-    loosest = all(group.arrangement == "random" for group in scene.group)
-    if filled > (FULLEST if loosest else MOST_FILLED):
+    if all(group.arrangement == "random" for group in scene.group):
+        fullest, reason = FULLEST, "random placement jams at"
+    else:
+        fullest, reason = MOST_FILLED, "no arrangement of equal spheres fills more than"
+    if filled > fullest:
         raise SceneError(
-            f"domain.size: the groups would fill {filled:.3g} of the box, and random placement jams at "
-            f"{FULLEST}; enlarge the box or lower count or radius",
+            f"domain.size: the groups would fill {filled:.3g} of the box, and {reason} "
+            f"{fullest:.4g}; enlarge the box or lower count or radius",
             ("domain", "size"),
         )

@@ -31,12 +31,16 @@ def positions(
     radius: FloatArray,
     around: Surroundings,
     rng: np.random.Generator,
+    dense: bool = False,
 ) -> FloatArray:
-    """Place spheres of given radii, the largest size class first, so that small ones fill the gaps."""
+    """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
+
+    ``dense`` says that they will grow, so that a message does not propose it.
+    """
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
     for members in reversed(size_classes(radius)):
-        position[members] = _place_class(index, region, radius[members], around, rng, packing)
+        position[members] = _place_class(index, region, radius[members], around, rng, packing, dense)
         around = around.beside(position[members], radius[members])
     return position
 
@@ -48,6 +52,7 @@ def _place_class(
     around: Surroundings,
     rng: np.random.Generator,
     packing: float,
+    dense: bool,
 ) -> FloatArray:
     """Generate and filter one size class.
 
@@ -92,6 +97,8 @@ def _place_class(
             ("group", index, "region"),
         )
     denser = "" if region.shape == "plummer" else f', or set group.{index}.arrangement = "compressed"'
+    if dense:
+        denser = "; groups with the same region are compressed together" if around.spheres else ""
     raise SceneError(
         f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
         f"placement (packing fraction {packing:.3g}); enlarge the region, lower count or radius{denser}",

@@ -117,7 +117,8 @@ class Group(Matter):
     )
     arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
         "random",
-        description="at random up to a packing of 0.38; compressed: at random up to 0.62; or on a lattice",
+        description="at random up to a packing of 0.38; compressed: at random up to 0.62, of unequal radii more, and "
+        "together with all groups of the same region; or on a lattice",
     )
     spacing: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, between neighbours on a lattice; by default the bodies fill the region"
