@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from carom.cli.terminal import Terminal
-from carom.cli.text import shown
+from carom.scene.names import escaped
 from command import carom
 from crafted import changed, mapped
 
@@ -19,9 +19,9 @@ UNSAFE = "\x1b]0;owned\x07[/red] [bold]x[/] \x9b2J \u202egnp.exe \r\b"
 
 
 def test_control_characters_are_escaped_as_json_escapes_them() -> None:
-    assert shown("a\x1b[31mb\tc\nd\x9be") == "a\\u001b[31mb\tc\nd\\u009be"
-    assert json.loads(shown(json.dumps(UNSAFE, ensure_ascii=False))) == UNSAFE
-    assert shown("Saturn’s rings – 5 × 10³ kg, ½ μ v²") == "Saturn’s rings – 5 × 10³ kg, ½ μ v²"
+    assert escaped("a\x1b[31mb\tc\nd\x9be") == "a\\u001b[31mb\tc\nd\\u009be"
+    assert json.loads(escaped(json.dumps(UNSAFE, ensure_ascii=False))) == UNSAFE
+    assert escaped("Saturn’s rings – 5 × 10³ kg, ½ μ v²") == "Saturn’s rings – 5 × 10³ kg, ½ μ v²"
 
 
 def _table(text: str) -> Table:

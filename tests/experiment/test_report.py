@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from markdown_it import MarkdownIt
 
 import carom
 from carom.experiment import report as reports
@@ -17,7 +18,9 @@ from carom.physics.event import Event
 from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.scene.names import escaped
 from carom.scene.schema import Scene
+from crafted import changed, mapped
 from examples import cloud
 
 
@@ -84,6 +87,40 @@ def test_a_run_that_differs_says_so_in_its_report(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("carom.physics.frame.fingerprint_of", lambda time, arrays: 1)
     made = report(recording, tmp_path / "cloud.zip")
     assert "it differs" in made.replayed
+
+
+HOSTILE = "\x1b]0;owned\x07\u202e **bold** [a](https://x.test) ![i](//x.test/i.png) <img src=x> `c` | d \\ www"
+
+
+def test_texts_of_a_recording_neither_format_a_report_nor_steer_a_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
+    scene = cloud(title=HOSTILE, description=f"Two lines\n===\n- {HOSTILE}\n12. item\n> quoted\n# heading")
+    carom.run(scene, tmp_path / "cloud.rrd")
+    odd = changed(
+        tmp_path / "cloud.rrd",
+        tmp_path / "odd.rrd",
+        "__properties/run",
+        mapped("command", lambda row: [f"{HOSTILE}\n# owned\n```"]),
+        static=True,
+    )
+    made = report(Recording.open(odd), tmp_path / "odd.zip")
+    with zipfile.ZipFile(made.path) as packed:
+        text = packed.read("README.md").decode()
+    assert not set("\x1b\x07\u202e\r") & set(text)
+    page = MarkdownIt("commonmark").enable(["table", "strikethrough"]).parse(text)
+    spans = [span for block in page for span in block.children or ()]
+    heading = next(block for block in page if block.type == "inline").children or []
+    assert "".join(span.content for span in heading) == escaped(HOSTILE)
+    assert {span.type for span in spans} <= {"text", "strong_open", "strong_close", "code_inline", "softbreak"}
+    assert sum(block.type == "heading_open" for block in page) == 3, "the title, energy, and how to look at it"
+    (quote,) = [block for block in page if block.type == "blockquote_open"]
+    assert (
+        page[page.index(quote) + 1].type == "paragraph_open" and page[page.index(quote) + 4].type == "blockquote_close"
+    )
+    (line,) = [span.content for span in spans if span.type == "code_inline"]
+    assert line.split() == f"{escaped(HOSTILE)} # owned ```".split()
 
 
 def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:

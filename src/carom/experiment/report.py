@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,7 @@ from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
+from carom.scene.names import escaped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 
@@ -149,7 +151,7 @@ def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
 
 def _replay(recording: Recording) -> str:
     if recording.engine:
-        return f"Recorded from {recording.engine}; it cannot be replayed."
+        return f"Recorded from {_literal(recording.engine)}; it cannot be replayed."
     if recording.is_partial:
         shown, bodies = len(recording.shown), recording.info["bodies"]
         return (
@@ -159,7 +161,7 @@ def _replay(recording: Recording) -> str:
     try:
         result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
     except (SceneError, RecordingError, PhysicsError) as error:
-        return f"It could not be replayed: {error}"
+        return f"It could not be replayed: {_literal(str(error))}"
     return _in_words(result, recording.units)
 
 
@@ -169,7 +171,7 @@ def _in_words(result: Replay, units: UnitSystem) -> str:
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
         return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
-    return f"Replayed from step {result.begin}, **it differs** at {result.difference.text(units)}."
+    return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(units))}."
 
 
 def _summary(
@@ -178,15 +180,18 @@ def _summary(
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
     shown = units.shown(moment, TIME)
     lines = [
-        f"# {recording.title}",
+        f"# {_literal(recording.title)}",
         "",
-        f"**{why[0].upper()}{why[1:].splitlines()[0]}**, t = {units.text(moment, TIME, '.9g')}.",
+        f"**{_literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
         "",
         *_description(recording),
         *(["![The moment](picture.png)", ""] if picture else []),
         "| | |",
         "|---|---|",
-        *(f"| {name} | {f'`{text}`' if name == 'command' else text} |" for name, text in overview(recording)),
+        *(
+            f"| {_literal(name)} | {_code(text) if name == 'command' else _literal(text)} |"
+            for name, text in overview(recording)
+        ),
         "",
         f"The clip: {counted(clip.frames, 'frame')} from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
         "",
@@ -224,7 +229,7 @@ def _description(recording: Recording) -> list[str]:
         description = recorded_scene(recording).description.strip()
     except (SceneError, RecordingError):  # of another engine, or of a newer version
         return []
-    return [*(f"> {line}".rstrip() for line in description.splitlines()), ""] if description else []
+    return [*(f"> {_literal(line)}".rstrip() for line in description.splitlines()), ""] if description else []
 
 
 def _warned(recording: Recording) -> list[str]:
@@ -232,9 +237,22 @@ def _warned(recording: Recording) -> list[str]:
     warnings = recording.warnings()
     if not warnings:
         return []
-    shown = [f"t = {recording.units.text(e.time, TIME, '.9g')}: {e.text}" for e in warnings[:MOST_WARNINGS]]
+    told = [f"t = {recording.units.text(e.time, TIME, '.9g')}: {e.text}" for e in warnings[:MOST_WARNINGS]]
     more = [f"… and {len(warnings) - MOST_WARNINGS} more"] if len(warnings) > MOST_WARNINGS else []
-    return [f"## Warnings ({len(warnings)})", "", "```text", *shown, *more, "```", ""]
+    return [f"## Warnings ({len(warnings)})", "", *(f"- {_literal(text)}" for text in [*told, *more]), ""]
+
+
+def _literal(text: str) -> str:
+    """Write a text of a recording as one line of Markdown that shows its characters, and obeys none of them."""
+    line = re.sub(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)", r"\\\g<0>", " ".join(escaped(text).split()))
+    return re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", line)  # lists and underlined headings
+
+
+def _code(text: str) -> str:
+    """Write a text of a recording as code within a row of a table."""
+    line = " ".join(escaped(text).split()).replace("|", "\\|")
+    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
 
 
 def _plain(properties: Any) -> dict[str, Any]:
