@@ -12,11 +12,12 @@ from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
 from carom.recording.view.glyphs import drawable
-from carom.recording.view.picture import render
+from carom.recording.view.picture import _marked, is_picture_of_carom, render
 from carom.recording.view.request import Request
 from carom.recording.view.viewer import broken_off
 from carom.recording.write.recorder import Recorder
 from carom.scene.bundled import bundled_scenes
+from command import carom
 from merry import Merry
 from pixels import Pixels, of_colour, of_hue, region, view
 
@@ -57,6 +58,23 @@ def test_a_picture_does_not_replace_what_is_no_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_picture_of_another_command_is_not_replaced(tmp_path: Path) -> None:
+    # as crosscheck.png, the figure of `carom crosscheck`, beside its crosscheck.rrd
+    figure = tmp_path / "crosscheck.png"
+    Image.new("RGB", (8, 8)).save(figure)
+    drawn = figure.read_bytes()
+    assert not is_picture_of_carom(figure)
+    done = carom("picture", "crosscheck.rrd", "-o", "crosscheck.png", cwd=tmp_path)
+    assert done.returncode == 2 and "crosscheck.png: exists; give --force to replace it" in done.stderr
+    assert figure.read_bytes() == drawn
+    marked = tmp_path / "picture.png"
+    marked.write_bytes(_marked(drawn))
+    assert is_picture_of_carom(marked)
+    with Image.open(marked) as picture:
+        picture.load()  # checks the sum of every chunk
+        assert picture.size == (8, 8)
+
+
 def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
     shown = bodies_view(picture)
     for colour in (palette.SKY, palette.ORANGE, palette.GREEN):

@@ -159,11 +159,12 @@ def _draw(study: Study, quiet: bool) -> None:
     from carom.experiment.error import ExperimentError
     from carom.experiment.work_precision.figure import draw
     from carom.experiment.work_precision.overlay import record
+    from carom.experiment.work_precision.tradeoff import DOCUMENT, FIGURE, OVERLAY
 
     if not any(result.complete for result in study.results):
         return
-    said = [str(study.folder / "tradeoff.json")]
-    figure, recording = study.folder / "tradeoff.png", study.folder / "tradeoff.rrd"
+    said = [str(study.folder / DOCUMENT)]
+    figure, recording = study.folder / FIGURE, study.folder / OVERLAY
     try:
         draw(study.document(), figure, study.scene.unit_system)
         said.append(str(figure))

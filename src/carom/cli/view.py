@@ -161,7 +161,13 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
 def picture(
     file: RecordingArgument,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="PNG", help="Picture to write. Default: FILE with .png.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="PNG",
+            help="Picture to write. Default: FILE with .png, or with -picture.png where another command made that.",
+        ),
     ] = None,
     at: AtOption = None,
     event: EventOption = None,
@@ -173,18 +179,23 @@ def picture(
         Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
     ] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that `carom picture` did not write.")] = False,
 ) -> None:
     """Render a moment of a recording to a PNG; needs no screen.
 
-    FILE may be the zip that `carom report` made.
+    FILE may be the zip that `carom report` made. Earlier pictures are replaced.
     """
     from carom.cli.compiling import announce_compilation
+    from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.recording.view.picture import render
+    from carom.recording.view.picture import is_picture_of_carom, render
     from carom.recording.view.request import Request
 
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
+    if output is None and out.exists() and not is_picture_of_carom(out):
+        out = out.with_name(f"{file.stem}-picture.png")
+    refuse_output(out, force or is_picture_of_carom(out))
     with opened(file) as path:
         request = Request(_simulated(path, at), event, bodies, plot, colour_by)
         announce_compilation()

@@ -23,7 +23,7 @@ from carom.experiment.run import recording_space, simulate
 from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Setting
 from carom.experiment.work_precision.stored_study import result_entry
-from carom.experiment.work_precision.tradeoff import Study
+from carom.experiment.work_precision.tradeoff import REFERENCE, Study
 from carom.experiment.work_precision.trajectory import FloatArray, Trajectory
 from carom.physics.error import PhysicsError
 from carom.physics.placement import place
@@ -93,7 +93,8 @@ class Crosscheck:
         if not able:
             raise ExperimentError("; ".join(self.refused.values()))
         self.engines = able
-        self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit)
+        own = (DOCUMENT, FIGURE, OVERLAY, REFERENCE, *(self._recording(setting).name for setting in self._settings()))
+        self.study = Study(self.scene, self.folder, threads=self.threads, force=self.force, limit=self.limit, files=own)
         self.study.follow_engine, self.study.examine = self._follow, self._examine
         if not self.force:
             self._load()

@@ -11,7 +11,7 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -39,6 +39,8 @@ from carom.scene.units.dimension import TIME
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
+FIGURE = "tradeoff.png"
+OVERLAY = "tradeoff.rrd"
 VERSION = 4  # of the document; 1 had no sinking, 2 no frames; references of 3 ended at plastic impacts
 ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
@@ -70,13 +72,16 @@ class Study:
         Advice in the message if the folder contains another study.
     limit
         s of CPU time, after which a run is stopped, and s after which no reference begins.
+    files
+        Names of the files that the command writes into the folder; they are not replaced before it has a study.
     bounded
         Whether each setting is stopped after a number of steps, too, see `WORK`: for settings that nobody chose.
 
     Raises
     ------
     ExperimentError
-        If the folder contains a study of another scene and ``force`` is not given, or a study that cannot be read.
+        If the folder contains a study of another scene and ``force`` is not given, a study that cannot be read, or no
+        study but a file of the same name as one of its own.
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class Study:
         advice: str = ADVICE,
         limit: float = math.inf,
         bounded: bool = False,
+        files: Iterable[str] = (REFERENCE, FIGURE, OVERLAY),
     ) -> None:
         self.scene, self.folder, self.threads = scene, folder, threads
         self.limit, self.bounded = limit, bounded
@@ -100,8 +106,15 @@ class Study:
         self.examine: Examiner = _leave
         self._busy = 0.0
         output_folder(folder)
-        if (folder / DOCUMENT).exists() and not force:
+        if force:
+            return
+        if (folder / DOCUMENT).exists():
             self._load()
+        elif kept := next((folder / name for name in files if (folder / name).exists()), None):
+            raise ExperimentError(
+                f"{kept}: exists, and no study of carom in {folder} made it; choose another folder with -o, or give "
+                "--force to replace it"
+            )
 
     @property
     def noise(self) -> float:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
+import struct
 import tempfile
 import time
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,6 +32,8 @@ _PAUSE = 0.7  # s, between two pictures
 _LIMIT = 120.0  # s
 _NOTE = 6.0  # s after its start, for which a viewer with a window shows notes over the picture
 _SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
+_MARK = b"Software\x00carom picture"  # a text in each PNG
+_HEAD = 33  # bytes of a PNG up to the end of its first chunk
 _BORDER = (7, 71)  # points of a window around a single view: edges, title and title bar
 
 
@@ -96,7 +100,7 @@ def render(
         raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
     try:
         with whole_file(Path(out_png)) as part:
-            part.write_bytes(png)
+            part.write_bytes(_marked(png))
     except OSError as error:
         raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
     return Picture(moment, missing)
@@ -109,6 +113,21 @@ def try_to_render(path: Path, at: float, out_png: Path, size: tuple[int, int] = 
     except RecordingError as error:
         return str(error)
     return ""
+
+
+def is_picture_of_carom(path: Path) -> bool:
+    """Tell whether a file is a picture that `render` wrote, so that it may be replaced."""
+    try:
+        with path.open("rb") as file:
+            return _MARK in file.read(_HEAD + 2 * len(_MARK))
+    except OSError:
+        return False
+
+
+def _marked(png: bytes) -> bytes:
+    """Add a chunk of text to a PNG, behind its header, by which `is_picture_of_carom` knows it."""
+    data = b"tEXt" + _MARK
+    return png[:_HEAD] + struct.pack(">I", len(_MARK)) + data + struct.pack(">I", zlib.crc32(data)) + png[_HEAD:]
 
 
 def _refuse_unwritable(path: Path) -> None:
