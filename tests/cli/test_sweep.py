@@ -189,13 +189,15 @@ def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
 ) -> None:
     monkeypatch.chdir(first[0])
     monkeypatch.setattr("sys.argv", ["carom", "sweep", "spheres.toml", *VARY, "-o", "out"])
-    in_the_way = first[0] / "out" / ".table.parquet.new"
-    in_the_way.mkdir()
+    table = first[0] / "out" / "table.parquet"
+    kept = table.rename(first[0] / "kept.parquet")
+    table.mkdir()
     try:
         with pytest.raises(SystemExit) as ended:
             main()
     finally:
-        in_the_way.rmdir()
+        table.rmdir()
+        kept.rename(table)
     said = capsys.readouterr().err.splitlines()[-1]
     assert ended.value.code == 1 and "table.parquet: cannot be written: Is a directory" in said
 

@@ -6,6 +6,8 @@ import functools
 import html.parser
 import http.server
 import json
+import os
+import subprocess
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +16,7 @@ import pytest
 from PIL import Image
 
 from browser import chromium, settled, wait_until_loaded
+from carom.experiment import publish as publishing
 from carom.recording.errors import RecordingError
 from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
@@ -121,7 +124,7 @@ def test_a_folder_that_exists_is_replaced_only_when_forced(run: Path) -> None:
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "index.html"])
+@pytest.mark.parametrize("name", ["notes.txt", "index.html", "recording.rrd", "moment-1.png"])
 def test_a_folder_with_a_file_of_another_program_is_never_replaced(run: Path, name: str) -> None:
     folder = run.parent / "out"
     folder.mkdir()
@@ -129,6 +132,69 @@ def test_a_folder_with_a_file_of_another_program_is_never_replaced(run: Path, na
     done = carom("publish", run.name, "-o", "out", "--force", cwd=run.parent)
     assert done.returncode == 2 and f"holds {name}, which carom did not write" in done.stderr
     assert (folder / name).read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("change", ["edited", "linked", "added"])
+def test_what_a_person_changed_in_a_published_folder_is_never_replaced(run: Path, change: str) -> None:
+    carom("publish", run.name, "-o", "out", cwd=run.parent)
+    mine, page = run.parent / "mine", run.parent / "out" / ("new.html" if change == "added" else "index.html")
+    mine.write_text("mine", encoding="utf-8")
+    page.unlink(missing_ok=True)
+    if change == "linked":
+        page.symlink_to(mine)
+    else:
+        page.write_text("mine", encoding="utf-8")
+    done = carom("publish", run.name, "-o", "out", "--force", cwd=run.parent)
+    assert done.returncode == 2 and f"holds {page.name}, " in done.stderr
+    assert page.read_text(encoding="utf-8") == mine.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("files", [{"../my run.rrd": ""}, {"data": ""}, {"index.html": 3}, [], "text"])
+def test_a_list_that_carom_did_not_write_deletes_nothing(run: Path, files: object) -> None:
+    folder = run.parent / "out"
+    (folder / "data").mkdir(parents=True)
+    (folder / "data" / "notes.txt").touch()
+    (folder / publishing.LIST).write_text(json.dumps({"files": files}), encoding="utf-8")
+    assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode == 2
+    assert run.exists() and (folder / "data" / "notes.txt").exists()
+
+
+def test_what_a_killed_publication_left_is_not_in_the_way_of_the_next(run: Path) -> None:
+    """A list is written before the files that it names."""
+    folder = run.parent / "out"
+    (folder / ".0123abcd.part").mkdir(parents=True)
+    (folder / ".0123abcd.part" / "index.css").touch()
+    (folder / "index.html").write_text("half", encoding="utf-8")
+    (folder / publishing.LIST).write_text('{"files": {".0123abcd.part": "", "index.html": ""}}', encoding="utf-8")
+    (run.parent / ".out.old").mkdir()  # of versions that renamed the folder
+    done = carom("publish", run.name, "-o", "out", "--force", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    assert not [path for path in folder.iterdir() if path.name.startswith(".")]
+    assert "<title>" in (folder / "index.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("place", ["the current folder", "a link", "a mounted disk"])
+def test_a_folder_that_cannot_be_renamed_is_published_to_again_and_again(run: Path, place: str) -> None:
+    folder = run.parent / "out"
+    folder.mkdir()
+    cwd, name = run.parent, "out"
+    if place == "the current folder":
+        cwd, name = folder, "."
+    elif place == "a link":
+        name = "link"
+        (run.parent / name).symlink_to(folder, target_is_directory=True)
+    elif os.geteuid() != 0 or subprocess.run(["mount", "-t", "tmpfs", "tmpfs", folder], check=False).returncode:
+        pytest.skip("only root can mount a disk")
+    try:
+        for title in ("One", "Two"):
+            record(run, title)
+            done = carom("publish", str(run), "-o", name, "--force", cwd=cwd)
+            assert done.returncode == 0, done.stderr
+            assert f"<title>{title}" in (folder / "index.html").read_text(encoding="utf-8")
+    finally:
+        if place == "a mounted disk":
+            subprocess.run(["umount", folder], check=True)
+    assert place != "a link" or (run.parent / name).is_symlink()
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])

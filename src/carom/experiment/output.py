@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -82,6 +83,8 @@ def refuse_output(path: Path, force: bool) -> None:
         Naming the path and what would be right.
     """
     try:
+        if is_link_of_another(path):
+            raise RecordingError(f"{path}: a link of another user; name another file")
         if path.is_dir():
             raise RecordingError(f"{path}: a folder; name a file to write, such as {path / 'run.rrd'}")
         if path.exists() and not path.is_file():
@@ -92,6 +95,11 @@ def refuse_output(path: Path, force: bool) -> None:
             raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
     except OSError as error:
         raise RecordingError(f"cannot write {_short(path)}: {error.strerror}") from None
+
+
+def is_link_of_another(path: Path) -> bool:
+    """Tell whether a path is a link that neither this user nor the system made."""
+    return path.is_symlink() and path.lstat().st_uid not in (0, os.getuid())
 
 
 @contextlib.contextmanager

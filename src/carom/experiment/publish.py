@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import re
+import secrets
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -10,6 +12,9 @@ from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
 
+import xxhash
+
+from carom.experiment.output import is_link_of_another
 from carom.experiment.overview import Moment, moments, overview
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -18,9 +23,12 @@ from carom.recording.view.presentation import presentation
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
 from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import write_whole
 from carom.scene.units.dimension import TIME
 
-_OURS = re.compile(r"moment-\d+\.(png|rbl|rrd)")
+LIST = "carom-page.json"  # of the files that a publication wrote, with their digests
+WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
+_PART = re.compile(r"\.[0-9a-f]{8}\.part")
 _SIZE = (1600, 1000)  # pixels of a picture
 
 
@@ -84,25 +92,50 @@ def refuse_folder(folder: Path, force: bool) -> None:
     RecordingError
         Naming the folder and what would be right.
     """
+    if is_link_of_another(folder):
+        raise RecordingError(f"{folder}: a link of another user; name another folder")
     if folder.is_file():
         raise RecordingError(f"{folder}: a file; name a folder to write")
-    if not folder.parent.is_dir():
+    if not folder.resolve().parent.is_dir():
         raise RecordingError(f"{folder}: there is no folder {folder.parent}; make it first")
     if not folder.exists():
         return
-    foreign = sorted(name for name in (file.name for file in folder.iterdir()) if not _is_ours(name))
-    page = folder / index_page.INDEX
-    if page.is_file() and index_page.MARK not in page.read_text(encoding="utf-8", errors="replace"):
-        foreign = [index_page.INDEX, *foreign]
-    if foreign:
-        raise RecordingError(f"{folder}: holds {foreign[0]}, which carom did not write; name another folder")
-    if not force:
+    listed = _listed(folder)
+    for path in sorted(folder.iterdir()):
+        digest = listed.get(path.name)
+        if path.name == LIST or digest == _digest(path) or (digest == "" and not _is_folder(path)):
+            continue
+        what = "was changed since carom wrote it" if digest is not None else "which carom did not write"
+        raise RecordingError(f"{folder}: holds {path.name}, {what}; name another folder")
+    if not force and listed:
         raise RecordingError(f"{folder}: exists; give --force to replace it, or name another with -o")
 
 
-def _is_ours(name: str) -> bool:
-    known = (*site.FILES, site.RECORDING, index_page.INDEX, index_page.STYLE)
-    return name in known or _OURS.fullmatch(name) is not None
+def _listed(folder: Path) -> dict[str, str]:
+    """Return the digests of the files that a publication wrote, by their names; none if there is no list.
+
+    The digest of what may not be complete is empty.
+    """
+    try:
+        stored = json.loads((folder / LIST).read_text(encoding="utf-8"))["files"]
+        if any(Path(name).name != name or not isinstance(digest, str) for name, digest in stored.items()):
+            raise ValueError("a name that is no file of this folder")
+    except FileNotFoundError:
+        return {}
+    except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError):
+        raise RecordingError(f"{folder}: holds {LIST}, which carom did not write; name another folder") from None
+    return dict(stored)
+
+
+def _digest(path: Path) -> str:
+    """Return a digest of a file; of a link or a folder none that is listed."""
+    if path.is_symlink() or not path.is_file():
+        return "not a file"
+    whole = xxhash.xxh3_128()
+    with path.open("rb") as file:
+        while piece := file.read(1 << 20):
+            whole.update(piece)
+    return whole.hexdigest()
 
 
 def _fullest(recording: Recording) -> Moment:
@@ -120,22 +153,53 @@ def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:
 
 @contextmanager
 def _replacing(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder that replaces this one on success and is removed on failure."""
-    part, old = (folder.with_name(f".{folder.name}.{state}") for state in ("part", "old"))
-    shutil.rmtree(part, ignore_errors=True)  # of a process that was killed
+    """Yield an empty folder whose files move into this one on success; on failure nothing changes.
+
+    The files are replaced one by one, since the folder may be a link, the current one or a mounted disk. What was
+    written is listed before it is there, so that the next publication knows it even if this one is killed.
+    """
+    real, fresh = folder.resolve(), not folder.exists()
     try:
-        part.mkdir()
-        yield part
-        if folder.exists():
-            folder.rename(old)
+        real.mkdir(exist_ok=True)
+        listed = before = _listed(real)
+        part = real / f".{secrets.token_hex(4)}.part"
         try:
-            part.rename(folder)
-        except BaseException:
-            if old.exists():
-                old.rename(folder)
-            raise
-        shutil.rmtree(old, ignore_errors=True)
+            _list(real, {**before, part.name: ""})
+            part.mkdir(0o700)
+            yield part
+            made = {path.name: _digest(path) for path in part.iterdir()}
+            listed = dict.fromkeys({*before, *made}, "")
+            _list(real, {**listed, part.name: ""})
+            for name in made:
+                (part / name).replace(real / name)
+            for name in before.keys() - made.keys():
+                _remove(real / name)
+            part.rmdir()
+            listed = made
+        finally:
+            _remove(part)
+            if listed:
+                _list(real, listed)
+            else:
+                (real / LIST).unlink(missing_ok=True)
+                if fresh:
+                    real.rmdir()
     except OSError as error:
         raise RecordingError(f"cannot write {folder}: {error.strerror}") from None
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+
+
+def _list(folder: Path, files: dict[str, str]) -> None:
+    write_whole(folder / LIST, json.dumps({"what": WHAT, "files": dict(sorted(files.items()))}, indent=1) + "\n")
+
+
+def _remove(path: Path) -> None:
+    """Remove what a list names: a file, or the folder of a publication that was killed."""
+    if _PART.fullmatch(path.name):
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def _is_folder(path: Path) -> bool:
+    """Tell whether a path is a folder other than that of a publication that was killed."""
+    return path.is_dir() and not path.is_symlink() and not _PART.fullmatch(path.name)

@@ -108,13 +108,82 @@ def test_two_sweeps_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
         pass
 
 
+def clear(folder: Folder) -> None:
+    stored = read(folder)
+    folder.clear([run["name"] for run in stored["runs"]], stored["files"])
+
+
 def test_clearing_a_folder_leaves_what_others_put_there(tmp_path: Path) -> None:
     manifest = begin(tmp_path)
     finish(manifest, "seed=6")
+    manifest.list_tables()
+    folder = manifest.folder
+    ours = [*folder.tables, folder.failed("seed=7"), folder.attempt("seed=5")]
+    theirs = [folder.root / name for name in ("notes.txt", "data/mine.csv", "runs/mine.rrd", "partial/mine.rrd")]
+    for path in (*ours, *theirs):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("x", encoding="utf-8")
+    clear(folder)
+    assert {path for path in folder.root.rglob("*") if path.is_file()} == set(theirs)
+
+
+@pytest.mark.parametrize("name", ["scene.toml", "table.csv", "runs/seed=6.rrd", "failed/seed=5.rrd"])
+def test_a_folder_of_a_person_is_refused_before_a_file_in_it_is_replaced(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "out" / name
+    path.parent.mkdir(parents=True)
+    path.write_text("mine", encoding="utf-8")
+    with pytest.raises(ExperimentError, match="choose another folder with -o"):
+        begin(tmp_path)
+    assert path.read_text(encoding="utf-8") == "mine"
+    assert [each for each in (tmp_path / "out").rglob("*") if each.is_file()] == [path]
+
+
+def test_a_table_that_a_person_put_there_meanwhile_is_not_replaced(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    manifest.folder.tables[1].write_text("mine", encoding="utf-8")
+    with pytest.raises(FileExistsError, match="not of this sweep"):
+        manifest.list_tables()
+
+
+def test_a_manifest_that_names_files_elsewhere_deletes_none(tmp_path: Path) -> None:
+    manifest = begin(tmp_path)
+    (tmp_path / "mine").mkdir()
+    (manifest.folder.root / "data").symlink_to(tmp_path / "mine")
+    others = [tmp_path / "notes.txt", tmp_path / "mine" / "notes.txt"]
+    for path in others:
+        path.touch()
+    manifest.files |= {"../notes.txt", str(others[0]), "data/notes.txt", "runs/../../notes.txt"}
     manifest.save()
-    (manifest.folder.root / "notes.txt").write_text("mine", encoding="utf-8")
-    manifest.folder.clear()
-    assert [path.name for path in manifest.folder.root.iterdir()] == ["notes.txt"]
+    clear(manifest.folder)
+    assert all(path.exists() for path in others) and not manifest.folder.manifest.exists()
+
+
+def test_nothing_that_another_user_planted_is_followed(tmp_path: Path) -> None:
+    """In a folder that is open to all, files of any name may be links to files of the one who makes the sweep."""
+    out, mine = tmp_path / "out", tmp_path / "mine"
+    out.mkdir()
+    mine.write_text("mine", encoding="utf-8")
+    for name in (".claim", ".manifest.json.new", ".scene.toml.new", "manifest.json"):
+        (out / name).symlink_to(mine)
+    with pytest.raises(ExperimentError, match=r"\.claim: cannot be opened"), Folder(out).claimed():
+        pass
+    with pytest.raises(ExperimentError, match="not a manifest of carom's"):
+        begin(tmp_path)
+    (out / "manifest.json").unlink()
+    begin(tmp_path).save()
+    assert mine.read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a link to another user")
+@pytest.mark.parametrize("name", ["runs", "failed", "partial", "data"])
+def test_a_subfolder_that_another_user_made_a_link_is_refused(tmp_path: Path, name: str) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / name).symlink_to(tmp_path)
+    Folder(out).refuse_links()  # one's own may lead to another disk
+    os.lchown(out / name, 65534, 65534)
+    with pytest.raises(ExperimentError, match=f"{name}: a link of another user"):
+        Folder(out).refuse_links()
 
 
 def mutants(document: Any, random: np.random.Generator) -> Iterator[Any]:

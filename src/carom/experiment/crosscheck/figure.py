@@ -14,6 +14,7 @@ from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.figure import FAINT, LEAST, styled
 from carom.experiment.work_precision.reference import Reference
 from carom.experiment.work_precision.result import Result
+from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
@@ -66,7 +67,8 @@ def draw(check: Crosscheck, path: Path) -> None:
         )
         ax.spines[["top", "right"]].set_visible(False)
         ax.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-        figure.savefig(path)
+        with whole_file(path) as part:
+            figure.savefig(part)
 
 
 def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Result]) -> None:

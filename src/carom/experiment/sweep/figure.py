@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from carom.experiment.error import ExperimentError
 from carom.experiment.sweep.plan import SEED
 from carom.experiment.sweep.table import Row
+from carom.recording.write.whole_file import whole_file
 from carom.scene.units.quantity_text import Physical, nearest_float, physical
 
 MOST_LINES = 12  # in the legend
@@ -51,7 +52,8 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
             axes.set(**{f"{axis}scale": "log"})
     if others and len(lines) <= MOST_LINES:
         axes.legend(frameon=False)
-    drawing.savefig(path)
+    with whole_file(path) as part:
+        drawing.savefig(part)
 
 
 def _line(axes: Any, label: str, points: Points) -> None:

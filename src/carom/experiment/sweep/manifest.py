@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field, ValidationError
@@ -20,6 +24,7 @@ from carom.scene.nesting import DEEPEST, is_too_deep
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
 COMPLETED = "completed"
+_FILES_BEFORE = ("scene.toml", "table.parquet", "table.csv")  # of manifests that do not list them
 _ENTRY = 4000  # bytes reserved for the entry of a run
 
 
@@ -54,17 +59,21 @@ class _Stored(BaseModel):
     varied: list[str]
     versions: dict[str, str]
     units: str | None = None  # manifests of before did not name them
+    files: list[str] = Field(default_factory=lambda: [*_FILES_BEFORE])
     runs: Annotated[list[Run], Field(min_length=1)]
 
 
 class Manifest:
     """The list of all runs, stored in the folder of a sweep."""
 
-    def __init__(self, folder: Folder, plan: Plan, runs: dict[str, Run], command: str) -> None:
+    def __init__(
+        self, folder: Folder, plan: Plan, runs: dict[str, Run], command: str, files: Iterable[str] = ()
+    ) -> None:
         self.folder = folder
         self.plan = plan
         self.runs = runs  # by name
         self.command = command
+        self.files = set(files)  # that the sweep has written besides the runs, in its folder
         self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
         self._reserve: DiskReserve | None = None
 
@@ -78,18 +87,22 @@ class Manifest:
             If the folder holds another scene, or a sweep of another scene, of other keys, or of another version.
         """
         known: dict[str, Run] = {}
+        files: set[str] = set()
         if folder.manifest.exists():
             stored = read(folder)
             _refuse_other(folder, stored, plan)
-            known = _runs(stored)
-        else:
-            _refuse_scene_of_a_person(folder, plan)
+            known, files = _runs(stored), set(stored["files"])
+        data = [str(Path(folder.data.name) / name) for name in plan.files]
+        _refuse_to_replace(folder, [folder.scene.name, *(path.name for path in folder.tables), *data], files)
+        _refuse_runs_of_others(folder, {point.name for point in plan.points} - known.keys())
         for point in plan.points:
             known.setdefault(point.name, Run(point.name, point.parameters, point.seed))
+        begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
         folder.make()
+        begun.save()  # before what it lists, so that nothing of a sweep is ever without its manifest
         _copy_data(folder, plan)
         put(folder.scene, plan.scene)
-        return cls(folder, plan, known, command)
+        return begun
 
     @property
     def todo(self) -> list[Point]:
@@ -111,6 +124,17 @@ class Manifest:
         run = replace(self.runs[name], **report)
         self._enter(run)
         return run
+
+    def list_tables(self) -> None:
+        """Save that the tables are this sweep's; OSError if they are not, or if that fails."""
+        names = {path.name for path in self.folder.tables}
+        for name in sorted(names - self.files):
+            if os.path.lexists(self.folder.root / name):
+                raise FileExistsError(
+                    errno.EEXIST, "it is not of this sweep; move it away", str(self.folder.root / name)
+                )
+        self.files |= names
+        self.save()
 
     def hold_room(self) -> None:
         """Reserve disk space for the final manifest, so that a full disk can still be reported."""
@@ -151,6 +175,7 @@ class Manifest:
             "units": self.plan.units,
             "versions": versions(),
             "command": self.command,
+            "files": sorted(self.files),
             "counts": dict(Counter(run.status for run in self.runs.values())),
         }
 
@@ -182,7 +207,7 @@ def read(folder: Folder) -> dict[str, Any]:
         raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {first['msg']}") from None
     except (ValueError, RecursionError) as error:
         raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
-    return stored | {"runs": [asdict(run) for run in checked.runs]}
+    return stored | {"files": checked.files, "runs": [asdict(run) for run in checked.runs]}
 
 
 def _int64(digits: str) -> int:
@@ -220,10 +245,22 @@ def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
 
 
-def _refuse_scene_of_a_person(folder: Folder, plan: Plan) -> None:
-    """Refuse to replace a scene that no sweep wrote; without a manifest, a sweep left no other than the plan's."""
-    if folder.scene.exists() and folder.scene.read_bytes() != plan.scene.encode():
-        raise ExperimentError(f"{folder.scene}: the sweep would replace it by its own; choose another folder with -o")
+def _refuse_to_replace(folder: Folder, names: Iterable[str], ours: set[str]) -> None:
+    """Refuse to replace a file that the manifest does not list."""
+    for name in names:
+        if name not in ours and os.path.lexists(folder.root / name):
+            raise ExperimentError(
+                f"{folder.root / name}: the sweep would replace it by its own; choose another folder with -o"
+            )
+
+
+def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
+    """Refuse recordings in the place of runs that the manifest does not list yet."""
+    for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
+        if path.name.removesuffix(".rrd") in names:
+            raise ExperimentError(
+                f"{path}: no sweep lists it, and this one would replace it; choose another folder with -o"
+            )
 
 
 def _copy_data(folder: Folder, plan: Plan) -> None:

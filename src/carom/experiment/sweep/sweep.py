@@ -14,7 +14,7 @@ from carom.experiment.output import output_folder
 from carom.experiment.sweep import table
 from carom.experiment.sweep.conductor import Conductor, Watcher
 from carom.experiment.sweep.folder import Folder
-from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest, Run
+from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest, Run, read
 from carom.experiment.sweep.plan import Plan, Point
 from carom.experiment.workers import LocalWorkers, Workers
 from carom.physics.parallel.cores import cores
@@ -89,24 +89,28 @@ def sweep(
     folder = Folder(root.resolve())
     output_folder(folder.root)
     with folder.claimed(), _nothing_left_of_a_mistake(folder):
+        folder.refuse_links()
         if force and folder.manifest.exists():
-            folder.clear()
+            stored = read(folder)
+            folder.clear([run["name"] for run in stored["runs"]], stored["files"])
         manifest = Manifest.begin(folder, plan, command)
         todo = manifest.todo
-        folder.clear_partial()
+        folder.clear_partial(manifest.runs)
         manifest.reset(todo)
         manifest.hold_room()
         manifest.save()
         found = len(plan.points) - len(todo)
         watch.begin(found)
         stopped = _make(manifest, todo, watch, address, workers) if todo else ""
-        folder.clear_partial()
+        folder.clear_partial(manifest.runs)
         manifest.save()
         untabled = ""
         try:
+            manifest.list_tables()
             table.write(folder, list(manifest.runs.values()))
         except OSError as error:
-            untabled = f"{folder.table}: cannot be written: {error.strerror}; the same command writes it again"
+            path = error.filename or folder.table
+            untabled = f"{path}: cannot be written: {error.strerror}; the same command writes it again"
     return Ending(manifest, found, stopped, untabled)
 
 
@@ -118,7 +122,10 @@ def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
         yield
     except ExperimentError:
         if fresh:
-            folder.remove()
+            if folder.manifest.exists():
+                stored = read(folder)
+                folder.clear([run["name"] for run in stored["runs"]], stored["files"])
+            folder.leave()
         raise
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.settings_grid import AS_WRITTEN
+from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
@@ -98,7 +99,8 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
             title="\n".join([words, noise, *ends]),
             title_fontproperties={"size": 7},
         )
-        figure.savefig(path)
+        with whole_file(path) as part:
+            figure.savefig(part)
 
 
 def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:

@@ -16,6 +16,7 @@ from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import AS_WRITTEN, Setting, default_points
 from carom.experiment.work_precision.stored_study import result_entry
 from carom.experiment.work_precision.tradeoff import Study, Teller
+from carom.recording.write.whole_file import write_whole
 from carom.scene.data.moved import toml_for
 from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
@@ -224,6 +225,6 @@ def write(tuning: Tuning, path: Path) -> None:
     ]
     text = "".join(f"# {line}\n" for line in comment) + "\n" + toml_for(result.setting.apply(study.scene), path.parent)
     try:
-        path.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise ExperimentError(f"{path}: cannot be written: {error.strerror}") from None

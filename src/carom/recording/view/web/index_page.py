@@ -11,7 +11,6 @@ from pathlib import Path
 from string import Template
 
 INDEX, STYLE = "index.html", "index.css"
-MARK = '<meta name="generator" content="carom" />'
 
 
 @dataclass(frozen=True, slots=True)
