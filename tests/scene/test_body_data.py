@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import zipfile
 from collections.abc import Callable
@@ -457,6 +458,11 @@ def nothing(path: Path) -> None:
     path.write_bytes(b"")
 
 
+def hollow(path: Path) -> None:
+    path.touch()
+    os.truncate(path, 10**12)
+
+
 def ragged(path: Path) -> None:
     path.write_text("x,y,z\n1,2\n3,4,5\n", encoding="utf-8")
 
@@ -490,6 +496,9 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "arrays of different lengths": ("a.npz", unlike, "mass has 2 rows, and position has 3"),
     "an array of another shape": ("a.npz", flat, "position has the shape (9,), and position needs (n, 3)"),
     "an unknown format": ("a.xlsx", noise, 'no format has the ending ".xlsx"; t'),
+    "a device": ("a.csv", lambda path: path.symlink_to("/dev/zero"), "a.csv: a device or a pipe; give a file"),
+    "a pipe": ("a.parquet", os.mkfifo, "a.parquet: a device or a pipe; give a file"),
+    "a file of holes": ("a.csv", hollow, "a.csv: 1000000000000 bytes are too many"),
     "a folder": ("folder.npz", Path.mkdir, "a folder, not a data file"),
 }
 

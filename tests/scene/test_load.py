@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
@@ -553,3 +556,33 @@ def test_a_count_that_no_machine_has_room_for_is_refused_with_its_line(tmp_path:
     (tmp_path / "scene.toml").write_text(f"[[body]]\n{group}")
     with pytest.raises(SceneError, match=r"scene\.toml:3: .* lower the count"):
         refuse_impossible(Scene.load(tmp_path / "scene.toml"))
+
+
+def test_a_scene_may_come_through_a_pipe_whose_writer_is_slow(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+
+    def write() -> None:
+        with (tmp_path / "pipe.toml").open("w", encoding="utf-8") as pipe:
+            for line in ("[[body]]", "radius = 2.0"):
+                time.sleep(0.05)
+                print(line, file=pipe, flush=True)
+
+    writer = threading.Thread(target=write)
+    writer.start()
+    assert Scene.load(tmp_path / "pipe.toml").body[0].radius == 2.0
+    writer.join()
+
+
+def test_a_silent_or_endless_pipe_and_a_device_are_no_scenes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe.toml")
+    monkeypatch.setattr("carom.scene.scene_file.PATIENCE", 0.1)
+    monkeypatch.setattr("carom.scene.scene_file.LARGEST_FILE", 1000)
+    with pytest.raises(SceneError, match=r"pipe\.toml: a pipe that nothing has written for 0\.1 s"):
+        Scene.load(tmp_path / "pipe.toml")
+    with pytest.raises(SceneError, match="/dev/zero: a device, not a scene"):
+        Scene.load("/dev/zero")
+    endless = os.open(tmp_path / "pipe.toml", os.O_RDWR)
+    os.write(endless, b" " * 2000)
+    with pytest.raises(SceneError, match="more than 1000 bytes, which are too many"):
+        Scene.load(tmp_path / "pipe.toml")
+    os.close(endless)

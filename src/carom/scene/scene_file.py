@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import difflib
+import os
+import stat
+import time
 from pathlib import Path
 
 from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
@@ -10,7 +13,11 @@ from carom.scene.command import command
 from carom.scene.error import SceneError
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
+PATIENCE = 30.0  # s, for which a pipe may be silent
 RECORDED = b"RRF2"  # first bytes of a recording
+
+_PIECE = 1 << 20  # bytes
+_PAUSE = 0.01  # s, between two looks at a silent pipe
 
 
 def scene_path(source: str | Path) -> Path:
@@ -39,18 +46,43 @@ def _found(source: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Read a scene's file; refuse a recording and what is too long."""
+    """Read a scene's file, or a pipe; refuse a recording, a device and what is too long."""
     try:
-        with path.open("rb") as file:
-            if file.read(4) == RECORDED:
-                raise SceneError(f"{path}: a recording, not a scene; {_what_to_do_with(path)}")
-        if path.stat().st_size > LARGEST_FILE:
-            raise SceneError(f"{path}: {path.stat().st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
-        return path.read_text(encoding="utf-8-sig")  # some editors begin a file with a byte order mark
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
+        text = _read(path)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
+    if text.startswith(RECORDED):
+        raise SceneError(f"{path}: a recording, not a scene; {_what_to_do_with(path)}")
+    try:
+        return text.decode("utf-8-sig")  # some editors begin a file with a byte order mark
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
+
+
+def _read(path: Path) -> bytes:
+    """Read a regular file or a pipe once, at most `LARGEST_FILE` bytes of it."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe that nothing writes would block
+    with os.fdopen(descriptor, "rb", buffering=0) as file:
+        kind = os.fstat(descriptor)
+        is_pipe = stat.S_ISFIFO(kind.st_mode) or stat.S_ISSOCK(kind.st_mode)
+        if not is_pipe and not stat.S_ISREG(kind.st_mode):
+            raise SceneError(f"{path}: a device, not a scene; give a .toml file")
+        if kind.st_size > LARGEST_FILE:
+            raise SceneError(f"{path}: {kind.st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
+        text, begun = bytearray(), time.monotonic()
+        while True:
+            piece = file.read(_PIECE)  # None: there is a writer, and it has written nothing yet
+            if piece:
+                text += piece
+                begun = time.monotonic()
+                if len(text) > LARGEST_FILE:
+                    raise SceneError(f"{path}: more than {LARGEST_FILE} bytes, which are too many for a scene")
+            elif piece is not None and (text or not is_pipe):
+                return bytes(text)
+            elif time.monotonic() - begun > PATIENCE:
+                raise SceneError(f"{path}: a pipe that nothing has written for {PATIENCE:g} s; give a .toml file")
+            else:
+                time.sleep(_PAUSE)
 
 
 def _what_to_do_with(recording: Path) -> str:

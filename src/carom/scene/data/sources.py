@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import stat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
 from carom.scene.units.system import SI, UnitSystem
+
+LARGEST_DATA = 10**11  # bytes; a digest of them takes a minute
 
 
 class Found(NamedTuple):
@@ -62,7 +65,10 @@ class DataFiles:
             raise SceneError(f"file is missing: the name of the data file{arrays}")
         path = self.folder / section.file
         try:
+            _refuse_what_is_no_file(path, section.file)
             digest = _digest(path)
+        except SceneError:
+            raise
         except IsADirectoryError:
             raise SceneError(f"{section.file}: a folder, not a data file") from None
         except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
@@ -86,9 +92,20 @@ def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list
             (folder / section.file for folder in folders if section.file and (folder / section.file).is_file()), None
         )
         with contextlib.suppress(OSError):
-            if path is not None and _digest(path) != section.sha256:
+            if path is not None and path.stat().st_size <= LARGEST_DATA and _digest(path) != section.sha256:
                 found.append(str(section.file))
     return found
+
+
+def _refuse_what_is_no_file(path: Path, called: str) -> None:
+    """Refuse what would have no end, or block, and files that nobody means: they are read several times."""
+    found = path.stat()
+    if stat.S_ISDIR(found.st_mode):
+        raise IsADirectoryError
+    if not stat.S_ISREG(found.st_mode):
+        raise SceneError(f"{called}: a device or a pipe; give a file, since data are read more than once")
+    if found.st_size > LARGEST_DATA:
+        raise SceneError(f"{called}: {found.st_size} bytes are too many; at most {LARGEST_DATA}")
 
 
 def _digest(path: Path) -> str:
