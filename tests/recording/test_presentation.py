@@ -54,7 +54,9 @@ def test_a_moment_between_two_frames_shows_the_step_itself(bounce: Recording) ->
 
 
 @pytest.mark.parametrize("every", ["step", 0.25])
-def test_an_impact_at_the_end_of_a_step_is_shown_in_the_step_that_it_belongs_to(tmp_path: Path, every: Any) -> None:
+def test_an_impact_at_the_beginning_of_a_step_is_shown_in_the_step_that_it_belongs_to(
+    tmp_path: Path, every: Any
+) -> None:
     bodies = [{"position": [0, 0, 0], "velocity": [1, 0, 0]}, {"position": [2, 0, 0]}]
     scene = scene_of(
         bodies, time={"duration": 1.0, "fixed_dt": 0.1}, record={"every": every}, contact={"timing": "time-of-impact"}
@@ -62,7 +64,7 @@ def test_an_impact_at_the_end_of_a_step_is_shown_in_the_step_that_it_belongs_to(
     recording = carom.run(scene, tmp_path / "run.rrd")
     assert recording.impacts()["time"].to_pylist() == [0.0], "they touch from the start"
     shown = asked(recording, Request(event="impact:1"))
-    assert shown.time == pytest.approx(0.1, abs=1e-12) and not shown.missing
+    assert shown.time == 0.0 and not shown.missing, "where they touch, not at the end of the step"
     assert values_of(close_up.NORMAL, "vectors", list(shown.supplement.rows)), "of the contact"
 
 
@@ -134,8 +136,72 @@ def test_the_close_up_shows_normal_impulse_and_spins_of_the_hardest_impact(bounc
     shown = presentation(bounce, bounce.moment())
     step = bounce.closing["moments.impact.step"]
     for path in (close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, close_up.SPIN, close_up.LABELS):
-        (rows,) = rows_of(path, list(shown.supplement.rows))
-        assert rows.steps[0] == step and len(rows.steps) == 2, "they vanish at the next frame"
+        rows = rows_of(path, list(shown.supplement.rows))
+        times = np.concatenate([own.index.times for own in rows])
+        steps = np.concatenate([own.steps for own in rows])
+        assert len(times) == 2 and times[0] <= shown.time and step in steps, "they vanish at the next frame"
+
+
+@pytest.fixture(scope="module")
+def glancing(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Two balls that meet off centre within a long step, and are 0.8 radii apart at its end; a third ball is hit next.
+
+    The first ball begins at x = -0.31 m with 1 m/s; centres are one radius apart across, so they meet at x = -√3 r.
+    """
+    r = 0.0285
+    balls = [
+        {"position": [-0.31, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0]},
+        {"position": [0.0, r, 0.0]},
+        {"position": [0.4, 0.4, 0.0]},
+    ]
+    scene = scene_of(
+        [ball | {"radius": r, "mass": 0.17} for ball in balls],
+        gravity={"constant": 0.0},
+        contact={"timing": "time-of-impact", "restitution": 0.9},
+        time={"duration": 0.9, "fixed_dt": 0.3},
+        record={"every": "step"},
+    )
+    return carom.run(scene, tmp_path_factory.mktemp("glancing") / "glancing.rrd")
+
+
+def within_a_step(path: str, shown: list[Rows]) -> list[Rows]:
+    return [rows for rows in rows_of(path, shown) if not len(rows.steps) and len(rows.index.times)]
+
+
+@pytest.mark.parametrize("request_", [Request(event="impact:1"), Request(event="impact"), Request()])
+def test_the_close_up_of_an_impact_shows_the_instant_at_which_the_balls_touch(
+    request_: Request, glancing: Recording
+) -> None:
+    r, (impact,) = 0.0285, glancing.impacts().to_pylist()
+    shown = asked(glancing, request_)
+    moment = 0.31 - np.sqrt(3.0) * r
+    assert shown.time == pytest.approx(moment, abs=1e-12)
+    rows = list(shown.supplement.rows)
+    for path in (close_up.BODIES, close_up.EDGE, close_up.NORMAL, close_up.IMPULSE, paths.BODIES, paths.CONTACTS):
+        (own,) = within_a_step(path, rows)
+        assert own.index.times[0] == shown.time, path
+    here = within_a_step(close_up.BODIES, rows)
+    left, right = np.array(values_of(close_up.BODIES, "centers", here)[0])
+    assert np.linalg.norm(right - left) == pytest.approx(2.0 * r, rel=1e-6), "they touch; single precision"
+    normal = np.array(values_of(close_up.NORMAL, "vectors", within_a_step(close_up.NORMAL, rows))[0][0])
+    along = normal / np.linalg.norm(normal)
+    np.testing.assert_allclose(along, (right - left) / (2.0 * r), atol=1e-6)
+    np.testing.assert_allclose(along, [np.sqrt(0.75), 0.5, 0.0], atol=1e-6)
+    all_bodies = np.array(values_of(paths.BODIES, "centers", within_a_step(paths.BODIES, rows))[0])
+    np.testing.assert_allclose(all_bodies[:2], [left, right], atol=1e-8)
+    total, before = (
+        values_of("energy/total", "scalars", within_a_step("energy/total", rows))[0][0],
+        0.5 * 0.17 * 1.0**2,
+    )
+    assert total == pytest.approx(before - impact["energy_lost"], rel=1e-6)
+
+
+def test_a_time_that_is_asked_for_is_shown_and_the_impact_before_it_stays_where_it_was(glancing: Recording) -> None:
+    shown = asked(glancing, Request(at=0.3))
+    assert shown.time == pytest.approx(0.3, abs=1e-12)
+    rows = list(shown.supplement.rows)
+    assert not within_a_step(paths.BODIES, rows) and len(within_a_step(close_up.NORMAL, rows)) == 1
+    assert asked(glancing, Request(at=0.3), only="close-up").time < 0.27, "a close-up alone is of the impact"
 
 
 def test_no_label_of_the_close_up_covers_another() -> None:
@@ -181,7 +247,8 @@ def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:
     assert named_pair(bounce, "right, left") == named_pair(bounce, "0,1") == hardest_pair(bounce) == Pair(0, 1)
     for name in ("impact", "overlap"):
-        assert named_event(bounce, name) == NamedEvent(bounce.closing[f"moments.{name}.time"], Pair(0, 1))
+        time = bounce.closing[f"moments.{name}.time"]
+        assert named_event(bounce, name) == NamedEvent(time, Pair(0, 1), is_impact=name == "impact")
     first = named_event(bounce, "first-contact")
     assert first.time == pytest.approx(bounce.moment(), abs=1e-8) and first.pair == Pair(0, 1)
 

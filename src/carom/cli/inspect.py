@@ -195,7 +195,8 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
         span = (max(first, moment.time - window / 2), min(last, moment.time + window / 2))
         at, begin, end, length = (units.shown(time, TIME) for time in (moment.time, *span, window))
         yield f"{moment.text}, in step {moment.step}, to t = {units.text(moment.time, TIME)}"
-        yield "    " + command("view", file, "--at", f"{at:.9g}")
+        when = ("--event", moment.name) if moment.name == "impact" else ("--at", f"{at:.9g}")
+        yield "    " + command("view", file, *when)  # the impact's own time may be within the step
         yield "    " + command("clip", file, "--around", f"{at:.9g}", "--window", f"{length:.3g}")
         if summary["scene"].get("engine") or summary.get("clip", {}).get("partial"):
             continue

@@ -25,6 +25,7 @@ MOMENTS = {
 class Moment:
     """A time at which something was largest."""
 
+    name: str  # of `MOMENTS`; empty for another moment
     text: str  # the quantity, and the bodies
     step: int
     time: float  # s
@@ -38,7 +39,7 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
         if moment and is_worth_a_look(name, summary):
             between = f", {moment['between']}" if moment["between"] else ""
             value = value_shown(name, moment["value"], units)
-            found.append(Moment(wording.format(value=value) + between, moment["step"], moment["time"]))
+            found.append(Moment(name, wording.format(value=value) + between, moment["step"], moment["time"]))
     return found
 
 

@@ -20,6 +20,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.picture import try_to_render
 from carom.recording.view.presentation import presentation
+from carom.recording.view.request import Request
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
 from carom.recording.write.claim import Claim
@@ -75,7 +76,7 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
             shown = presentation(recording, time)
             link = site.write_moment(recording, shown.time, shown.supplement, part, name)
             if not missing:
-                missing = try_to_render(recording.path, time, part / f"{name}.png", _SIZE)
+                missing = try_to_render(recording.path, Request(time), part / f"{name}.png", _SIZE)
             lines = [f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together]
             lines.append(f"t = {units.text(time, TIME, '.9g')}")
             figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
@@ -143,7 +144,7 @@ def _fullest(recording: Recording) -> Moment:
     time = recording.moment()
     table = recording.fingerprints()
     row = int(abs(table["time"].to_numpy() - time).argmin())
-    return Moment("the moment to look at", int(table["step"][row].as_py()), time)
+    return Moment("", "the moment to look at", int(table["step"][row].as_py()), time)
 
 
 def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:

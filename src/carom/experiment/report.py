@@ -22,6 +22,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene
 from carom.recording.view.picture import try_to_render
+from carom.recording.view.request import Request
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.error import SceneError
@@ -85,7 +86,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         small = Recording.open(cut)
         replayed = _replay(small)
         picture = folder / "picture.png"
-        missing = try_to_render(cut, moment, picture)
+        hardest = why.startswith(WORST["impact"].partition("{")[0])
+        missing = try_to_render(cut, Request(event="impact") if hardest else Request(moment), picture)
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
         text = _summary(recording, small, moment, why, replayed, not missing, path.name)
         members: dict[str, bytes | Path] = {

@@ -54,11 +54,10 @@ class Clock:
         times: Sequence[float] | NDArray[np.float64],
         impacts: Sequence[int] | NDArray[np.int64] = (),
     ) -> list[rr.TimeColumn]:
-        """Timelines for the rows of a batch: step and time, the number of the impact, or all three."""
-        columns = []
-        if len(steps):
-            duration = self.nanoseconds(times).astype("timedelta64[ns]")
-            columns = [rr.TimeColumn(STEP, sequence=steps), rr.TimeColumn(SIM_TIME, duration=duration)]
+        """Timelines for the rows of a batch: step and time, or one of them, and the number of the impact."""
+        columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
+        if len(times):
+            columns.append(rr.TimeColumn(SIM_TIME, duration=self.nanoseconds(times).astype("timedelta64[ns]")))
         return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
 
 

@@ -31,6 +31,7 @@ from carom.recording.style.single_precision import single
 from carom.recording.view.pair import Pair
 from carom.recording.view.shown_step import ShownStep
 from carom.recording.view.supplement import Static
+from carom.recording.write.columns import Column
 from carom.recording.write.rows import Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
@@ -52,6 +53,7 @@ _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _SPIN_COLOUR = 0x5CE0B0FF  # the palette's green is hardly seen on the bodies
 _LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
+_TOUCHING = 1e-9  # of a radius; a gap that is rounding
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
@@ -90,9 +92,11 @@ class CloseUp:
     names: str  # of the bodies, or of the body and the plane
     bodies: tuple[int, ...]  # only one if it touches a plane
     step: ShownStep
-    position: FloatArray  # (b, 3) m, at that step
+    instant: ShownStep | None  # of an impact within the step, at which normal, impulse and spins are drawn
+    position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
     spin: FloatArray | None  # (b, 3) rad/s
+    middle: FloatArray  # (3,) m, of the bodies when the eye looks at them
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
     origin: FloatArray  # (3,) m, of the recording
@@ -132,54 +136,50 @@ class CloseUp:
             yield from self._arrows(self.contact, header)
 
     def _bodies(self) -> Iterable[Rows]:
-        """Place the bodies, and the points that the camera follows, at all frames and repeated steps."""
+        """Place the bodies, and the points that the camera follows, at all frames, repeated steps and the instant."""
+        instant = self.instant
+        if instant is not None and instant.frame is not None:
+            turns = instant.frame.orientation
+            turned = None if turns is None else turns[list(self.bodies)].astype(np.float32)
+            yield from self._placed(Index.within_step(instant.time), self.position[None], turned)
+        yield from self._at_steps()
+
+    def _at_steps(self) -> Iterable[Rows]:
         step, chosen = self.step, list(self.bodies)
         if self.paths is None:
             turned = None
             if step.frame is not None and step.frame.orientation is not None:
                 turned = step.frame.orientation[chosen].astype(np.float32)
-            yield from self._placed([step.step], [step.time], self.position[None], turned)
+            index = Index(np.array([step.step]), np.array([step.time]))
+            yield from self._placed(index, step.position[None, chosen], turned)
             return
-        yield from self._placed(
-            self.paths.steps.tolist(), self.times.tolist(), self.paths.position, self.paths.orientation
-        )
+        yield from self._placed(Index(self.paths.steps, self.times), self.paths.position, self.paths.orientation)
         recorded = set(self.paths.steps.tolist())
         frames = [frame for frame in step.added if frame.step not in recorded]
         if frames:
             position = np.stack([frame.position[chosen] - self.origin for frame in frames])
             turns = [frame.orientation[chosen] for frame in frames if frame.orientation is not None]
             turned = np.concatenate(turns).astype(np.float32) if turns else None
-            steps, times = [frame.step for frame in frames], [frame.time for frame in frames]
-            yield from self._placed(steps, times, position, turned)
+            yield from self._placed(Index.of(frames), position, turned)
 
     def _placed(
-        self, steps: list[int], times: list[float], position: NDArray[np.floating], turned: NDArray[np.float32] | None
+        self, index: Index, position: NDArray[np.floating], turned: NDArray[np.float32] | None
     ) -> Iterable[Rows]:
         """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
         placed = _nearest_images(position.astype(np.float64), self.box)
         centres = single(placed.reshape(-1, 3))
         turns = None if turned is None else turned.reshape(-1, 4)
         columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
-        yield Rows(
-            BODIES,
-            Index(np.array(steps), np.array(times)),
-            columns.partition([position.shape[1]] * len(steps)),
-            centres.nbytes,
-        )
-        here = self.position.mean(axis=0)
-        middle = placed.mean(axis=1) + (self.eye.target - here)
+        yield Rows(BODIES, index, columns.partition([position.shape[1]] * len(position)), centres.nbytes)
+        middle = placed.mean(axis=1) + (self.eye.target - self.middle)
         corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
         ends = single(np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3))
-        yield Rows(
-            FOLLOWED,
-            Index(np.array(steps), np.array(times)),
-            rr.Points3D.columns(positions=ends).partition([2] * len(steps)),
-            ends.nbytes,
-        )
+        points = rr.Points3D.columns(positions=ends).partition([2] * len(position))
+        yield Rows(FOLLOWED, index, points, ends.nbytes)
 
     def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
         """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
-        yield self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
+        yield from self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
         small = float(header.radius[list(self.bodies)].min())
         labelled = [
             self._normal(contact, small, header.units),
@@ -189,10 +189,10 @@ class CloseUp:
         for arrows in labelled:
             if len(arrows.vectors):
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
-                yield self._once(arrows.path, columns, len(arrows.vectors))
+                yield from self._once(arrows.path, columns, len(arrows.vectors))
         texts = [text for arrows in labelled for text in arrows.labels]
         places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye))
-        yield self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
+        yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
         speed = units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
@@ -217,8 +217,16 @@ class CloseUp:
         labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
         return _Arrows(SPIN, self.position[turning], vectors, labels)
 
-    def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Rows:
-        """Return a row at the step, and an empty one at the next step that the viewer has."""
+    def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
+        """Yield a row at the step, and an empty one at the next step that the viewer has; or at the instant."""
+        if self.instant is not None:
+            empty = Index(np.array([self.step.step]), np.array([self.step.time]))
+            both = [
+                (column.component_descriptor(), column.as_arrow_array()) for column in columns.partition([count, 0])
+            ]
+            for row, index in enumerate((Index.within_step(self.instant.time), empty)):
+                yield Rows(path, index, [Column.of_rows(what, rows.slice(row, 1)) for what, rows in both], 0)
+            return
         steps, times, each = [self.step.step], [self.step.time], [count]
         following = next((frame for frame in self.step.added if frame.step > self.step.step), None)
         later = np.flatnonzero(self.times > self.step.time)
@@ -227,19 +235,44 @@ class CloseUp:
         elif self.paths is not None and len(later):
             row = int(later[0])
             steps, times = [*steps, int(self.paths.steps[row])], [*times, float(self.times[row])]
-        return Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)), 0)
+        yield Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)), 0)
 
 
-def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, aspect: float) -> CloseUp:
-    """Make the close-up view of a pair at a step; ``aspect`` is its width over height."""
+def close_up(
+    recording: Recording,
+    header: Header,
+    step: ShownStep,
+    pair: Pair,
+    aspect: float,
+    instant: ShownStep | None = None,
+    *,
+    pauses_within: bool = False,
+) -> CloseUp:
+    """Make the close-up view of a pair at a step.
+
+    Parameters
+    ----------
+    aspect
+        Width over height of the view.
+    instant
+        Of an impact of the pair within the step. A pair that touches at the end of the step, too, is shown there.
+    pauses_within
+        Whether the viewer pauses at the instant.
+    """
     bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
     places = [recording.shown.index(body) for body in bodies]
     called = names_of(recording)
     names = called.pair(bodies) + ("" if pair.plane is None else f" and {called.of(len(called.bodies) + pair.plane)}")
-    frame, spin = step.frame, None
+    at_end = _nearest_images(step.position[places], header.box)
+    if not pauses_within and step.frame is not None:
+        contact = _contact(header, step.frame, pair, at_end, recording.origin)
+        if contact is not None and _touches(contact, at_end, header.radius[places]):
+            instant = None
+    drawn = instant or step
+    frame, spin = drawn.frame, None
     if frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]
-    position = _nearest_images(step.position[places], header.box)
+    position = _nearest_images(drawn.position[places], header.box)
     contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
     frames = recording.fingerprints()
     found, times = None, np.zeros(0)
@@ -247,9 +280,28 @@ def close_up(recording: Recording, header: Header, step: ShownStep, pair: Pair, 
         found = drawn_paths(recording, places)
         own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
         times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
-    eye_of_pair = _fit(header.radius[places], position, contact).view(aspect)
-    origin, box = recording.origin, header.box
-    return CloseUp(names, tuple(places), step, position, contact, spin, found, times, origin, box, eye_of_pair)
+    seen = position if pauses_within else at_end
+    return CloseUp(
+        names=names,
+        bodies=tuple(places),
+        step=step,
+        instant=instant,
+        position=position,
+        contact=contact,
+        spin=spin,
+        middle=seen.mean(axis=0),
+        paths=found,
+        times=times,
+        origin=recording.origin,
+        box=header.box,
+        eye=_fit(header.radius[places], seen, contact).view(aspect),
+    )
+
+
+def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool:
+    """Tell whether bodies at (b, 3) m, with radii (b,) m, still touch in a contact of the step."""
+    other = contact.point if len(position) == 1 else position[1]
+    return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
 
 
 def _apart(places: FloatArray, texts: list[str], eye: View) -> FloatArray:

@@ -24,6 +24,7 @@ class NamedEvent:
     time: float  # s
     pair: Pair | None = None  # None if it is not the meeting of two
     step: int | None = None  # of an impact: at the end of one step, it may belong to the next
+    is_impact: bool = False
 
 
 def named_event(recording: Recording, name: str) -> NamedEvent:
@@ -43,7 +44,8 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
         return _impact(recording, name.removeprefix(_IMPACT))
     closing = dict(recording.closing)
     if f"moments.{name}.time" in closing:
-        return NamedEvent(float(closing[f"moments.{name}.time"]), pair_of_extreme(recording, name))
+        time = float(closing[f"moments.{name}.time"])
+        return NamedEvent(time, pair_of_extreme(recording, name), is_impact=name == "impact")
     table = recording.events()
     kinds = table["kind"].to_pylist()
     if name in kinds:
@@ -54,9 +56,9 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
         own = np.flatnonzero(steps == step)
         pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
         if len(own):
-            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair)
+            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair, is_impact=pair is not None)
         scale = float(recording.info["time_scale"])
-        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair)
+        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair, is_impact=pair is not None)
     moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
     known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
     has = f"it has {', '.join(known)}" if known else "it has none"
@@ -78,4 +80,4 @@ def _impact(recording: Recording, text: str) -> NamedEvent:
         raise RecordingError(f"event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
     time, step, i, j = numbered_impact(recording, int(text))
     bodies = int(recording.info["bodies"])
-    return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step)
+    return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step, is_impact=True)

@@ -106,10 +106,10 @@ def render(
     return Picture(moment, missing)
 
 
-def try_to_render(path: Path, at: float, out_png: Path, size: tuple[int, int] = (1600, 1000)) -> str:
-    """Render a recording at a time (s); return the reason if that fails, such as a missing driver, else nothing."""
+def try_to_render(path: Path, request: Request, out_png: Path, size: tuple[int, int] = (1600, 1000)) -> str:
+    """Render a moment of a recording; return the reason if that fails, such as a missing driver, else nothing."""
     try:
-        render(path, Request(at), out_png, size)
+        render(path, request, out_png, size)
     except RecordingError as error:
         return str(error)
     return ""

@@ -9,11 +9,12 @@ import numpy as np
 
 from carom.recording.errors import RecordingError
 from carom.recording.layout.additions import Additions
-from carom.recording.layout.blueprint import ALL, PLOT, WINDOW, blueprint, close_up_area
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.layout.canvas import Canvas
 from carom.recording.layout.curve import Curve
 from carom.recording.read.body_series import asked_quantities, body_series
+from carom.recording.read.moment import tolerance
 from carom.recording.read.recorded_curves import recorded_curves
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
@@ -27,7 +28,7 @@ from carom.recording.view.named_event import NamedEvent, named_event
 from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.recording.view.recoloured import colour_rows
 from carom.recording.view.request import Request
-from carom.recording.view.shown_step import ShownStep, Watcher, shown_step
+from carom.recording.view.shown_step import ShownStep, Watcher, at_impact, shown_step
 from carom.recording.view.supplement import Supplement
 from carom.recording.view.trails import Trails, has_trails
 from carom.recording.write.encoder import BatchEncoder, state_rows
@@ -35,6 +36,17 @@ from carom.recording.write.rows import Index, Rows
 from carom.recording.write.statics import plane_grids
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
+
+_AT_INSTANT = (  # sent for an instant within a step: what the impact changed
+    paths.BODIES,
+    paths.CONTACTS,
+    paths.FORCE_NORMAL,
+    paths.FORCE_FRICTION,
+    "step/contacts",
+    "energy/total",
+    "energy/ledger/restitution",
+    "energy/ledger/friction",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,13 +75,17 @@ def asked(
         If there is no such moment, event or body.
     """
     event = request.event
-    shown = NamedEvent(recording.moment(request.at)) if event is None else named_event(recording, event)
+    if event is None:
+        shown = NamedEvent(recording.moment(request.at), is_impact=request.at is None or only == CLOSE_UP)
+    else:
+        shown = named_event(recording, event)
     return presentation(
         recording,
         shown.time,
         canvas,
         only,
         within=shown.step,
+        at_own_time=shown.is_impact,
         pair=shown.pair if request.bodies is None else named_pair(recording, request.bodies),
         plots=_body_plots(recording, request.plot, only, watch),
         colour_by=request.colour_by,
@@ -95,6 +111,7 @@ def presentation(
     only: str = ALL,
     *,
     within: int | None = None,
+    at_own_time: bool = False,
     pair: Pair | None = None,
     plots: BodyPlots | None = None,
     colour_by: str | None = None,
@@ -115,6 +132,9 @@ def presentation(
         A single view, or all.
     within
         The step that the moment belongs to, where one step ends and the next begins.
+    at_own_time
+        Whether to pause within the step, where the pair meets; by default only if the moment is that time, else at
+        the end of the step.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     plots
@@ -136,17 +156,24 @@ def presentation(
     camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
-    close = None if chosen is None else close_up(recording, header, step, chosen, aspect)
+    instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment)
+    within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
+    paused = instant if instant is not None and within_step else step
+    close = None
+    if chosen is not None:
+        close = close_up(recording, header, step, chosen, aspect, instant, pauses_within=within_step)
     trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
+    if paused is not step:
+        rows += _instant(recording, header, paused)
     statics = list(close.statics(header)) if close else []
     if header.walls is None and header.box is None:  # recorded grids lie about the bodies at the start
         seen = camera.view()
         statics += plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())
     if trails is not None:
         if not _meet(recording, header):  # orbits: the paths must be inside the view
-            trails.show(camera, step.time)
+            trails.show(camera, paused.time)
         rows += trails.rows()
         statics += trails.statics()
     if plots is not None:
@@ -158,7 +185,7 @@ def presentation(
     added = Additions(close, trails is not None, recoloured, plots)
     layout = blueprint(header, camera, _curves(recording, repeated), canvas, only, added)
     clock = Clock(float(recording.info["time_scale"]))
-    return Presentation(step.time, step.missing, Supplement(layout, clock, rows, statics))
+    return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
 
 
 def _meet(recording: Recording, header: Header) -> bool:
@@ -195,6 +222,15 @@ def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Ro
         if rows.path not in _ONCE and len(rows.steps):
             yield rows
     yield from _states_after(recording, step.added[-1].step)
+
+
+def _instant(recording: Recording, header: Header, instant: ShownStep) -> Iterator[Rows]:
+    """Yield the bodies, contacts and energies of an instant within a step, on the timeline of times only."""
+    assert instant.frame is not None
+    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, everything=True)
+    for rows in encoder.rows([instant.frame]):
+        if rows.path in _AT_INSTANT:
+            yield Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

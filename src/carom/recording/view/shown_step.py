@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.status import StepStatus
@@ -17,7 +19,10 @@ from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
 from carom.recording.read.window import Window
+from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
+from carom.recording.view.pair import Pair
+from carom.recording.write.impact_frames import orientations_at, positions_at
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -92,6 +97,70 @@ def shown_step(
             return found
         missing = f"running it again takes more than {PATIENCE:.0f} s"
     return drawn if row is not None else replace(drawn, missing=missing)
+
+
+def at_impact(step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float) -> ShownStep | None:
+    """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
+
+    Its frame has the positions, contacts and the total energy right after the impacts of the instant, and no spins
+    where a body is struck again within the step.
+
+    Parameters
+    ----------
+    step
+        The step.
+    pair
+        Which two meet. Of several impacts the one that is nearest in time is taken, then the fastest.
+    header, origin
+        Of the recording; origin (3,) m.
+    near
+        s.
+    """
+    frame, n = step.frame, header.bodies
+    earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
+    if frame is None or frame.impacts is None or not earlier:
+        return None
+    before, impacts = earlier[-1], frame.impacts
+    j = pair.j if pair.j is not None else None if pair.plane is None else n + pair.plane
+    partner = impacts["j"] >= n if j is None else impacts["j"] == j
+    own = np.flatnonzero((impacts["i"] == pair.i) & partner & (impacts["time"] < frame.time))
+    if not len(own):
+        return None
+    off = np.abs(impacts["time"][own] - near)
+    off[off <= tolerance(near)] = 0.0
+    chosen = impacts[own[np.lexsort((-impacts["approach_speed"][own], off))[0]]]
+    time = float(chosen["time"])
+    box = np.zeros(3) if header.box is None else header.box
+    position = positions_at(np.array([time]), before, frame, impacts, header.radius, box)[0]
+    turned = orientations_at(np.array([time]), before, frame)
+    together = impacts[impacts["time"] == time]
+    together = together[np.lexsort((-together["normal_impulse"], together["j"], together["i"]))]
+    pairs, first = np.unique(np.stack([together["i"], together["j"]], axis=1), axis=0, return_index=True)
+    rows = together[first]
+    same = (rows["i"] == chosen["i"]) & (rows["j"] == chosen["j"])
+    rows[same] = chosen
+    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+    graph = CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64))
+    later = impacts[impacts["time"] > time]
+    ends = (pair.i,) if pair.j is None else (pair.i, pair.j)
+    again = np.isin(later["i"], ends) | np.isin(later["j"], ends)
+    ledger = before.energy.ledger.plus(np.array(terms_of(impacts[impacts["time"] <= time])))
+    lost = ledger.balance - before.energy.ledger.balance
+    energy = replace(before.energy, ledger=ledger, translational=before.energy.translational - lost)  # in their sum
+    instant = replace(
+        frame,
+        time=time,
+        position=position,
+        orientation=None if turned is None else turned[0],
+        angular_velocity=None if again.any() else frame.angular_velocity,
+        contacts=graph,
+        contact_rows=rows,
+        energy=energy,
+        impacts=together,
+        events=(),
+        slot=None,
+    )
+    return ShownStep(step.step, time, np.asarray(position - origin), instant, step.before, step.added)
 
 
 def _row_of(step: int, steps: IntArray) -> int | None:

@@ -24,7 +24,7 @@ _NO_NUMBERS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 class Index(NamedTuple):
     """Where rows stand on the timelines. The entities of a batch share it."""
 
-    steps: IntArray  # empty where the rows are on the timeline of impacts only
+    steps: IntArray  # empty where the rows are within a step, or on the timeline of impacts only
     times: FloatArray  # s
     impacts: IntArray = _NO_NUMBERS  # numbers of impacts, where the rows are on their timeline
 
@@ -32,6 +32,11 @@ class Index(NamedTuple):
     def of(cls, frames: Sequence[Frame]) -> Index:
         """Return an index with a row for each frame."""
         return cls(np.array([frame.step for frame in frames]), np.array([frame.time for frame in frames]))
+
+    @classmethod
+    def within_step(cls, time: float) -> Index:
+        """Return an index of one row at a time (s) within a step, which is not on the timeline of steps."""
+        return cls(_NO_NUMBERS, np.array([time]))
 
     @classmethod
     def of_impacts(cls, numbers: IntArray) -> Index:
