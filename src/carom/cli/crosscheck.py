@@ -233,6 +233,7 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
         "steps",
         "position" if reference is None or reference["complete"] else f"position {_extent(reference, units)}",
         "overlap",
+        "energy change",
         "criteria",
         "diverges from the reference at",
     ):
@@ -242,6 +243,7 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
         errors = run["errors"] or {}
         cost = (f"{run['cost']:.3g}", f"{run['spread']:.0%}") if run["cost"] is not None else ("", "")
         numbers = [_number(errors.get(name)) for name in ("position", "overlap")]
+        numbers.append(_energy(run.get("energy") or {}))
         parting = run.get("parting")
         laws = "" if parting is None else ", ".join(parting["laws"]) or "none"
         cells = (run["name"], *cost, str(run["steps"]), *numbers, _criteria(run), _parting(run, reference, units), laws)
@@ -281,6 +283,17 @@ def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitS
         return f"t = {units.text(parting['time'], TIME)}, before any impact"
     number = "" if parting["impact"] is None else f" {parting['impact']}"
     return f"impact{number}, {parting['between']}, t = {units.text(parting['impact_time'], TIME)}"
+
+
+def _energy(energy: dict[str, float | None]) -> str:
+    """Write how the energy changed, and how much of that no contact explains if bodies of another engine touched."""
+    change, other = energy.get("change"), energy.get("without_contact")
+    if change is None:
+        return ""
+    text = f"{change:+.1e}" if change else "0"
+    if not energy.get("in_contact"):
+        return text
+    return f"{text}, {other:+.1e} without contact" if other else f"{text}, all in contact"
 
 
 def _number(value: float | None) -> str:

@@ -12,7 +12,7 @@ from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.scene.command import command
 from carom.scene.counted import counted
-from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -121,15 +121,14 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say how well energy and momenta were conserved."""
     from carom.experiment.ending import error_text
+    from carom.experiment.overview import energy_texts
 
     energy = summary["energy"]
     if math.isnan(energy["initial"]):
         yield "energy", NOT_RECORDED
         return
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
-    first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
-    yield "energy", f"{first} at first, {last} at last"
-    yield "", f"integration error at most {error_text(energy['max_error'])} of the energy scale"
+    yield from zip_longest(("energy",), energy_texts(summary, units), fillvalue="")
     taken_up = "not checked: planes, walls or fixed bodies may take up any"
     if linear is not None and math.isnan(linear):
         yield "momentum", NOT_RECORDED

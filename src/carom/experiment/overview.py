@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carom.experiment.contact_counts import counts_text, overlap_text
-from carom.experiment.ending import in_words
+from carom.experiment.ending import error_text, in_words
 from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
 from carom.scene.counted import counted
@@ -19,6 +19,7 @@ MOMENTS = {
     "contacts": "most contacts, {value:.0f}",
     "energy_error": "largest integration error, {value:.2e} of the energy scale",
 }
+OF_ENGINES = {"energy_error": "largest change of the energy without contact, {value:.2e} of the energy scale"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class Moment:
 def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
     """Put the moments of a recording's summary into words."""
     found = []
-    for name, wording in MOMENTS.items():
+    for name, wording in (MOMENTS | (OF_ENGINES if summary["scene"].get("engine") else {})).items():
         moment = summary["moments"].get(name)
         if moment and is_worth_a_look(name, summary):
             between = f", {moment['between']}" if moment["between"] else ""
@@ -61,10 +62,31 @@ def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
     return 100.0 * value if name == "overlap" else value
 
 
+def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
+    """Say how the energy changed, and what is known of the reasons.
+
+    Of another engine's run only states are known. Without its impulses, nothing tells what its contacts took from what
+    it got wrong meanwhile.
+    """
+    energy = summary["energy"]
+    first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
+    texts, worst = [f"{first} at first, {last} at last"], error_text(energy["max_error"])
+    if not summary["scene"].get("engine"):
+        return [*texts, f"integration error at most {worst} of the energy scale"]
+    if summary["contacts"]["total"] or energy["change_in_contact"]:
+        change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
+        unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""
+        texts.append(f"{change} while bodies touched{unjudged}: by contacts and errors of the engine, not told apart")
+    if not energy["max_error"]:
+        return [*texts, "no change without contact"]
+    change = units.text(energy["change_without_contact"], ENERGY, "+.4g")
+    return [*texts, f"{change} without contact, an error: at most {worst} of the energy scale"]
+
+
 def overview(recording: Recording) -> list[tuple[str, str]]:
     """Return names and texts: command, outcome, length, energy, contacts, promises, versions, machine."""
     whole, units = recording.summary(), recording.units
-    energy, contacts = whole["energy"], whole["contacts"]
+    contacts = whole["contacts"]
     impacts = contacts.get("impacts"), contacts.get("impacts_counted")
     counts = counts_text(contacts["total"], *impacts, contacts["summed_over"])
     return [
@@ -75,11 +97,7 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
             f"{counted(whole['bodies'], 'body')}, {counted(whole['steps'], 'step')}, "
             f"{units.text(whole['sim_time'], TIME)} simulated",
         ),
-        (
-            "energy",
-            f"{units.text(energy['initial'], ENERGY)} at first, {units.text(energy['final'], ENERGY)} at last; "
-            f"integration error at most {energy['max_error']:.3g} of the scale",
-        ),
+        ("energy", "; ".join(energy_texts(whole, units))),
         ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"] or 0.0))))),
         *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
         ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),

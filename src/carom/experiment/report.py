@@ -12,7 +12,7 @@ from typing import Any
 from carom.experiment.ending import in_words
 from carom.experiment.environment import environment
 from carom.experiment.excerpt import excerpt
-from carom.experiment.overview import is_worth_a_look, overview, promise_text, value_shown
+from carom.experiment.overview import energy_texts, is_worth_a_look, overview, promise_text, value_shown
 from carom.experiment.replay import Replay, replay
 from carom.physics.contact.limits import OVERLAPS
 from carom.physics.error import PhysicsError
@@ -131,7 +131,8 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return event.time, event.text.rstrip(".")
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
-        return error["time"], f"the integration error is largest, {error['value']:.3g} of the energy scale"
+        what = "change of the energy without contact" if recording.engine else "integration error"
+        return error["time"], f"the {what} is largest, {error['value']:.3g} of the energy scale"
     for name in WORST:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
             return moments[name]["time"], _extreme(name, moments, recording.units)
@@ -217,6 +218,9 @@ def _summary(
 def _ledger(clip: Recording) -> list[str]:
     """Describe the energy balance within the clip."""
     energy = clip.energy()
+    if clip.engine:
+        texts = energy_texts(clip.summary(), clip.units)
+        return ["## Where energy went in the clip", "", *(f"- {_literal(text)}" for text in texts), ""]
     rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
     rows = [*rows, ("integration_error", "the integrator's error")]
     changes = [(name, what, energy[name].to_numpy()) for name, what in rows if name in energy.column_names]

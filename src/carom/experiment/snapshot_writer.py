@@ -104,7 +104,7 @@ class SnapshotWriter:
             totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
             events = (
                 *(fault.event for fault in faults),
-                *self._observer.extremes.highlights(self._observer.names, self._observer.units),
+                *self._observer.highlights(),
             )
             ended = outcome if self._error is None else f"failed: {self._error}"
             self._recorder.finish(ended, totals | closing_of(extremes) | dict(audit.closing()), events)

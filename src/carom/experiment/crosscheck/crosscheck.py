@@ -36,7 +36,7 @@ from carom.scene.schema import Scene
 DOCUMENT = "crosscheck.json"
 FIGURE = "crosscheck.png"
 OVERLAY = "crosscheck.rrd"
-VERSION = 2  # of the document; 1 counted criteria that were not judged as met
+VERSION = 2  # of the document; 1 counted criteria that were not judged as met, and had no energies
 OWN = Setting("carom", ())
 
 Teller = Callable[[str], None]
@@ -168,7 +168,7 @@ class Crosscheck:
             return self._own(result)
         seen = self._seen.pop(setting.name, None) or self.runs.result(self._task(setting)).watched
         parting = self._parting(result, seen.broken, seen.dt)
-        return examined_other(setting.name, self.scene, seen, parting, self._recording(setting).name)
+        return examined_other(setting.name, self.scene, seen, parting, self._recording(setting))
 
     def _own(self, result: Result) -> Examination:
         """Run carom and record it."""

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from carom.experiment.engines.watched import COMPLETED, Watched
 from carom.experiment.expectation import Verdict, judge
 from carom.experiment.json_numbers import finite
 from carom.experiment.run import Outcome
+from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 
 
@@ -21,6 +24,7 @@ class Examination:
     laws: dict[str, dict[str, Any]]  # those broken: the first frame, and how many
     parting: dict[str, Any] | None  # see `Parting`; None if it stays with the reference as far as that is compared
     recording: str  # its file, in the folder
+    energy: dict[str, float | None]  # changes over the energy scale; see `energy_changes`
 
 
 def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) -> Examination:
@@ -30,14 +34,15 @@ def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) ->
         kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
         for kind, event in warned.items()
     }
-    return Examination(name, [_entry(v) for v in outcome.verdicts], laws, parting, outcome.path.name)
+    criteria = [_entry(v) for v in outcome.verdicts]
+    return Examination(name, criteria, laws, parting, outcome.path.name, energy_changes(outcome.path))
 
 
 def examined_other(
-    name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: str
+    name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: Path
 ) -> Examination:
     """Return what a run of another engine shows. Criteria that only carom's own account can judge are left out."""
-    whole, touched = seen.outcome == COMPLETED, seen.extremes.total_contacts > 0
+    whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
     verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
     laws = {
         fault.law: {"step": fault.step, "time": fault.time, "text": fault.text, "frames": seen.counts[fault.law]}
@@ -50,7 +55,21 @@ def examined_other(
         for v in verdicts
         if v.name != "contact_audit" and not v.name.startswith("warned_")
     ]
-    return Examination(name, criteria, laws, parting, recording)
+    return Examination(name, criteria, laws, parting, recording.name, energy_changes(recording))
+
+
+def energy_changes(path: Path) -> dict[str, float | None]:
+    """Return the changes of the energy in a recording, over the energy scale.
+
+    ``change`` is that of the total. Of another engine ``in_contact`` is what changed while bodies touched, to contacts
+    and by errors of the engine together, and ``without_contact`` the others, which are errors.
+    """
+    energy = Recording.open(path).summary()["energy"]
+    found = {"change": energy["final"] - energy["initial"]}
+    names = {"in_contact": "change_in_contact", "without_contact": "change_without_contact"}
+    found |= {name: energy[key] for name, key in names.items() if key in energy}
+    scale = energy.get("reference", 0.0)
+    return {name: finite(change / scale) if scale else None for name, change in found.items()}
 
 
 def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:

@@ -133,13 +133,15 @@ class _Walk:
         """Return what was sampled, and the extremes so far."""
         extremes, samples, count = self.observer.extremes, self._samples, len(self._samples.position)
         n, collides = len(self.observer.setup), self.observer.setup.collides
+        # of what changes in contact, nothing says what the contacts took and what is an error
+        touched = extremes.total_contacts + extremes.impacts > 0 or self.frame.energy.ledger.restitution != 0.0
         return Trajectory(
             time=times[:count],
             position=np.array(samples.position).reshape(count, n, 3),
             velocity=np.array(samples.velocity).reshape(count, n, 3),
             pair=np.array(list(self._met), dtype=np.int64).reshape(-1, 2),
             met=np.array(list(self._met.values())),
-            energy_error=extremes.energy_error.value if extremes.energy_error else 0.0,
+            energy_error=np.nan if touched or extremes.energy_error is None else extremes.energy_error.value,
             energy_gain=extremes.energy_gain.value,
             momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
             angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
@@ -200,8 +202,7 @@ class _Log:
     def finish(self, outcome: str, walk: _Walk) -> None:
         """Write the end of the recording."""
         observer = walk.observer
-        events = observer.extremes.highlights(observer.names, self._scene.unit_system)
-        self._recorder.finish(outcome, _closing(observer, walk.frame), events)
+        self._recorder.finish(outcome, _closing(observer, walk.frame), observer.highlights())
 
 
 class _Samples:

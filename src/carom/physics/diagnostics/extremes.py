@@ -87,8 +87,14 @@ class Extremes:
                 found[name] = _named(value, names)
         return Extremes(**found)
 
-    def highlights(self, names: Names, units: UnitSystem) -> tuple[Event, ...]:
-        """Return the extremes of contacts and energy as events, in order of time."""
+    def highlights(self, names: Names, units: UnitSystem, energy_error: str = "integration error") -> tuple[Event, ...]:
+        """Return the extremes of contacts and energy as events, in order of time.
+
+        Parameters
+        ----------
+        energy_error
+            What the error of the energy is.
+        """
         known = self.named(names)
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
         deepest = 0.0 if overlap is None else 100.0 * overlap.value
@@ -97,7 +103,7 @@ class Extremes:
             (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
             (overlap, f"Deepest overlap of the run, {deepest:.3g}% of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
-            (known.energy_error, "Largest integration error of the run, {value:.2e} of the energy scale"),
+            (known.energy_error, f"Largest {energy_error} of the run, {{value:.2e}} of the energy scale"),
         )
         events = []
         for extreme, wording in wordings:

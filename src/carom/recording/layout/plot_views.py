@@ -70,7 +70,7 @@ def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
     series = shown_series(header, plot, curves)
     legends = {each: each.legend if len(series) > 1 else "" for each in series}
-    return _laid_out(plot.name_in(header.units), legends, curves, area)
+    return _laid_out(plot.name_in(header.units, header.engine), legends, curves, area)
 
 
 def _laid_out(title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:

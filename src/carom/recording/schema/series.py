@@ -6,7 +6,7 @@ A scalar is added by adding a `Series` here, and its row to the table in docs/re
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -32,10 +32,12 @@ class Plot:
     title: str
     unit: str
 
-    def name_in(self, units: UnitSystem) -> str:
-        """Return what stands above the plot of a scene with these units."""
-        unit = units.recorded_unit(self.unit)
-        return self.title if unit == "1" else f"{self.title} ({unit})"
+    def name_in(self, units: UnitSystem, engine: str = "") -> str:
+        """Return what stands above the plot of a scene with these units, or of another engine's run."""
+        unit, title = units.recorded_unit(self.unit), self.title
+        if engine and self == _TAKEN:
+            title = "Energy lost while touching"
+        return title if unit == "1" else f"{title} ({unit})"
 
 
 PLOTS = (  # from left to right; the plots of a column are tabs
@@ -172,10 +174,37 @@ SERIES = (
 # fmt: on
 
 
+# of another engine, whose contacts are not known: path → legend and meaning
+OF_ENGINES = {
+    "energy/ledger/restitution": (
+        "lost while touching",
+        "lost since the start by bodies that touched, to contacts and by errors of the engine together",
+    ),
+    "energy/integration_error": (
+        "changed without contact",
+        "change of the total while bodies touched nothing, or by which they gained more than they had lost in contact",
+    ),
+    "energy/relative_error": (
+        "energy changed without contact / scale",
+        "change without contact over the energy scale",
+    ),
+}
+
+
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
-    seen = (series for series in SERIES if not (series.inside and header.engine))
+    seen: Iterator[Series] = iter(SERIES)
+    if header.engine:
+        seen = (_of_engine(series) for series in SERIES if not series.inside)
     return (series for series in seen if series.part is None or header.models(series.part))
+
+
+def _of_engine(series: Series) -> Series:
+    """Return a series of another engine's run, named as what is known of it."""
+    if series.path not in OF_ENGINES:
+        return series
+    legend, meaning = OF_ENGINES[series.path]
+    return replace(series, legend=legend, meaning=meaning)
 
 
 def names_below(root: str) -> list[str]:

@@ -73,6 +73,10 @@ class Observer:
         self._before: Moment | None = None
         self._began = first.time
 
+    def highlights(self) -> tuple[Event, ...]:
+        """Return the extremes of the run as events, in order of time."""
+        return self.extremes.highlights(self.names, self.units, energy_error="change of the energy without contact")
+
     def frame(self, step: int, state: State, store: FrameStore | None = None) -> Frame:
         """Return the frame of a state; states come in the order of time, and are finite."""
         self._take(state)
