@@ -503,6 +503,78 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
 }
 
 
+ALIKE = 50_000_000  # rows, which 1 kB may stand for
+
+
+def filled(path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        for name in columns():
+            file.create_dataset(name, shape=(ALIKE,), dtype="f8", chunks=(ALIKE // 50,), fillvalue=1.0)
+
+
+def write_arrow(path: Path, column: pa.Array, **options: Any) -> None:
+    found = pa.table(dict.fromkeys(columns(), column))
+    with pa.ipc.new_file(path, found.schema, options=pa.ipc.IpcWriteOptions(**options)) as writer:
+        writer.write_table(found)
+
+
+def nulls(path: Path) -> None:
+    write_arrow(path, pa.nulls(ALIKE))
+
+
+def runs(path: Path) -> None:
+    write_arrow(path, pa.RunEndEncodedArray.from_arrays(pa.array([ALIKE], pa.int32()), pa.array([1.0])))
+
+
+def squeezed(path: Path) -> None:
+    write_arrow(path, pa.array(np.ones(100_000)), compression="zstd")
+
+
+def squeezed_words(path: Path) -> None:
+    words = pa.DictionaryArray.from_arrays(pa.array([0], pa.int8()), pa.array(["a" * 1_000_000]))
+    write_arrow(path, words, compression="zstd")
+
+
+def squeezed_table(path: Path) -> None:
+    pq.write_table(pa.table(dict.fromkeys(columns(), np.ones(100_000))), path)
+
+
+def squeezed_arrays(path: Path) -> None:
+    arrays: Any = dict.fromkeys(columns(), np.ones(100_000))
+    np.savez_compressed(path, **arrays)
+
+
+BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
+    "datasets of a fill value": ("a.h5", filled, "would take 3200000000 bytes of memory"),
+    "columns of nulls": ("a.arrow", nulls, "column x is of type null; write numbers or texts"),
+    "columns of one run": ("a.arrow", runs, "column x is of type run_end_encoded"),
+    "compressed batches": ("a.feather", squeezed, "bytes of memory: it is damaged, or a bomb"),
+    "compressed dictionaries": ("a.arrow", squeezed_words, "bytes of memory: it is damaged, or a bomb"),
+    "a compressed table": ("a.parquet", squeezed_table, "would take 6400000 bytes of memory"),
+    "compressed arrays": ("a.npz", squeezed_arrays, "would take 64"),
+}
+
+
+@pytest.mark.parametrize("case", BOMBS)
+def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
+) -> None:
+    file, write, expected = BOMBS[case]
+    write(tmp_path / file)
+    if case != "datasets of a fill value":
+        monkeypatch.setattr(table, "ROOMY", 1_000_000)
+    assert expected in complaint(tmp_path, file)
+
+
+def test_names_in_a_dictionary_are_not_repeated_without_bound(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = pa.DictionaryArray.from_arrays(pa.array([0, 0, 0], pa.int8()), pa.array(["a" * 1000]))
+    write_feather(tmp_path / "a.feather", name=words)
+    assert scene_of(tmp_path, "a.feather").data[0].name == 3 * ["a" * 1000]
+    monkeypatch.setattr(table, "MOST_BYTES", 2500)
+    assert "column name has 3000 bytes, which are too many" in complaint(tmp_path, "a.feather")
+
+
 @pytest.mark.parametrize("case", FILES)
 def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, case: str) -> None:
     file, write, expected = FILES[case]

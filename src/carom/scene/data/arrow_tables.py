@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +12,12 @@ import pyarrow.csv
 import pyarrow.ipc
 import pyarrow.parquet as pq
 
-from carom.scene.data.table import BODY, STEP, Raw, Table, refuse_large, refuse_many_rows
+from carom.arrow_claims import claims, unpacked_bytes
+from carom.scene.data.mapping import printable
+from carom.scene.data.table import BODY, NUMBER, STEP, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
+_STREAM_IN_FILE = 8  # bytes, after which an Arrow file goes on as a stream
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
@@ -47,24 +50,68 @@ def open_parquet(path: Path, called: str, snapshot: int) -> Table:
     """Open a Parquet file."""
     file = pq.ParquetFile(path, memory_map=True)
     refuse_many_rows(called, file.metadata.num_rows)
-    return _ArrowTable(called, file.schema_arrow.names, lambda wanted, _: file.read(columns=wanted), snapshot)
+
+    def read(wanted: list[str], _: Sequence[str]) -> pa.Table:
+        refuse_bomb(called, _claimed(file.metadata, set(wanted)), path.stat().st_size)
+        return file.read(columns=wanted)
+
+    return _ArrowTable(called, file.schema_arrow.names, read, snapshot)
+
+
+def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
+    """Return the bytes of columns in memory, as the metadata of a Parquet file say."""
+    total = 0
+    for group in range(metadata.num_row_groups):
+        for k in range(metadata.num_columns):
+            column = metadata.row_group(group).column(k)
+            if column.path_in_schema.partition(".")[0] in wanted:
+                total += max(column.total_uncompressed_size, NUMBER * column.num_values)
+    return total
 
 
 def open_arrow(path: Path, called: str, snapshot: int) -> Table:
     """Open an Arrow file, an Arrow stream or a Feather file."""
     with pa.memory_map(str(path)) as source:
         file = source.read(6) == b"ARROW1"
-        source.seek(0)
-        reader = pyarrow.ipc.open_file(source) if file else pyarrow.ipc.open_stream(source)
-        batches = (reader.get_batch(k) for k in range(reader.num_record_batches)) if file else iter(reader)
+        _refuse_claims(source, _STREAM_IN_FILE if file else 0, called, path.stat().st_size)
+        source.seek(_STREAM_IN_FILE if file else 0)  # a footer could name other batches than those
+        reader = pyarrow.ipc.open_stream(source)
         found, rows = list[pa.RecordBatch](), 0
-        for batch in batches:
+        for batch in reader:
             rows += batch.num_rows
             refuse_many_rows(called, rows)
             batch.validate(full=True)
             found.append(batch)
         table = pa.Table.from_batches(found, reader.schema)
-    return _ArrowTable(called, reader.schema.names, lambda wanted, _: table.select(wanted), snapshot)
+
+    def read(wanted: list[str], _: Sequence[str]) -> pa.Table:
+        for name in wanted:
+            if not _stores_each_row(table.schema.field(name).type):
+                kind = str(table.schema.field(name).type)[:80]
+                raise SceneError(f"{called}: column {printable(name)} is of type {kind}; write numbers or texts")
+        return table.select(wanted)
+
+    return _ArrowTable(called, reader.schema.names, read, snapshot)
+
+
+def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) -> None:
+    """Refuse batches whose buffers would become far larger than the file, before any is unpacked."""
+    source.seek(begin)
+    messages, claimed = pyarrow.ipc.MessageReader.open_stream(source), 0
+    for message in messages:
+        if message.body is not None and message.type in ("record batch", "dictionary"):
+            header = claims(message.metadata.to_pybytes(), message.type == "dictionary")
+            claimed += unpacked_bytes(header, memoryview(message.body))
+            refuse_bomb(called, claimed, stored)
+
+
+def _stores_each_row(kind: pa.DataType) -> bool:
+    """Tell whether each value takes memory of its own: a few bytes may stand for any number of nulls or runs."""
+    if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
+        return False
+    if pa.types.is_dictionary(kind):
+        return _stores_each_row(kind.value_type)
+    return all(_stores_each_row(kind.field(k).type) for k in range(kind.num_fields))
 
 
 class _ArrowTable(Table):
@@ -97,6 +144,9 @@ class _ArrowTable(Table):
         """Convert a column; nulls of numbers become NaN, unless the numbers are texts."""
         kind = column.type
         if pa.types.is_dictionary(kind):
+            if pa.types.is_string(kind.value_type) or pa.types.is_large_string(kind.value_type):
+                lengths = (pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0 for chunk in column.chunks)
+                refuse_large(self.called, name, len(column) * max(lengths, default=0))
             column, kind = column.cast(kind.value_type), kind.value_type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
             return self._vectors(name, column)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.data.table import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
 _MOST_DATASETS = 10_000
@@ -44,7 +44,10 @@ class _Datasets(Table):
         import h5py  # noqa: PLC0415 - an extra
 
         with h5py.File(self._path, "r") as file:
-            return {name: self._array(name, file[name]) for name in names}
+            datasets = {name: file[name] for name in names}
+            claimed = sum(math.prod(each.shape) * max(each.dtype.itemsize, NUMBER) for each in datasets.values())
+            refuse_bomb(self.called, claimed, self._path.stat().st_size)
+            return {name: self._array(name, dataset) for name, dataset in datasets.items()}
 
     def _array(self, name: str, dataset: Any) -> Raw:
         if dataset.external or dataset.is_virtual:

@@ -11,7 +11,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
-from carom.scene.data.table import Raw, Table, refuse_large, refuse_many_rows
+from carom.scene.data.table import Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
 _SUFFIX = ".npy"
@@ -34,6 +34,8 @@ class _Archive(Table):
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read arrays; what their headers say is checked before memory is taken."""
         with zipfile.ZipFile(self._path) as archive:
+            claimed = sum(archive.getinfo(name + _SUFFIX).file_size for name in names)
+            refuse_bomb(self.called, claimed, self._path.stat().st_size)
             return {name: self._array(archive, name) for name in names}
 
     def _array(self, archive: zipfile.ZipFile, name: str) -> Raw:

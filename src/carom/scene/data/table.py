@@ -14,6 +14,10 @@ from carom.scene.error import SceneError
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
 MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
 
+ROOMY = 200_000_000  # bytes that any file may unpack to: 3 million bodies that are all alike
+NUMBER = 8  # bytes, as which every number is kept
+MOST_TIMES = 100  # larger than in its file: positions that differ are hardly compressed
+
 STEP, BODY = "step", "body"  # columns of what `carom export` writes; with both, a file may hold several steps
 
 _EXACT = 2**53  # whole numbers below it are floats without rounding
@@ -67,6 +71,12 @@ def refuse_large(called: str, column: str, size: int) -> None:
     """Refuse a column of so many bytes."""
     if size > MOST_BYTES:
         raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
+
+
+def refuse_bomb(called: str, claimed: int, stored: int) -> None:
+    """Refuse a file whose columns would take far more memory than they take in it, before they are read."""
+    if claimed > max(ROOMY, MOST_TIMES * stored):
+        raise SceneError(f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a bomb")
 
 
 def numbers_of(called: str, column: str, raw: Raw) -> NDArray[np.float64]:

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError
-
 _HEADER = 2  # field of a Message: its RecordBatch
+_DATA = 1  # field of a DictionaryBatch: its RecordBatch
+_SIZE = 8  # bytes before a compressed buffer
 _LENGTH, _NODES, _BUFFERS, _COMPRESSION = 0, 1, 2, 3  # fields of a RecordBatch
 
 
@@ -22,29 +22,50 @@ class Claims:
     lengths: NDArray[np.int64]  # of each array and of each child of one
     buffer_bytes: int  # summed over all buffers
     compressed: bool  # its buffers are compressed and state their uncompressed sizes themselves
+    buffers: NDArray[np.int64]  # (b, 2) offset in the body and length of each buffer
 
 
-def claims(message: bytes) -> Claims:
-    """Read the metadata of an Arrow IPC message that holds a record batch.
+def claims(message: bytes, dictionary: bool = False) -> Claims:
+    """Read the metadata of an Arrow IPC message that holds a record batch, or a dictionary, which has one inside.
 
     Raises
     ------
-    DamageError
+    ValueError
         If the metadata are incomplete.
     """
     try:
         batch = _table(message, _root(message), _HEADER)
+        if batch is not None and dictionary:
+            batch = _table(message, batch, _DATA)
         if batch is None:
-            raise DamageError("a record batch without a header")
-        rows = _field(message, batch, _LENGTH)
+            raise ValueError("a record batch without a header")
+        rows, buffers = _field(message, batch, _LENGTH), _pairs(message, batch, _BUFFERS)
         return Claims(
             rows=0 if rows is None else struct.unpack_from("<q", message, rows)[0],
             lengths=_pairs(message, batch, _NODES)[:, 0],
-            buffer_bytes=sum(_pairs(message, batch, _BUFFERS)[:, 1].tolist()),
+            buffer_bytes=sum(buffers[:, 1].tolist()),
             compressed=_field(message, batch, _COMPRESSION) is not None,
+            buffers=buffers,
         )
-    except (struct.error, ValueError) as error:
-        raise DamageError("a record batch with an incomplete header") from error
+    except struct.error as error:
+        raise ValueError("a record batch with an incomplete header") from error
+
+
+def unpacked_bytes(claimed: Claims, body: memoryview) -> int:
+    """Return the bytes that the buffers of a batch take in memory; each that is compressed begins with its size.
+
+    Raises
+    ------
+    ValueError
+        If a buffer is not in the body.
+    """
+    total = 0
+    for offset, length in claimed.buffers.tolist():
+        if not 0 <= offset <= offset + length <= len(body):
+            raise ValueError("a record batch that uses more than its bytes")
+        size = struct.unpack_from("<q", body, offset)[0] if claimed.compressed and length >= _SIZE else -1
+        total += length if size < 0 else size  # -1: as it is
+    return total
 
 
 def _root(buffer: bytes) -> int:
