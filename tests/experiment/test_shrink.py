@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from carom.cli.shrink import _print
 from carom.experiment.error import ExperimentError
 from carom.experiment.shrink.bodies import cones
 from carom.experiment.shrink.budget import OutOfTime
@@ -24,6 +26,7 @@ from carom.experiment.shrink.observation import Observation, Touches
 from carom.experiment.shrink.reducer import Reducer, Reduction
 from carom.experiment.shrink.text import commented
 from carom.experiment.shrink.trials import Trials
+from carom.experiment.shrink.whole_run import CommandShows
 from carom.experiment.workers import Ended
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
@@ -143,6 +146,65 @@ def test_a_command_that_exits_with_0_keeps_a_scene(tmp_path: Path) -> None:
     made = carom("shrink", "named.toml", "--while-command", "grep -q 'odd one'", cwd=tmp_path)
     assert made.returncode == 0, made.stderr
     assert len(tomllib.loads((tmp_path / "named-small.toml").read_text())["body"]) == 1
+
+
+LONG: dict[str, Any] = {  # 64 steps
+    "body": [{"name": "one"}, {"name": "two", "position": [9.0, 0.0, 0.0]}],
+    "gravity": {"constant": 0.0},
+    "time": {"duration": 64.0, "fixed_dt": 1.0},
+    "record": {"every": "step"},
+}
+LASTS = "awk '/^duration/ {exit !($3 > 3.5)}' {}"  # exits with 0 if a scene lasts for more than 3.5 s
+
+
+def stopped_after(candidates: int, monkeypatch: pytest.MonkeyPatch) -> Reduction:
+    """Shrink what a command sees, until some candidates have run."""
+    shows = Trials.shows
+
+    def shows_a_few(trials: Trials, document: Document, steps: int | None = None) -> Observation | None:
+        if trials.count == candidates:
+            raise OutOfTime("the budget was spent")
+        return shows(trials, document, steps)
+
+    monkeypatch.setattr(Trials, "shows", shows_a_few)
+    return Reducer(CommandShows(LASTS)).reduce(Scene.from_dict(LONG))
+
+
+def test_the_time_that_a_command_needs_is_found_by_bisection(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = stopped_after(9, monkeypatch)  # the scene with its bodies written out, and log2(64) + 2 shorter ones
+    assert made.steps == 4 and made.document["time"]["duration"] == 4.0
+    assert made.candidates == 9 and 2 <= made.kept < 9 and not made.minimal
+
+
+def test_a_spent_budget_keeps_the_smallest_scene_that_a_command_has_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = stopped_after(1, monkeypatch)
+    assert (made.bodies, made.steps, made.kept) == (2, 64, 1) and made.stopped == "the budget was spent"
+    with pytest.raises(ExperimentError, match="the scene fails, but the budget was spent when 0 smaller scenes had"):
+        stopped_after(0, monkeypatch)
+
+
+def test_time_is_cut_from_both_ends_where_a_command_needs_the_middle(tmp_path: Path) -> None:
+    """A ball passes x = 20 m between 20 and 21 s; the command wants a scene that begins before that and ends after."""
+    ball = LONG["body"][0] | {"velocity": [1.0, 0.0, 0.0]}
+    passes = tmp_path / "passes.py"
+    passes.write_text(
+        "import sys, tomllib\n"
+        "scene = tomllib.load(open(sys.argv[1], 'rb'))\n"
+        "x = scene['body'][0].get('position', [0.0])[0]\n"
+        "sys.exit(not x < 20.5 < x + scene['time']['duration'])\n"
+    )
+    asked = CommandShows(f"{sys.executable} -S {passes}")
+    made = Reducer(asked, keep=lambda document, said: None).reduce(Scene.from_dict(LONG | {"body": [ball]}))
+    (body,), duration = made.document["body"], made.document["time"]["duration"]
+    assert body["position"][0] < 20.5 < body["position"][0] + duration
+    assert made.steps <= 2 and made.candidates < 60
+
+
+def test_a_result_of_more_steps_is_not_called_a_part_of_fewer(capsys: pytest.CaptureFixture[str]) -> None:
+    made = Reduction({}, "it fails", 3, 76, (5, 72), [], 1.0, 9, 4)
+    _print(made, Path("small.toml"))
+    said = capsys.readouterr().out
+    assert "3 of 5 bodies are left, and 72 steps became 76: it fails" in said and "9 candidates, 4 kept, in 1 s" in said
 
 
 def test_a_flaky_command_is_found_by_running_it_twice(tmp_path: Path) -> None:

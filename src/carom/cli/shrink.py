@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from carom.experiment.shrink.reducer import Progress, Reducer, Reduction
     from carom.experiment.shrink.source import Source
 
+EVERY = 10.0  # s, after which progress is printed again where there is no terminal
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _DURATION = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 
@@ -163,11 +164,12 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
         with console.status("running the scene") as status:
             reducer.watch = lambda progress: status.update(_line(progress))
             return work()
-    said: list[str] = []
+    said, since = "", 0.0
 
     def watch(progress: Progress) -> None:
-        if said[-1:] != [progress.stage]:
-            said.append(progress.stage)
+        nonlocal said, since
+        if said != progress.stage or progress.seconds >= since + EVERY:
+            said, since = progress.stage, progress.seconds
             console.print(_line(progress), soft_wrap=True)
 
     reducer.watch = watch
@@ -177,18 +179,21 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
 def _line(progress: Progress) -> str:
     return (
         f"{progress.stage}: {counted(progress.bodies, 'body')}, {counted(progress.steps, 'step')}; "
-        f"{counted(progress.candidates, 'candidate')}, "
-        f"{progress.seconds:.1f} s"
+        f"{counted(progress.candidates, 'candidate')}, {progress.kept} kept, {progress.seconds:.1f} s"
     )
 
 
 def _print(result: Reduction, path: Path) -> None:
     bodies, steps = result.before
-    left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')}"
-    say(f"{left} are left: {result.said}")
+    left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')} are left"
+    if result.steps > steps:  # fewer bodies may take other steps
+        left = (
+            f"{result.bodies} of {counted(bodies, 'body')} are left, and {counted(steps, 'step')} became {result.steps}"
+        )
+    say(f"{left}: {result.said}")
     if result.stopped:
         say(f"Not finished: {result.stopped}. The same command goes on.")
-    effort = f"{counted(result.candidates, 'candidate')} in {result.seconds:.3g} s"
+    effort = f"{counted(result.candidates, 'candidate')}, {result.kept} kept, in {result.seconds:.3g} s"
     say(f"Written to {path} after {effort}; {command('run', path)}")
 
 

@@ -16,13 +16,15 @@ from carom.experiment.shrink.literal import Document, at_moment, literal
 from carom.experiment.shrink.numbers import round_numbers
 from carom.experiment.shrink.parts import drop_parts, set_defaults
 from carom.experiment.shrink.smallest import Smallest
-from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_time
+from carom.experiment.shrink.time_cut import Chronicle, begin_late, chronicle, cut_both_ends, cut_time
 from carom.experiment.shrink.trials import Trials
 from carom.physics.placement import place
 from carom.physics.space import Space
+from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.start import Start
 
+_GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
 MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
 
 
@@ -43,7 +45,8 @@ class Progress:
     stage: str = "running the scene"
     bodies: int = 0
     steps: int = 0
-    candidates: int = 0
+    candidates: int = 0  # so far, with the one that runs
+    kept: int = 0  # of these
     seconds: float = 0.0
 
 
@@ -59,6 +62,7 @@ class Reduction:
     stages: list[Stage]
     seconds: float
     candidates: int
+    kept: int  # candidates that show the failure; each took the place of the one before
     stopped: str = ""  # why it ended early; empty if nothing more can be left out
 
     @property
@@ -118,10 +122,13 @@ class Reducer:
             trials = Trials(self.condition, budget, judges=judges)
             trials.watch = lambda: self._look(trials)
             try:
-                smallest = self._begin(scene, start or place(scene), trials)
+                smallest, cut = self._begin(scene, start or place(scene), trials)
             except OutOfTime as ended:
                 raise ExperimentError(f"{ended} before the failure was seen; nothing is written") from None
-            stopped = self._pass_all(smallest, trials)
+            stopped = self._pass_all(smallest, cut, trials)
+            if not smallest.kept:
+                tried = counted(trials.count, "smaller scene")
+                raise ExperimentError(f"the scene fails, but {stopped} when {tried} had been tried; nothing is written")
             return Reduction(
                 document=smallest.document,
                 said=smallest.said,
@@ -131,11 +138,12 @@ class Reducer:
                 stages=self._stages,
                 seconds=budget.spent,
                 candidates=trials.count,
+                kept=smallest.kept,
                 stopped=stopped,
             )
 
-    def _begin(self, scene: Scene, start: Start, trials: Trials) -> Smallest:
-        """Run the scene up to the failure, write its bodies out, and begin as late as that allows."""
+    def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
+        """Run the scene up to the failure; return it with its bodies written out, and what cuts its time first."""
         trials.budget.check()
         threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
@@ -145,23 +153,30 @@ class Reducer:
         self.before = self.before or (len(start.name), space.step)
         whole = literal(scene, start)
         smallest = Smallest(whole, seen, trials, self._taken(trials))
-        self._progress.stage = "cutting time"
-        if not begin_late(smallest, whole, kept):
-            self._write_out(smallest, whole, kept, trials)
-        self._end_stage("cut time", smallest, trials)
-        return smallest
+        return smallest, lambda: self._cut_first(smallest, whole, kept, trials)
 
-    def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
+    def _cut_first(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
+        """Begin as late as the failure allows; one of whole runs is first seen with every body written out."""
+        self._progress.stage = "cutting time"
+        if trials.condition.of_whole_run:
+            if not smallest.is_shown():
+                raise ExperimentError(_GOES_AWAY)
+            cut_both_ends(smallest, kept)
+        elif not begin_late(smallest, whole, kept):
+            self._write_out(smallest, whole, kept)
+        self._end_stage("cut time", smallest, trials)
+
+    def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle) -> None:
         """Begin at the start of the run, with every body written out."""
         assert kept.end is not None
         duration = kept.end.time if kept.shown else 0.0
         ends = [duration, duration + kept.end.dt] if duration else []
         candidates = [at_moment(whole, kept.moments[0], end) for end in ends]
-        if not any(smallest.takes(candidate) for candidate in candidates) and trials.shows(whole) is None:
-            raise ExperimentError("the failure goes away when every body is written out, so it cannot be shrunk")
+        if not any(smallest.takes(candidate) for candidate in candidates) and not smallest.is_shown():
+            raise ExperimentError(_GOES_AWAY)
 
-    def _pass_all(self, smallest: Smallest, trials: Trials) -> str:
-        """Make all passes until none finds anything; return why they ended early, or an empty text."""
+    def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
+        """Cut time, then make all passes until none finds anything; return why they ended early, or an empty text."""
         passes: dict[str, Callable[[], bool]] = {
             "left out bodies": lambda: leave_out_bodies(smallest, trials),
             "cut time": lambda: cut_time(smallest, trials),
@@ -170,6 +185,7 @@ class Reducer:
             "rounded numbers": lambda: round_numbers(smallest),
         }
         try:
+            cut()
             for _ in range(MOST_ROUNDS):
                 changed = False
                 for name, work in passes.items():
@@ -187,6 +203,7 @@ class Reducer:
     def _taken(self, trials: Trials) -> Callable[[Smallest], None]:
         def taken(smallest: Smallest) -> None:
             self._progress.bodies, self._progress.steps = smallest.bodies, smallest.steps
+            self._progress.kept = smallest.kept
             self._look(trials)
             self.keep(smallest.document, smallest.said)
 

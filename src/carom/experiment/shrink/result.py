@@ -70,7 +70,10 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
 
 def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
-    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {counted(reduction.steps, 'step')} of {steps}."
+    taken = f"{counted(reduction.steps, 'step')} of {steps}"
+    if reduction.steps > steps:  # fewer bodies may take other steps
+        taken = f"{counted(reduction.steps, 'step')}, where the scene took {steps}"
+    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
     found = "; ".join(_told(stage) for stage in _turns(reduction.stages))
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
     return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]

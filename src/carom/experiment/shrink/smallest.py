@@ -31,6 +31,7 @@ class Smallest:
     ) -> None:
         self._trials = trials
         self._taken = taken
+        self.kept = 0  # candidates that were taken over
         self._keep(document, seen)
 
     def _keep(self, document: Document, seen: Observation) -> None:
@@ -66,12 +67,24 @@ class Smallest:
         OutOfTime
             If the time is over.
         """
-        if document == self.document:
-            return False
+        return document != self.document and self._try(document, steps)
+
+    def is_shown(self) -> bool:
+        """Run the scene itself; tell whether it shows the failure.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        return self._try(self.document, None)
+
+    def _try(self, document: Document, steps: int | None) -> bool:
         seen = self._trials.shows(document, steps)
         if seen is None:
             return False
         self._keep(document, seen)
+        self.kept += 1
         self._taken(self)
         return True
 

@@ -65,10 +65,18 @@ def cut_time(smallest: Smallest, trials: Trials) -> bool:
         return False
     kept, _ = chronicle(trials.space(smallest.scene), trials, every(0.0))
     if trials.condition.of_whole_run:
-        ended = _end_early(smallest, kept)
-    else:
-        ended = kept.end is not None and kept.shown and end_at(smallest, kept.end)
+        return cut_both_ends(smallest, kept)
+    ended = kept.end is not None and kept.shown and end_at(smallest, kept.end)
     return begin_late(smallest, smallest.document, kept) or ended
+
+
+def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
+    """End as early and begin as late as a failure of whole runs allows, by bisection; tell whether that is shorter.
+
+    Each candidate is a run of a command, say, so there are few: twice the logarithm of the number of states.
+    """
+    ended = _end_early(smallest, kept)
+    return _begin_by_bisection(smallest, kept) or ended
 
 
 def end_at(smallest: Smallest, end: Moment) -> bool:
@@ -90,6 +98,22 @@ def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
             hi = middle
         else:
             lo = middle + 1
+    return smallest.document != document
+
+
+def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
+    """Find the last state at which the smallest scene may begin; tell whether it is not the first."""
+    document, end = smallest.document, smallest.scene.time.duration
+    earlier = [moment for moment in kept.moments if 0.0 < moment.time < end]
+    lo, hi = 0, len(earlier)
+    while lo < hi:
+        middle = (lo + hi) // 2
+        moment = earlier[middle]
+        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # other steps may be taken from here
+        if smallest.takes_shorter(at_moment(document, moment, duration)):
+            lo = middle + 1
+        else:
+            hi = middle
     return smallest.document != document
 
 

@@ -143,8 +143,8 @@ class Trials:
         key = hash((toml_text(document), steps))
         if key in self._rejected:
             return None
-        self.watch()
         self.count += 1
+        self.watch()
         began = time.monotonic()
         seen = self.judge(document, steps or self._most_steps)
         self._seconds = time.monotonic() - began
