@@ -19,7 +19,7 @@ from carom.experiment.overview import Moment, moments, overview
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.picture import try_to_render
-from carom.recording.view.presentation import presentation
+from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.web import index_page, site
 from carom.recording.view.web.index_page import Figure
@@ -73,12 +73,14 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
         for number, together in enumerate(_together(found), 1):
             name, time = f"moment-{number}", together[0].time
             watch(f"the moment at {units.text(time, TIME)}")
-            shown = presentation(recording, time)
+            impact = any(moment.name == "impact" for moment in together)
+            wanted = Request(event="impact") if impact else Request(time)
+            shown = asked(recording, wanted)
             link = site.write_moment(recording, shown.time, shown.supplement, part, name)
             if not missing:
-                missing = try_to_render(recording.path, Request(time), part / f"{name}.png", _SIZE)
+                missing = try_to_render(recording.path, wanted, part / f"{name}.png", _SIZE)
             lines = [f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together]
-            lines.append(f"t = {units.text(time, TIME, '.9g')}")
+            lines.append(f"t = {units.text(shown.time, TIME, '.9g')}")
             figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
         index_page.write_index(part, recording.title, recording.path.name, overview(recording), figures)
         size = sum(file.stat().st_size for file in part.iterdir())
