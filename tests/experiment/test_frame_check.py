@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pytest
 
 import carom
 from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run
+from carom.experiment.resume import resumable_run, resume
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -142,6 +143,56 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
         clip(whole, tmp_path / "clip.rrd", later + 0.05, 1.0, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
         assert part.same and part.compared == part.frames > 2
+
+
+@pytest.mark.parametrize("entity", ["step/dt", "energy/total", "world/bodies"])
+def test_a_row_that_is_missing_from_a_whole_recording_is_a_difference(entity: str, whole: Path, tmp_path: Path) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", entity, lambda batch: batch.slice(0, batch.num_rows - 1))
+    result = replay(Recording.open(altered))
+    assert result.difference is not None and result.difference.quantity == f"rows of /{entity}"
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["outcome", "contacts.total", "energy.max_error", "moments.impact.between", "frames", "contacts.impacts_counted"],
+)
+def test_an_altered_outcome_is_found(name: str, whole: Path, tmp_path: Path) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", "__properties/outcome", mapped(name, nudged), static=True)
+    result = replay(Recording.open(altered))
+    assert result.difference is not None and result.difference.quantity == f"{name} of the outcome"
+
+
+def altered_scene(whole: Path, out: Path, digest: bool) -> Recording:
+    """Return a recording with another constant of gravity in its scene, with the old digest or without any."""
+
+    def heavier(row: list[Any]) -> list[Any]:
+        text = row[0].replace("constant = 1.0", "constant = 1.1")
+        assert text != row[0]
+        return [text]
+
+    changed(whole, out, "scene/toml", mapped("TextDocument:text", heavier), static=True)
+    if not digest:
+        drop = partial(without_column, name="scene_sha256")
+        changed(out, out, "__properties/carom", drop, static=True)
+    return Recording.open(out)
+
+
+def test_a_scene_that_was_altered_is_neither_replayed_nor_resumed(whole: Path, tmp_path: Path) -> None:
+    altered = altered_scene(whole, tmp_path / "altered.rrd", digest=True)
+    with pytest.raises(RecordingError, match="its scene is not the one that was recorded"):
+        replay(altered)
+    with pytest.raises(RecordingError, match="its scene is not the one that was recorded"):
+        resumable_run(altered, 2.0)
+
+
+def test_an_older_recording_whose_scene_was_altered_is_compared_before_it_is_resumed(
+    whole: Path, tmp_path: Path
+) -> None:
+    run = resumable_run(altered_scene(whole, tmp_path / "altered.rrd", digest=False), 2.0)
+    with pytest.raises(RecordingError, match="cannot be resumed: run again, it differs at step"):
+        resume(run, run.space())
+    untouched = resumable_run(Recording.open(whole), 1.5)
+    assert resume(untouched, untouched.space(), tmp_path / "longer.rrd").ok
 
 
 @pytest.mark.parametrize("every", [pytest.param("step", marks=pytest.mark.slow), 0.05])

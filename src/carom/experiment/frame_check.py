@@ -29,6 +29,8 @@ from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 # compared together: encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
+REPAIRED = "; repaired, "  # in the outcome of a repaired recording, of which pieces may be lost
+
 _LED = "what led to the first frame (contacts, torques, dt, events)"
 _LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"
 
@@ -75,13 +77,14 @@ class FrameCheck:
         header = header if recording.records_contacts else replace(header, record_impacts="none")
         self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
         self._arrows = references.keys()
-        self._steps, self._begin, self._all_frames = steps, begin, all_frames
+        self._steps, self._begin, self.all_frames = steps, begin, all_frames
         self._shown, self._n = recording.shown, header.bodies
         self._box = header.box
         self._impacts = None
         self._same_words = recording.versions == versions()
+        self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
         if header.records_contacts:
-            whole = all_frames and begin == 0 and self._same_words and _is_whole(recording)
+            whole = all_frames and begin == 0 and self._same_words and is_whole(recording)
             self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
             self.skipped = self._impacts.skipped
         self._states = {
@@ -173,7 +176,7 @@ class FrameCheck:
         """Tell whether a component cannot be compared, and remember that it was not."""
         if name == "impact_count":  # `ImpactCheck` looks at it
             return True
-        if path in _RELATIVE and not self._all_frames and name in (_RELATIVE[path] or (name,)):
+        if path in _RELATIVE and not self.all_frames and name in (_RELATIVE[path] or (name,)):
             self.skipped[_LARGEST] = None
             return True
         if first and self._colours_bodies and path == paths.BODIES and name.endswith("colors"):
@@ -184,8 +187,10 @@ class FrameCheck:
     def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
         found = self._rows.at(path, step)
         if not found:
-            lacks = "rows of which are missing" if path in self._rows.entities else "which the recording lacks"
-            self.skipped[f"/{path}, {lacks}"] = None
+            is_there = path in self._rows.entities
+            if self._complete and (is_there or self._same_words):
+                return Mismatch(step, f"rows of /{path}", 0, 1)
+            self.skipped[f"/{path}, {'rows of which are missing' if is_there else 'which the recording lacks'}"] = None
             return None
         if len(found) > 1:
             return Mismatch(step, f"rows of /{path}", len(found), 1)
@@ -214,7 +219,7 @@ class FrameCheck:
 
     def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
         """Compare the events since the previous frame; compare their texts if the versions are the same."""
-        if first or not self._all_frames:
+        if first or not self.all_frames:
             self.skipped[_LED if first else _LARGEST] = None
             return []
         before = self._steps[np.searchsorted(self._steps, frame.step) - 1] if frame.step > self._steps[0] else -1
@@ -226,9 +231,9 @@ class FrameCheck:
         return []
 
 
-def _is_whole(recording: Recording) -> bool:
+def is_whole(recording: Recording) -> bool:
     """Tell whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
-    return "resumed.step" not in recording.properties and "; repaired, " not in recording.outcome
+    return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
 
 
 def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:

@@ -8,21 +8,23 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from carom.experiment.environment import versions
-from carom.experiment.frame_check import FrameCheck
+from carom.experiment.expectation import judge
+from carom.experiment.frame_check import FrameCheck, is_whole
 from carom.experiment.mismatch import Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_itself, refuse_output
-from carom.experiment.run import Watcher, header_of
+from carom.experiment.run import Watcher, closing_summary, ending_of, header_of, outcome_text
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import Header, Scalar
 from carom.recording.write.recorder import Recorder
 from carom.scene.data.sources import changed_files
 from carom.scene.forces import FORCES
@@ -30,6 +32,7 @@ from carom.scene.names import body_called
 from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 
+_OUTCOME = "the outcome and its numbers (another version recorded them, or more frames than are compared)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
 Consent = Callable[[float], bool]  # s that the rest will take → whether to continue
@@ -150,6 +153,8 @@ def replay(
         if recorder is not None:
             recorder.finish(ended or "completed")
     found = [run.difference or run.rest(), None if ended else run.stray()]
+    if not (ended or any(found)) and run.compared == len(run.fingerprints):
+        found.append(run.outcome(space))
     first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
     return Replay(
         begin=checkpoint.step,
@@ -238,6 +243,27 @@ class _Comparison:
         found = self.check.strays()
         return None if found is None else self._other(found)
 
+    def outcome(self, space: Space) -> Difference | None:
+        """Compare how the run ended, if this was the whole of it."""
+        recording = self._recording
+        whole = self.begin == 0 and self.last == self.last_recorded and not recording.clip
+        if not (whole and recording.closing and is_whole(recording)):
+            return None
+        if recording.versions != versions() or not self.check.all_frames:
+            self.check.skipped[_OUTCOME] = None
+            return None
+        extremes = space.named_extremes()
+        verdicts = judge(space.scene, extremes, space.time)
+        replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
+        if space.time >= space.scene.time.duration:  # otherwise the user or the machine ended it
+            replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
+        for name, value in replayed.items():
+            recorded = recording.closing.get(name)
+            if not name.startswith("profile.") and not _alike(recorded, value):
+                one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
+                return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
+        return None
+
     def _other(self, found: Mismatch) -> Difference:
         time = self._times.get(found.step, np.nan)
         name = "" if found.body is None else self._recording.bodies.name[found.body]
@@ -255,6 +281,15 @@ class _Comparison:
             return None
         step = min(step for step in self.fingerprints if step > space.step)
         return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
+
+
+def _alike(recorded: Any, replayed: Scalar) -> bool:
+    """Return whether two values of the outcome are the same bits; texts and lists that are empty are not recorded."""
+    if recorded is None:
+        return replayed == ""
+    if isinstance(replayed, float) and isinstance(recorded, float):
+        return recorded == replayed or (math.isnan(recorded) and math.isnan(replayed))
+    return bool(recorded == replayed)
 
 
 def _difference(recording: Recording, frame: Frame, time: float) -> Difference:

@@ -10,6 +10,7 @@ from pathlib import Path
 from carom.experiment.continued_scene import continued_scene
 from carom.experiment.environment import environment
 from carom.experiment.output import claimed_output, refuse_name, refuse_output
+from carom.experiment.replay import replay
 from carom.experiment.run import Outcome, Watcher, simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
@@ -146,6 +147,8 @@ def resume(
     with contextlib.nullcontext(claim) if claim else claimed_target(source, output, force):
         if Recording.open(source).store != run.recording.store:
             raise RecordingError(f"{source} has changed since it was opened; resume it again")
+        if "scene_sha256" not in run.recording.info:
+            _refuse_altered(run, space.threads)
         return _resume(run, space, output or source, force, live, watch)
 
 
@@ -169,6 +172,21 @@ def _resume(
         return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
     part.replace(target)
     return replace(outcome, path=target)
+
+
+def _refuse_altered(run: ResumableRun, threads: int) -> None:
+    """Refuse a recording that does not continue as it began: an older one, without a digest of its scene.
+
+    The frames from the checkpoint before the last one are run again.
+    """
+    times = [time for time in run.recording.checkpoint_times.values() if time < run.time]
+    found = replay(run.recording, times[-1] if times else 0.0, threads=threads)
+    if found.difference:
+        units = run.scene.unit_system
+        raise RecordingError(
+            f"{run.recording.path} cannot be resumed: run again, it differs at {found.difference.text(units)}; "
+            "it was altered, or recorded by another version"
+        )
 
 
 def under_way(target: Path) -> Path:

@@ -36,6 +36,7 @@ from carom.recording.write.recorder import Recorder
 from carom.scene.half_space import planes_of
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 
 POLL = 0.1  # s between two looks at a run under way
 
@@ -227,12 +228,11 @@ def _simulate(
         raise
     extremes = space.named_extremes()
     verdicts = judge(space.scene, extremes, space.time)
-    if status == "completed" and not all(verdict.met for verdict in verdicts):
-        status = "expectation missed"
-        reason = "; ".join(verdict.text(space.scene.unit_system) for verdict in verdicts if not verdict.met)
+    if status == "completed":
+        status, reason = ending_of(verdicts, space.scene.unit_system)
     summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
     try:
-        recorder.finish(f"{status}: {reason}" if reason else status, summary, space.highlights())
+        recorder.finish(outcome_text(status, reason), summary, space.highlights())
     except RecordingError as error:
         status, reason = "disk", str(error)
     return Outcome(
@@ -253,6 +253,17 @@ def _simulate(
         accuracy=kept_accuracy(space.scene),
         begin=begin,
     )
+
+
+def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
+    """Return the status and the reason of a run that got to its end, by its promises."""
+    missed = [verdict.text(units) for verdict in verdicts if not verdict.met]
+    return ("expectation missed", "; ".join(missed)) if missed else ("completed", "")
+
+
+def outcome_text(status: str, reason: str) -> str:
+    """Return the outcome as it is recorded."""
+    return f"{status}: {reason}" if reason else status
 
 
 class _Physics:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from carom.scene.error import SceneError
-from carom.scene.lines import KeyPath, line_of
+from carom.scene.lines import KeyPath, lines_of
 
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
@@ -27,12 +28,16 @@ class KeyPlaces:
 
     __hash__ = None  # type: ignore[assignment]
 
+    @cached_property
+    def _lines(self) -> dict[KeyPath, int]:
+        return lines_of(self.text)
+
     def of(self, path: KeyPath) -> str:
         """Return the place of a key as a message begins with it; empty if it is not known."""
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
                 return f"the override {text}: "
-        line = line_of(self.text, path)
+        line = next((self._lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self._lines), None)
         if not line:  # a section that an override makes
             for overridden, text in self.overrides.items():
                 if path and overridden[: len(path)] == path:

@@ -17,9 +17,9 @@ _HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
 _KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
 
 
-def line_of(text: str, path: KeyPath) -> int | None:
-    """Return the 1-based line of the longest prefix of ``path`` that the text contains, or None."""
-    best: tuple[int, int] = (0, 0)
+def lines_of(text: str) -> dict[KeyPath, int]:
+    """Return the 1-based line on which each key and each section is written first."""
+    lines: dict[KeyPath, int] = {}
     section: KeyPath = ()
     seen: Counter[KeyPath] = Counter()
     for number, line in enumerate(text.splitlines(), start=1):
@@ -29,17 +29,14 @@ def line_of(text: str, path: KeyPath) -> int | None:
             section = (*_indexed(above, seen), last)
             if header[1] == "[[":
                 seen[section] += 1
-            section = _indexed([*above, last], seen)
-            written = section
+                lines.setdefault(section, number)  # a section that was written as a list of them
+            section = written = _indexed([*above, last], seen)
         elif key:
             written = (*section, *_split(key[1]))
         else:
             continue
-        if header and header[1] == "[[" and path == written[:-1]:  # a section that was written as a list of them
-            written = path
-        if path[: len(written)] == written and len(written) > best[0]:
-            best = (len(written), number)
-    return best[1] or None
+        lines.setdefault(written, number)
+    return lines
 
 
 def _indexed(keys: Iterable[str | int], seen: Counter[KeyPath]) -> KeyPath:

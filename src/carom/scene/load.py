@@ -36,6 +36,7 @@ _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
 MOST_MESSAGES = 8
+_MOST_DETAILS = 1000  # faults that are examined; a hostile text may have a million
 _LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that files may have
 _SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer digits
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
@@ -195,15 +196,20 @@ def _written(data: dict[str, Any]) -> str:
 
 def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySource | None) -> Scene:
     numbers, units, wrong = converted(data)
-    messages: dict[KeyPath, Callable[[], str]] = {each.path: partial(not_a_quantity, each, places) for each in wrong}
+    more = max(0, len(wrong) - _MOST_DETAILS)
+    messages: dict[KeyPath, Callable[[], str]] = {
+        each.path: partial(not_a_quantity, each, places) for each in wrong[:_MOST_DETAILS]
+    }
     try:
         scene = Scene.model_validate(numbers)
     except ValidationError as error:
-        for detail in with_words(error.errors()):
+        details = error.errors(include_url=False)
+        more += max(0, len(details) - _MOST_DETAILS)
+        for detail in with_words(details[:_MOST_DETAILS]):
             path = written_path(detail, data)
             if not is_known(path, messages):
                 messages[path] = partial(explain, detail, path, places, data, units)
-    _refuse(list(messages.values()))
+    _refuse(list(messages.values()), more)
     if scene.bodies:
         scene, text = _with_bodies(scene, units, data, text, places, bodies or DataFiles(Path()))
     if len(text) > longest_text(scene.count):
@@ -215,10 +221,13 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
     return scene
 
 
-def _refuse(messages: Sequence[Callable[[], str]]) -> None:
-    """Refuse a scene with all that is wrong with it, one line each; those that are not shown are not worked out."""
+def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
+    """Refuse a scene with all that is wrong with it, one line each; those that are not shown are not worked out.
+
+    ``more`` is the number of faults without a message.
+    """
     if messages:
-        more = len(messages) - MOST_MESSAGES
+        more += len(messages) - MOST_MESSAGES
         shown = [message() for message in messages[:MOST_MESSAGES]]
         raise SceneError("\n".join([*shown, f"… and {more} more"] if more > 0 else shown))
 

@@ -13,6 +13,7 @@ from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.schema.header import scene_digest
 from carom.scene.data.sources import Found, Wanted
 from carom.scene.error import SceneError
 from carom.scene.load import longest_text, scene_from_text
@@ -43,6 +44,12 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     if len(text) > longest_text(bodies):
         raise RecordingError(
             f"{recording.path} has a scene of {len(text)} characters for {bodies} bodies: it is damaged"
+        )
+    stated = recording.info.get("scene_sha256")
+    if stated is not None and stated != scene_digest(text):
+        raise RecordingError(
+            f"{recording.path}: its scene is not the one that was recorded, since the SHA-256 differs; "
+            "the file was altered and cannot be run again"
         )
     source = f"the scene in {recording.path}"
     scene = scene_from_text(text, source, bodies=RecordedBodies(recording))

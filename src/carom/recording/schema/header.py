@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -113,3 +114,8 @@ class Header:
     def bodies(self) -> int:
         """How many bodies there are."""
         return len(self.mass)
+
+
+def scene_digest(text: str) -> str:
+    """Return the SHA-256 of a scene's text, in hexadecimal digits; a recording states it beside the text."""
+    return hashlib.sha256(text.encode()).hexdigest()

@@ -18,7 +18,7 @@ from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import checkpoint, paths
 from carom.recording.schema.application_id import application_id
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.header import Header, Scalar
+from carom.recording.schema.header import Header, Scalar, scene_digest
 from carom.recording.style.arrow_length import arrow_length
 from carom.recording.write.columns import any_values
 from carom.recording.write.durable_sink import FLUSH, DurableSink
@@ -223,6 +223,8 @@ class Stream:
             "time_scale": clock.scale,
             "origin": origin,
         }
+        if header.scene_toml:
+            identity["scene_sha256"] = scene_digest(header.scene_toml)
         if header.engine:
             identity["engine"] = header.engine
             if header.planes is not None:
