@@ -6,6 +6,8 @@ import os
 import sys
 
 LEAST_ADDRESS_SPACE = 1.2e9  # bytes; with 0.9 GB Arrow aborts in the middle of a run of two spheres, with 1.1 it ends
+DESCRIPTORS = 40  # that must be free: on two cores every command works with 24, and Rerun aborts with fewer than 16
+USUAL_DESCRIPTORS = 1024  # a lower limit is raised, where the user may do so
 RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a time
 
 
@@ -14,6 +16,7 @@ def main() -> None:
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL")
     fit_into_address_space()
+    fit_into_descriptors()
     # Arrow's own allocator keeps what is freed: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
@@ -42,6 +45,29 @@ def fit_into_address_space() -> None:
             f"{LEAST_ADDRESS_SPACE / 1e9:.2g} GB or more; raise the limit (ulimit -v, in kB)\n"
         )
         sys.exit(2)
+
+
+def fit_into_descriptors() -> None:
+    """Raise a low limit of open files as far as the user may; exit if fewer than `DESCRIPTORS` more can be opened."""
+    import resource  # noqa: PLC0415 - POSIX only
+
+    limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    free = list[int]()
+    try:
+        if resource.RLIM_INFINITY != limit < USUAL_DESCRIPTORS:
+            reachable = USUAL_DESCRIPTORS if most == resource.RLIM_INFINITY else min(USUAL_DESCRIPTORS, most)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (reachable, most))
+        while len(free) < DESCRIPTORS:
+            free.append(os.open(os.devnull, os.O_RDONLY))
+    except OSError:
+        sys.stderr.write(
+            f"carom: only {len(free)} more files can be opened, and its libraries need {DESCRIPTORS}; raise the limit "
+            f"(ulimit -n, now {limit})\n"
+        )
+        sys.exit(2)
+    finally:
+        for descriptor in free:
+            os.close(descriptor)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import contextlib
 import os
 import pty
 import re
+import resource
 import signal
 import subprocess
 import sys
@@ -15,8 +16,9 @@ from pathlib import Path
 import pytest
 
 import dense_heap
+from carom.cli.main import COMMANDS
 from carom.recording.read.recording import Recording
-from command import carom_process
+from command import carom, carom_process
 
 LONG = ["run", "elastic-gas", "--set", "time.duration=1e5", "-o", "x.rrd"]
 SHORT = ["run", "two-spheres", "--set", "time.duration=1", "-o", "x.rrd", "--force"]
@@ -259,3 +261,43 @@ def test_a_reader_that_leaves_early_is_no_error(tmp_path: Path) -> None:
 def test_a_mistake_keeps_its_exit_code(tmp_path: Path) -> None:
     assert carom_process("run", "nothing.toml", cwd=tmp_path).returncode == 2
     assert carom_process("run", cwd=tmp_path).returncode == 2
+
+
+NAMES = [name for commands in COMMANDS.values() for name in commands]
+
+
+def with_open_files(name: str, soft: int, hard: int) -> subprocess.CompletedProcess[str]:
+    """Run a command where so many files may be open, and its user may raise the limit to so many."""
+    return subprocess.run(
+        command(name, "--help"),
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard)),
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_with_few_file_descriptors_every_command_ends_with_one_sentence(name: str) -> None:
+    for limit in {6 + NAMES.index(name) % 9, 14}:  # 6 to 14: with fewer Python does not start
+        done = with_open_files(name, limit, limit)
+        assert done.returncode == 2
+        assert (
+            done.stderr.startswith(f"carom: only {limit - 3} more files can be opened") and "ulimit -n" in done.stderr
+        )
+        assert len(done.stderr.splitlines()) == 1 and not done.stdout
+
+
+def test_a_low_limit_of_open_files_is_raised_where_the_user_may() -> None:
+    done = with_open_files("run", 6, resource.getrlimit(resource.RLIMIT_NOFILE)[1])
+    assert done.returncode == 0 and not done.stderr
+
+
+def test_a_command_that_runs_out_of_file_descriptors_ends_with_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise RuntimeError("Failed to create file: Too many open files (os error 24), path: /dev/fd/13")
+
+    monkeypatch.setattr("carom.scene.bundled.bundled_scenes", fail)
+    done = carom("scenes", cwd=Path())
+    assert done.returncode == 1 and done.stderr == "carom: too many files are open; raise the limit (`ulimit -n`)\n"

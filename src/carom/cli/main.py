@@ -133,6 +133,13 @@ def main() -> None:
     A mistake of the user ends with one message and exit code 2, a failure of the system with one message and exit
     code 1. Neither prints a traceback.
     """
+    # imported now: at the limit of open files nothing can be imported any more
+    from carom.cli.text import say
+    from carom.experiment.error import ExperimentError
+    from carom.physics.error import PhysicsError
+    from carom.recording.errors import ExistsError, RecordingError
+    from carom.scene.error import SceneError
+
     keep_freed_memory()
     _say_old_names_once()
     try:
@@ -142,14 +149,11 @@ def main() -> None:
         typer.echo(f"carom: {where}{error.strerror or error}", err=True)
         sys.exit(1)
     except Exception as error:
-        from carom.cli.text import say
-        from carom.experiment.error import ExperimentError
-        from carom.physics.error import PhysicsError
-        from carom.recording.errors import ExistsError, RecordingError
-        from carom.scene.error import SceneError
-
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
             typer.echo("carom: out of memory; use fewer bodies or raise the memory limit (`ulimit -v`)", err=True)
+            sys.exit(1)
+        if "Too many open files" in str(error):  # also Rerun's RuntimeError
+            typer.echo("carom: too many files are open; raise the limit (`ulimit -n`)", err=True)
             sys.exit(1)
         if not isinstance(error, (SceneError, RecordingError, ExperimentError, PhysicsError)):
             raise
