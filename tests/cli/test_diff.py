@@ -5,7 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from carom import record
 from carom.experiment.run import run
+from carom.recording.edit import bundle
 from carom.recording.write.recorder import Recorder
 from command import carom
 from examples import pair
@@ -71,10 +73,46 @@ def test_the_first_impact_that_differs_is_said_and_by_how_much(tmp_path: Path) -
     assert "impacts 1 in A, 1 in B, up to the same time first different: impact 1, body 0 and body 1, t = 1 s" in shown
     assert "+1.00e+00 m/s in approach speed" in shown
     document = json.loads(carom("diff", "a.rrd", "b.rrd", "--json", cwd=tmp_path).stdout)
-    assert document["impacts"]["counts"] == [1, 1] and document["impacts"]["first_other_bodies"] is None
+    assert document["impacts"]["counts"] == [1, 1] and document["impacts"]["first_in_one_only"] is None
     first = document["impacts"]["first_difference"]
-    assert first["number"] == 1 and first["b"]["bodies"] == [0, 1] and first["b"]["between"] == "body 0 and body 1"
+    assert first["a"]["number"] == first["b"]["number"] == 1
+    assert first["b"]["bodies"] == [0, 1] and first["b"]["between"] == "body 0 and body 1"
     assert first["b"]["time"] == pytest.approx(2.0 / 3.0, rel=1e-6)
+
+
+def test_the_zip_of_a_report_is_compared_like_a_recording(tmp_path: Path) -> None:
+    recording = run(pair(time={"duration": 1.0, "fixed_dt": 0.01}), tmp_path / "run.rrd")
+    bundle.pack(tmp_path / "run.zip", {bundle.CLIP: recording.path})
+    done = carom("diff", "run.zip", "run.rrd", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "run.zip, " in done.stdout and "Same bits in all " in done.stdout
+
+
+class Toy:
+    """An engine that moves two bodies as carom does before they meet."""
+
+    def __init__(self, model: record.Model) -> None:
+        self.model, self.step = model, 0
+
+    def state(self) -> record.State:
+        time = self.step / 64  # no rounding
+        position = [[-2.0 + time, 0.0, 0.0], [2.0 - time, 0.0, 0.0]]
+        return record.State(time, position, [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]])
+
+
+def test_against_another_engine_no_scene_is_compared(tmp_path: Path) -> None:
+    # what the other recording lacks is one line, and not one for each key; positions are compared, and not bits
+    bodies = run(pair(time={"duration": 58 / 64, "fixed_dt": 1 / 64}), tmp_path / "carom.rrd").bodies
+    toy = Toy(record.Model(engine="toy 1.0", mass=bodies.mass, radius=bodies.radius))
+    with record.Recorder(toy, tmp_path / "toy.rrd") as recorder:
+        for step in range(1, 59):
+            toy.step = step
+            recorder.frame()
+    done = carom("diff", "carom.rrd", "toy.rrd", cwd=tmp_path)
+    assert done.returncode == 0, done.stdout + done.stderr
+    shown = " ".join(done.stdout.split())
+    assert "scene not compared: B was recorded from toy 1.0" in shown and "nothing in B" not in shown
+    assert "No difference that the recordings resolve in all " in shown
 
 
 @pytest.mark.parametrize(

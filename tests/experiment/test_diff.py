@@ -1,3 +1,4 @@
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +9,7 @@ import pytest
 
 from carom.cli.diff import _short
 from carom.experiment.diff.diff import Diff, diff, differing, overlay
-from carom.experiment.diff.impact_divergence import impact_divergence
+from carom.experiment.diff.impact_divergence import _nearest_in_order, impact_divergence
 from carom.experiment.run import run
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
@@ -165,14 +166,41 @@ def test_the_first_impact_at_which_two_runs_part_is_named_with_its_number_pair_a
     found = impact_divergence(one, other)
     assert found is not None and found.first is not None and not found.same
     table, there = one.impacts(), other.impacts()
-    assert (found.first.number, found.first.a.bodies) == (1, (1, 2))
+    assert found.first.a is not None and found.first.b is not None
+    assert (found.first.a.number, found.first.b.number, found.first.a.bodies) == (1, 1, (1, 2))
     assert (found.first.a.time, found.first.b.time) == (table["time"][0].as_py(), there["time"][0].as_py())
     assert found.first.b.time < found.first.a.time
-    assert found.counts == (table.num_rows, there.num_rows) and found.compared == min(found.counts)
-    swapped = impact_divergence(one, balls(tmp_path / "c.rrd", speed=4.0))
-    assert swapped is not None and swapped.other_bodies is not None
-    k = swapped.other_bodies.number - 1
-    assert swapped.other_bodies.a.bodies == (table["i"][k].as_py(), table["j"][k].as_py())
+    assert found.counts == (table.num_rows, there.num_rows) and 0 < found.compared <= min(found.counts)
+
+
+def test_an_impact_that_only_one_run_makes_shifts_no_others(tmp_path: Path) -> None:
+    # two pairs far from each other; in the second run a third ball hits one of the first pair in between
+    def three(path: Path, third: float) -> Recording:
+        bodies = [
+            {"position": [x, y, 0.0], "velocity": [v, 0.0, 0.0], "radius": 0.5, "mass": 1.0}
+            for x, y, v in ((-1.0, 0.0, 1.0), (1.0, 0.0, -1.0), (-3.0, 9.0, 1.0), (3.0, 9.0, -1.0), (-9.0, 0.0, third))
+        ]
+        scene = scene_of(bodies, gravity={"constant": 0.0}, contact={"restitution": 1.0}, time={"duration": 4.0})
+        return run(scene, path)
+
+    one, other = three(tmp_path / "a.rrd", 0.0), three(tmp_path / "b.rrd", 6.0)
+    found = impact_divergence(one, other)
+    assert found is not None and found.counts == (2, 4)
+    assert found.compared == 2 and found.first is None, "0.5 s and 2.5 s are the same in both"
+    assert found.alone is not None and found.alone.a is None and found.alone.b is not None
+    assert found.alone.b.number == 2 and found.alone.b.bodies == (0, 4)
+    swapped = impact_divergence(other, one)
+    assert swapped is not None and swapped.alone is not None and swapped.alone.a == found.alone.b
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_of_more_impacts_those_are_matched_whose_times_are_nearest(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    long = np.sort(rng.uniform(0.0, 10.0, 7))
+    short = np.sort(rng.uniform(0.0, 10.0, 4))
+    chosen = _nearest_in_order(short, long)
+    least = min(np.abs(long[list(rows)] - short).sum() for rows in itertools.combinations(range(7), 4))
+    assert np.abs(long[chosen] - short).sum() == pytest.approx(least) and (np.diff(chosen) > 0).all()
 
 
 def test_of_a_run_that_recorded_fewer_frames_and_impacts_those_in_both_are_the_same(

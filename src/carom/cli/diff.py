@@ -25,8 +25,10 @@ if TYPE_CHECKING:
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
 
-FirstArgument = Annotated[Path, typer.Argument(metavar="A", help="A recording (.rrd).", callback=not_a_folder)]
-SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another recording (.rrd).", callback=not_a_folder)]
+FirstArgument = Annotated[
+    Path, typer.Argument(metavar="A", help="A recording (.rrd), or the zip of `carom report`.", callback=not_a_folder)
+]
+SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)]
 
 
 def diff(
@@ -38,11 +40,14 @@ def diff(
 ) -> None:
     """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
 
-    Impacts that both recorded are compared by their numbers.
+    Impacts of the same bodies are compared in their order.
     """
+    from dataclasses import replace
+
     from carom.experiment.diff.diff import diff as compare
     from carom.experiment.diff.diff import overlay
     from carom.experiment.output import refuse_itself, refuse_output
+    from carom.recording.edit.bundle import opened
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
 
@@ -50,15 +55,16 @@ def diff(
         for path in (a, b):
             refuse_itself(output, path)
         refuse_output(output, force)
-    recordings = Recording.open(a), Recording.open(b)
-    found = compare(*recordings)
-    if output is not None:
-        overlay(*recordings, found, output)
-    names = names_of(recordings[0])
-    if as_json:
-        say_json(_document(found, names, recordings[0].units))
-    else:
-        _print(found, names, recordings[0].units, output)
+    with opened(a) as one, opened(b) as other:
+        recordings = Recording.open(one), Recording.open(other)
+        found = replace(compare(*recordings), paths=(a, b))
+        if output is not None:
+            overlay(*recordings, found, output)
+        names = names_of(recordings[0])
+        if as_json:
+            say_json(_document(found, names, recordings[0].units))
+        else:
+            _print(found, names, recordings[0].units, output)
     if not found.same:
         raise typer.Exit(1)
 
@@ -86,6 +92,7 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
             "common": len(curve.step),
             "matched_by": found.matched_by,
         },
+        "engines": list(found.engines),
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
         "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
         "growth": None if found.divergence is None else asdict(found.divergence),
@@ -96,12 +103,13 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
 
 def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     def nested(pair: ImpactPair | None) -> dict[str, Any] | None:
-        if pair is None:
-            return None
-        return {"number": pair.number} | {name: of(impact) for name, impact in (("a", pair.a), ("b", pair.b))}
+        return None if pair is None else {"a": of(pair.a), "b": of(pair.b)}
 
-    def of(impact: Impact) -> dict[str, Any]:
+    def of(impact: Impact | None) -> dict[str, Any] | None:
+        if impact is None:
+            return None
         return {
+            "number": impact.number,
             "bodies": list(impact.bodies),
             "between": names.pair(impact.bodies),
             "time": impact.time,
@@ -114,7 +122,7 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
         "counts": None if found.counts is None else list(found.counts),
         "compared": found.compared,
         "first_difference": nested(found.first),
-        "first_other_bodies": nested(found.other_bodies),
+        "first_in_one_only": nested(found.alone),
     }
 
 
@@ -139,7 +147,11 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
     table.add_row("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}")
     table.add_row("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}")
     for name, differing in (("scene", found.scene), ("environment", found.environment)):
-        if not differing:
+        if name == "scene" and any(found.engines):
+            recorded = zip("AB", found.engines, strict=True)
+            known = [f"{which} was recorded from {engine}" for which, engine in recorded if engine]
+            table.add_row(name, f"not compared: {', '.join(known)}")
+        elif not differing:
             table.add_row(name, "the same")
         for k, (key, (one, other)) in enumerate(list(differing.items())[:KEYS]):
             default = found.defaults.get(key) if name == "scene" else None
@@ -156,33 +168,31 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
 def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
     """Say where the impacts part, and by how much."""
     if found is None:
-        yield "not recorded in both"
+        yield "not compared, not recorded in both"
         return
     if found.counts is not None:
         yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
     if found.first is None:
         yield f"all {found.compared} that both recorded are the same" if found.compared else "none that both recorded"
-        return
-    yield f"{_called(found.first, names, units)}: {_by_how_much(found.first, units)}"
-    other = found.other_bodies
-    if other is not None and other != found.first:
-        yield _called(other, names, units)
+    different = [pair for pair in (found.first, found.alone) if pair is not None]
+    for pair in sorted(different, key=lambda pair: pair.time):
+        yield _called(pair, names, units)
 
 
 def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
+    """Name an impact by its numbers in both runs, and say how it differs."""
     a, b = pair.a, pair.b
-    in_a, in_b = (units.text(impact.time, TIME, ".9g") for impact in (a, b))
-    if a.bodies == b.bodies:
-        return f"first different: impact {pair.number}, {names.pair(a.bodies)}, t = {in_a}"
-    return (
-        f"first between other bodies: impact {pair.number}, {names.pair(a.bodies)} at t = {in_a} in A, "
-        f"{names.pair(b.bodies)} at t = {in_b} in B"
-    )
+    one = a or b
+    assert one is not None, "one of both has it"
+    what = f"{names.pair(one.bodies)}, t = {units.text(one.time, TIME, '.9g')}"
+    if a is None or b is None:
+        return f"first in {'B' if a is None else 'A'} only: impact {one.number}, {what}"
+    number = f"{a.number}" if a.number == b.number else f"{a.number} in A, {b.number} in B"
+    return f"first different: impact {number}, {what}: {_by_how_much(a, b, units)}"
 
 
-def _by_how_much(pair: ImpactPair, units: UnitSystem) -> str:
+def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
     """Give the differences of an impact, B - A, as far as there are any."""
-    a, b = pair.a, pair.b
     differences = (
         (b.time - a.time, TIME, "time"),
         (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),

@@ -38,10 +38,14 @@ class Diff:
     divergence: Divergence | None
     verdict: Verdict
     impacts: ImpactDivergence | None  # None if one has none recorded
+    engines: tuple[str, str] = ("", "")  # that the runs were recorded from; empty for carom's own
 
     @property
     def same(self) -> bool:
-        """Whether all common frames are identical to the bit, and so are the impacts that both recorded."""
+        """Whether all common frames are identical to the bit, and so are the impacts of both.
+
+        Against another engine, whose bits are not those of carom, whether no difference is seen.
+        """
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
 
@@ -62,7 +66,10 @@ def diff(a: Recording, b: Recording) -> Diff:
     matched = FrameAlignment(a, b)
     curve = matched.curve()
     divergence = divergence_of(curve)
-    written = differing(_scene(a), _scene(b))
+    engines, environment = (a.engine, b.engine), differing(a.properties, b.properties)
+    written = {} if any(engines) else differing(_scene(a), _scene(b))
+    if any(engines):  # of which neither the scene nor how it was run is known
+        environment = {key: values for key, values in environment.items() if None not in values and key != "engine"}
     same = _written_otherwise(a, b, written)
     scene = {key: values for key, values in written.items() if key not in same}
     defaults = _defaults(a, b, scene)
@@ -70,13 +77,14 @@ def diff(a: Recording, b: Recording) -> Diff:
         paths=(a.path, b.path),
         scene={key: values for key, values in scene.items() if key not in defaults or defaults[key] not in values},
         defaults=defaults,
-        environment=differing(a.properties, b.properties),
+        environment=environment,
         frames=(a.frames, b.frames),
         matched_by=matched.by,
         curve=curve,
         divergence=divergence,
         verdict=verdict(curve, divergence, a.units),
         impacts=impact_divergence(a, b),
+        engines=engines,
     )
 
 

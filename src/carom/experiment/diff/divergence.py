@@ -32,9 +32,10 @@ class Curve:
     rms: FloatArray  # (k,) m, of the distances between counterparts
     floor: FloatArray  # (k,) m; a smaller difference may be the rounding of recorded positions
     energy: FloatArray  # (k,) J, second minus first
-    differs: NDArray[np.bool_]  # (k,) whether the fingerprints differ
+    differs: NDArray[np.bool_]  # (k,) whether the fingerprints differ, or else the positions
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
+    of_bits: bool = True  # whether fingerprints were compared; of another engine those have other columns
 
     @property
     def seen(self) -> NDArray[np.bool_]:
@@ -94,7 +95,8 @@ def divergence_of(curve: Curve) -> Divergence | None:
 def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI) -> Verdict:
     """Decide whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
-        return Verdict("same", f"same bits in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
+        alike = "same bits" if curve.of_bits else "no difference that the recordings resolve"
+        return Verdict("same", f"{alike} in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
@@ -107,7 +109,7 @@ def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI)
     if jump > allowed:
         return Verdict(
             "jump",
-            f"a jump, not round-off: at {when}, one frame after the last with the same bits, bodies are {apart} "
+            f"a jump, not round-off: at {when}, one frame after the last {_alike(curve)}, bodies are {apart} "
             f"apart, {jump / allowed:.1e} times what round-off could have become; {how}",
             first,
             jump,
@@ -128,6 +130,10 @@ def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
     stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
     return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
+
+
+def _alike(curve: Curve) -> str:
+    return "with the same bits" if curve.of_bits else "without a difference"
 
 
 def rate_text(rate: float, error: float, units: UnitSystem) -> str:

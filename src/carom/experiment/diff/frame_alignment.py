@@ -38,6 +38,7 @@ class FrameAlignment:
         if list(a.shown) != list(b.shown):
             raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
         self._a, self._b = _Frames(a), _Frames(b)
+        self._of_bits = bool(a.engine) == bool(b.engine)
         box = a.info.get("box")
         self._box = None if box is None else np.asarray(box, dtype=np.float64)
         _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
@@ -93,9 +94,10 @@ class FrameAlignment:
             rms=rms,
             floor=floor,
             energy=np.array([self._energy(k) for k in range(len(self))]),
-            differs=np.array([self._differs(k) for k in range(len(self))]),
+            differs=np.array([self._differs(k) for k in range(len(self))]) if self._of_bits else rms > floor,
             size=max(_rms(first - first.mean(axis=0)), self._a.radius),
             reach=reach,
+            of_bits=self._of_bits,
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:

@@ -16,6 +16,7 @@ from carom.recording.schema.timelines import STEP
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
+MOST_SKIPPED = 1000  # impacts of two bodies by which one run may have more than the other and still be matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -23,6 +24,7 @@ _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_imp
 class Impact:
     """One recorded impact."""
 
+    number: int  # in its own run, from 1 on
     bodies: tuple[int, int]  # from n on planes and walls
     time: float  # s
     approach_speed: float  # m/s
@@ -32,26 +34,34 @@ class Impact:
 
 @dataclass(frozen=True, slots=True)
 class ImpactPair:
-    """The impact with the same number in both recordings."""
+    """One impact in both recordings; None in one of them if only the other has it."""
 
-    number: int  # from 1 on
-    a: Impact
-    b: Impact
+    a: Impact | None
+    b: Impact | None
+
+    @property
+    def time(self) -> float:
+        """When it happened first, in s."""
+        return min(impact.time for impact in (self.a, self.b) if impact is not None)
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactDivergence:
-    """The impacts of two recordings, compared number by number."""
+    """The impacts of two recordings, compared one by one.
+
+    The impacts of the same two bodies are matched in their order; where one run has more of them, so that the times are
+    nearest.
+    """
 
     counts: tuple[int, int] | None  # up to the last frame at a common time; None if there is no such frame
     compared: int  # impacts that both recorded
     first: ImpactPair | None  # the first of them that is not the same
-    other_bodies: ImpactPair | None  # the first of them between other bodies
+    alone: ImpactPair | None  # the first that only one run has, while the recording of the other has all of its own
 
     @property
     def same(self) -> bool:
         """Whether no difference was found."""
-        return self.first is None and (self.counts is None or self.counts[0] == self.counts[1])
+        return self.first is None and self.alone is None and (self.counts is None or self.counts[0] == self.counts[1])
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
@@ -64,23 +74,96 @@ def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
     """
     if not (a.records_contacts and b.records_contacts):
         return None
-    one, other = (impacts_by_number(recording)[0] for recording in (a, b))
-    common, rows_a, rows_b = np.intersect1d(one, other, assume_unique=True, return_indices=True)
-    tables = a.impacts().take(pa.array(rows_a)), b.impacts().take(pa.array(rows_b))
-    between_others = np.zeros(len(common), dtype=bool)
-    for name in ("i", "j"):
-        between_others |= tables[0][name].to_numpy() != tables[1][name].to_numpy()
-    differs = between_others | _times_differ(a, b, *(table["time"].to_numpy() for table in tables))
-    differs |= np.array(tables[0]["mode"].to_pylist(), object) != np.array(tables[1]["mode"].to_pylist(), object)
+    numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
+    tables = a.impacts(), b.impacts()
+    ends = tuple(np.stack((table["i"].to_numpy(), table["j"].to_numpy()), axis=1) for table in tables)
+    times = tuple(table["time"].to_numpy() for table in tables)
+    rows = _matched(ends, times)
+    common = [table.take(pa.array(row)) for table, row in zip(tables, rows, strict=True)]
+    differs = _times_differ(a, b, *(table["time"].to_numpy() for table in common))
+    differs |= np.array(common[0]["mode"].to_pylist(), object) != np.array(common[1]["mode"].to_pylist(), object)
     for name in _VALUES:
-        in_a, in_b = (table[name].to_numpy() for table in tables)
+        in_a, in_b = (table[name].to_numpy() for table in common)
         differs |= (in_a != in_b) & ~(np.isnan(in_a) & np.isnan(in_b))
-    return ImpactDivergence(
-        counts=_counts(a, b),
-        compared=len(common),
-        first=_first(common, differs, *tables),
-        other_bodies=_first(common, between_others, *tables),
-    )
+    first = None
+    if differs.any():
+        found = np.flatnonzero(differs)
+        k = found[np.argmin(np.minimum(*(time[row[found]] for time, row in zip(times, rows, strict=True))))]
+        first = ImpactPair(*(_impact(t, n, int(r[k])) for t, n, r in zip(tables, numbers, rows, strict=True)))
+    return ImpactDivergence(_counts(a, b), len(rows[0]), first, _alone((a, b), tables, numbers, times, rows))
+
+
+def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple[IntArray, IntArray]:
+    """Return the rows of matched impacts in both runs, in the order of time in the first."""
+    found: tuple[list[IntArray], list[IntArray]] = ([], [])
+    groups = [_rows_by_ends(each) for each in ends]
+    for key in groups[0].keys() & groups[1].keys():
+        rows = groups[0][key], groups[1][key]
+        short, long = sorted(rows, key=len)
+        chosen = long[_nearest_in_order(*(times[0 if each is rows[0] else 1][each] for each in (short, long)))]
+        one, other = (short, chosen) if short is rows[0] else (chosen, short)
+        found[0].append(one)
+        found[1].append(other)
+    if not found[0]:
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    one, other = np.concatenate(found[0]), np.concatenate(found[1])
+    order = np.argsort(one, kind="stable")
+    return one[order], other[order]
+
+
+def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
+    """Return the rows of the impacts of each two ends, rising."""
+    if not len(ends):
+        return {}
+    keys, inverse = np.unique(ends, axis=0, return_inverse=True)
+    inverse = inverse.ravel()
+    order = np.argsort(inverse, kind="stable")
+    rows = np.split(order, np.flatnonzero(np.diff(inverse[order])) + 1)
+    return {(int(i), int(j)): each for (i, j), each in zip(keys, rows, strict=True)}
+
+
+def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
+    """Choose as many of the longer list of times as the shorter has, in order, with the least sum of differences.
+
+    Dynamic programming over how many of the longer are skipped so far. Beyond `MOST_SKIPPED`, the last are left out.
+    """
+    skips = min(len(long) - len(short), MOST_SKIPPED)
+    if skips == 0:
+        return np.arange(len(short))
+    cost, taken = np.zeros(skips + 1), np.empty((len(short), skips + 1), np.int64)
+    for k, time in enumerate(short):
+        best = np.minimum.accumulate(cost)  # to have skipped no more than so many before
+        first = np.maximum.accumulate(np.where(cost == best, np.arange(skips + 1), 0))
+        taken[k] = first
+        cost = best + np.abs(long[k : k + skips + 1] - time)
+    skipped = int(np.argmin(cost))
+    chosen = np.empty(len(short), np.int64)
+    for k in range(len(short) - 1, -1, -1):
+        chosen[k] = k + skipped
+        skipped = int(taken[k, skipped])
+    return chosen
+
+
+def _alone(
+    recordings: tuple[Recording, Recording],
+    tables: tuple[pa.Table, ...],
+    numbers: tuple[IntArray, ...],
+    times: tuple[FloatArray, ...],
+    rows: tuple[IntArray, IntArray],
+) -> ImpactPair | None:
+    """Return the first impact that only one run has, in the time that both show; None if there is none for certain."""
+    spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
+    begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
+    found: list[ImpactPair] = []
+    for own, other in ((0, 1), (1, 0)):
+        if int(tables[other].schema.metadata[b"left_out"]):
+            continue  # it may have happened, and not been recorded
+        inside = (times[own] > begin) & (times[own] <= end)
+        inside[rows[own]] = False
+        if inside.any():
+            impact = _impact(tables[own], numbers[own], int(np.argmax(inside)))
+            found.append(ImpactPair(impact, None) if own == 0 else ImpactPair(None, impact))
+    return min(found, key=lambda pair: pair.time, default=None)
 
 
 def _times_differ(
@@ -104,15 +187,13 @@ def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
     return counts[0], counts[1]
 
 
-def _first(numbers: IntArray, chosen: NDArray[np.bool_], a: pa.Table, b: pa.Table) -> ImpactPair | None:
-    if not chosen.any():
-        return None
-    row = int(np.argmax(chosen))
-    return ImpactPair(int(numbers[row]), _impact(a, row), _impact(b, row))
-
-
-def _impact(table: pa.Table, row: int) -> Impact:
+def _impact(table: pa.Table, numbers: IntArray, row: int) -> Impact:
     (values,) = table.slice(row, 1).to_pylist()
     return Impact(
-        (values["i"], values["j"]), values["time"], values["approach_speed"], values["normal_impulse"], values["mode"]
+        int(numbers[row]),
+        (values["i"], values["j"]),
+        values["time"],
+        values["approach_speed"],
+        values["normal_impulse"],
+        values["mode"],
     )
