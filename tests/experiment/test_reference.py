@@ -99,6 +99,14 @@ def test_an_exact_course_that_ends_early_says_so_and_is_compared_up_to_there() -
     assert 0.0 < reference.horizon < 20.0 and "it ends early: body 0 and body 1 stay in contact" in reference.text
 
 
+def test_bodies_that_press_on_each_other_from_the_start_have_a_refined_reference() -> None:
+    touching = [{"position": [x, 0.0, 0.0], "radius": 1.0, "mass": 1.0} for x in (-1.0, 1.0)]
+    scene = scene_of(touching, gravity={"constant": 1.0}, time={"duration": 1.0, "fixed_dt": 0.1})
+    reference = make_reference(scene, budget=0.0)
+    assert reference.kind == "refined" and reference.is_complete
+    assert "body 0 and body 1 stay in contact from t = 0 s on" in reference.text
+
+
 def test_many_bodies_are_refined_until_they_part_and_the_horizon_is_there() -> None:
     said: list[str] = []
     reference = make_reference(cloud(time={"duration": 1.5}), finest=1.0, budget=0.0, tell=said.append)

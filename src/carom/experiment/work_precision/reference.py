@@ -97,10 +97,9 @@ def make_reference(
     tell = tell or (lambda text: None)
     reason = why_not(scene)
     if not reason:
-        reference = _exact(scene, threads, budget, tell)
-        if reference.samples:
+        reference, reason = _exact(scene, threads, budget, tell)
+        if reference is not None:
             return reference
-        reason = f"no sample is certain of what is {reference.text}"
     return _refined(scene, finest, threads, budget, tell, reason)
 
 
@@ -147,26 +146,31 @@ def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:
     return Scale.of(trajectory, box)
 
 
-def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> Reference:
+def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tuple[Reference | None, str]:
+    """Solve a scene exactly; return no reference, and why, if none of its samples is known for certain."""
     times = sample_times(scene)
     tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
     best = solve(Space(scene, threads), times, budget=budget / 3)
     known = best.trajectory.time
+    if not len(known):
+        return None, best.ended
     checks = []
     for twin, tolerance in enumerate((TIGHTEST, LOOSER * TIGHTEST), start=1):
         if len(known):
             tell(f"reference: exact, check {twin} of 2, up to t = {scene.unit_system.text(known[-1], TIME)}")
             checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
     text = f"exact: DOP853, tolerance {TIGHTEST:g}, {counted(len(best.time), 'contact')} located"
-    return _reference(
+    text += f"; it ends early: {best.ended}" if best.ended else ""
+    reference = _reference(
         scene,
         best.trajectory,
         checks,
         kind="exact",
         fineness=math.inf,
         whole=not best.ended,
-        text=text + (f"; it ends early: {best.ended}" if best.ended else ""),
+        text=text,
     )
+    return (reference, "") if reference.samples else (None, f"no sample is certain of what is {text}")
 
 
 def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
