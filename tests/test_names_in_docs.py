@@ -22,7 +22,7 @@ from carom.scene.schema import Scene
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "carom"
 CODE = [path for folder in ("src", "tests", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
-PAGES = [ROOT / "README.md", *ROOT.glob("CONTRIBUTING.md"), *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "SECURITY.md", *ROOT.glob("CONTRIBUTING.md"), *sorted((ROOT / "docs").glob("*.md"))]
 FOLDERS = {"benchmarks", "configs", "docs", "src", "tests"}
 COMMANDS: dict[str, Any] = get_command(app).commands  # type: ignore[attr-defined]
 EVERYWHERE = {"--help", "--version", "--install-completion", "--show-completion"}
