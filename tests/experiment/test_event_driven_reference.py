@@ -68,6 +68,16 @@ def test_a_bullet_of_a_million_radii_a_second_is_not_stepped_over() -> None:
     assert exact.time == pytest.approx([met], abs=1e-16)
 
 
+def test_a_contact_is_found_though_rounding_leaves_no_gap_so_small_that_it_counts_as_contact() -> None:
+    # 10 km away at 1 km/s, the positions have 2e-12 m and the clock 2e-15 s, which is as much; 1e-12 r is 2e-15 m
+    target = {"position": [0.0, 0.0, 0.0], "radius": 1e-3, "mass": 1.0}
+    bullet = {"position": [-1e4, 5e-4, 0.0], "velocity": [1000.0, 0, 0], "radius": 1e-3, "mass": 1e-3}
+    scene = scene_of([target, bullet], gravity={"constant": 0.0}, time={"duration": 20.0})
+    exact = solve(Space(scene), np.array([5.0, 20.0]), budget=20.0)
+    assert exact.ended == ""
+    assert exact.time == pytest.approx([(1e4 - math.sqrt(4e-6 - 2.5e-7)) / 1000.0], rel=1e-15)
+
+
 def test_the_exact_course_asks_the_law_how_a_contact_rebounds(monkeypatch: pytest.MonkeyPatch) -> None:
     def fading(material: Any, approach: float, rest_speed: float) -> float:
         return float(material.restitution / (1.0 + approach))

@@ -41,9 +41,9 @@ MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
 SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
-TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact
-ROUNDINGS = 4.0  # of both speeds; an approach slower than that is rounding, as between bodies after a plastic impact
-LOWEST_FLIGHT = 1e-11  # of the sum of radii; after a lower bounce the contact counts as lasting
+TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact, and those that rounding does not resolve
+ROUNDINGS = 8.0  # units in the last place, of speeds and places, by which contacts may seem to close or be apart
+LOWEST_FLIGHT = 10.0  # times the largest gap that is contact; after a lower bounce the contact counts as lasting
 BISECTIONS = 30  # of a step in which a force begins to press
 NEWTON = 12  # most iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
@@ -114,6 +114,7 @@ class _Solver:
             self._i, self._j = self._i[::-1], self._j[::-1]
         self._max_step = (LONGER if twin else 1.0) * float(np.median(np.diff(times, prepend=0.0)))
         self._reach = start.radius[self._i] + start.radius[self._j]
+        self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
         self._velocity: list[FloatArray] = []  # (n, 3) m/s, likewise
@@ -173,6 +174,8 @@ class _Solver:
             if solver.status == "failed":
                 self._end(f"DOP853 stopped at t = {self._units.text(solver.t, TIME)}: {message}")
                 break
+            if self._contacts:
+                self._widen(y, solver)
             found = self._first_contact(solver, before, y) if self._contacts else None
             after, state = found or (solver.t, solver.y)
             pressed = self._pressed(y, state) if self._contacts else None
@@ -181,7 +184,7 @@ class _Solver:
                 solver = self._solver(after, state, end)
             self._sample(before, y, after)
             self._accept(after, state)
-            if pressed is not None and self._gap(state, pressed) <= TOUCHING * self._reach[pressed]:
+            if pressed is not None and self._gap(state, pressed) <= self._near[pressed]:
                 self._end_in_contact(pressed)
             if clock.thread_time() > self._deadline:
                 self._end(f"{self._budget:.3g} s of computing reached t = {self._units.text(after, TIME)}")
@@ -240,6 +243,14 @@ class _Solver:
             acceleration -= slip / drag.relaxation_time
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
+    def _widen(self, y: FloatArray, solver: DOP853) -> None:
+        """Let gaps count as contact that rounding of coordinates and of the clock cannot resolve, as of fast bodies."""
+        ends = np.stack((y, solver.y))
+        largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
+        speed = np.max([self._speeds(end) for end in ends], axis=0)
+        unseen = np.spacing(np.maximum(largest[self._i], largest[self._j])) + speed * np.spacing(solver.t)
+        self._near = np.maximum(self._near, TOUCHING * self._reach + ROUNDINGS * unseen)
+
     def _first_contact(self, solver: DOP853, before: float, y: FloatArray) -> tuple[float, FloatArray] | None:
         """Return time and state of the first contact in the last step, if there is one."""
         dense = OdeSolution([before, solver.t], [solver.dense_output()])
@@ -247,7 +258,7 @@ class _Solver:
         looks = [dense(before), dense((before + end) / 2), dense(end)]
         bound = SPEED_MARGIN * np.max([self._speeds(look) for look in looks], axis=0)
         gap = self._gaps(y)
-        apart = gap > TOUCHING * self._reach
+        apart = gap > self._near
         earliest, which = math.inf, -1
         for pair in np.flatnonzero(apart & (gap < bound * (end - before))):
             time = self._first_touch(dense, int(pair), before, min(end, earliest), float(bound[pair]))
@@ -257,7 +268,7 @@ class _Solver:
 
     def _first_touch(self, dense: OdeSolution, pair: int, time: float, end: float, bound: float) -> float:
         """Return the time of the first contact of a pair, by conservative advancement; infinite if there is none."""
-        near = TOUCHING * self._reach[pair]
+        near = self._near[pair]
         while time < end:
             gap = self._gap(dense(time), pair)
             if gap <= near:
@@ -320,7 +331,7 @@ class _Solver:
         """Return the shortest time in s after which a touching pair reaches its largest separation."""
         state = self._state()
         longest = math.inf
-        for pair in np.flatnonzero(np.abs(self._gaps(state)) <= TOUCHING * self._reach):
+        for pair in np.flatnonzero(np.abs(self._gaps(state)) <= self._near):
             rate = self._closing(state, int(pair))
             if rate <= self._rate_noise(state, int(pair), self._tolerance):
                 continue  # it stays in touch; `_pressed` finds out whether a force presses
@@ -328,14 +339,14 @@ class _Solver:
             if pull >= 0.0:
                 continue
             flight = rate / -pull
-            if rate * flight / 2 < LOWEST_FLIGHT * self._reach[pair]:
+            if rate * flight / 2 < LOWEST_FLIGHT * self._near[pair]:
                 self._end_in_contact(int(pair))
             longest = min(longest, flight)
         return longest
 
     def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
         """Return a pair that touches before a step and closes after it, by more than errors of the step; or None."""
-        for pair in np.flatnonzero((self._gaps(before) <= TOUCHING * self._reach) & (self._gaps(after) <= 0.0)):
+        for pair in np.flatnonzero((self._gaps(before) <= self._near) & (self._gaps(after) <= 0.0)):
             if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
                 return int(pair)
         return None
@@ -379,7 +390,7 @@ class _Solver:
     def _touching(self) -> list[int]:
         """Return the pairs that touch and close."""
         state = self._state()
-        near = np.flatnonzero(self._gaps(state) <= TOUCHING * self._reach)
+        near = np.flatnonzero(self._gaps(state) <= self._near)
         return [
             int(pair)
             for pair in near

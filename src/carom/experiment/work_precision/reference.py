@@ -223,6 +223,9 @@ def _reference(
     samples = min((_agreement(scale, best, check) for check in checks), default=0)
     errors = [compare(check, best, scale, samples, whole) for check in checks]
     horizon = float(best.time[samples - 1]) if samples else 0.0
+    if samples < len(best):
+        why = "rounding or the order of simultaneous contacts decides" if kind == "exact" else "the check differs"
+        text += f"; after t = {scene.unit_system.text(horizon, TIME)} {why}"
     return Reference(best, scale, kind, fineness, samples, whole, _largest(errors, horizon), text)
 
 
