@@ -314,7 +314,11 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         yield f"  {names.of(first)} {given}: it is the first cause."
     else:
         passed = cone.passed_to(answer.question.bodies)
-        yield f"There is no chain of causes: impacts passed on {passed:.1%} of the velocity from other bodies."
+        each = f", none of them more than {max(passed):.1%}" if len(passed) > 1 else ""
+        yield (
+            f"There is no chain of causes: {counted(len(passed), 'impact')} passed on {sum(passed):.1%} of the "
+            f"velocity from other bodies{each}."
+        )
     forces = float(cone.from_forces.sum())
     left = float(cone.shares.sum())
     bodies = f"{counted(others, 'other body')} of {cone.count - 1}" if others else "no other body"

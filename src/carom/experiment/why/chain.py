@@ -27,18 +27,16 @@ def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
     """Return the impacts of the chain, the latest first.
 
     From each body it goes back over the impact that most of the answer passed, among those before, until what the body
-    had without them is more. There is none if impacts passed on less than a tenth of the answer.
+    had without them is more. There is none if no impact passed on a tenth of the answer.
     """
     left = list(cone.passages)
     links: list[Link] = []
-    if cone.passed_to(bodies) < _WEAKEST:
-        return links
     current, share = set(bodies), 1.0
     while len(links) < MOST_LINKS:
         chosen, link = _strongest(left, current)
         if link is None:
             break
-        if links and link.share < share * (_AT_ONCE if link.time == links[-1].time else _WEAKEST):
+        if link.share < share * (_AT_ONCE if links and link.time == links[-1].time else _WEAKEST):
             break
         links.append(link)
         current, share = {link.by}, link.share

@@ -160,9 +160,9 @@ class Cone:
         inside: NDArray[np.bool_] = np.isin(label, label[self.reached])
         return inside
 
-    def passed_to(self, bodies: tuple[int, ...]) -> float:
-        """Return the share of the answer that other bodies passed on to some bodies in impacts."""
-        return sum(to for p in self.passages for end, to in ((p.i, p.to_i), (p.j, p.to_j)) if end in bodies)
+    def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
+        """Return the shares of the answer that other bodies passed on to some bodies, one for each impact."""
+        return [to for p in self.passages for end, to in ((p.i, p.to_i), (p.j, p.to_j)) if end in bodies and to > 0.0]
 
     def _undo(self, rows: Rows, velocity: FloatArray) -> None:
         """Undo the effect of impulses on velocities, (n, 3) m/s."""
