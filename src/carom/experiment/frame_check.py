@@ -39,6 +39,7 @@ _BEFORE = {
     *(paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION),
     *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
 }
+_ADDED = {series.path for series in SERIES}  # some of which a recording of an earlier version may lack
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
 
 # values that depend on earlier frames, such as errors relative to the largest energy so far
@@ -83,6 +84,8 @@ class FrameCheck:
         self._impacts = None
         self._same_words = recording.versions == versions()
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
+        # a series has a style from the start; those that were added later have none in an older recording
+        self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
         if header.records_contacts:
             whole = all_frames and begin == 0 and self._same_words and is_whole(recording)
             self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
@@ -187,8 +190,8 @@ class FrameCheck:
     def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
         found = self._rows.at(path, step)
         if not found:
-            is_there = path in self._rows.entities
-            if self._complete and (is_there or self._same_words):
+            is_there = path in self._rows.entities or path in self._styled
+            if self._complete and (is_there or path not in _ADDED):
                 return Mismatch(step, f"rows of /{path}", 0, 1)
             self.skipped[f"/{path}, {'rows of which are missing' if is_there else 'which the recording lacks'}"] = None
             return None
