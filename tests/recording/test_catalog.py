@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -47,6 +51,63 @@ def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
             viewer.open(dataset.segment_url(row))
             viewer.until("open the row", 60.0, lambda: bool(viewer.client.get_state().views))
             assert row in (viewer.client.get_state().active_recording or "")
+
+
+CATALOGUE = """
+import sys
+from pathlib import Path
+from carom.cli import sweep_look  # before libraries that start threads, as the command does
+import carom.recording.view.keeper as keeper
+
+isolate = keeper.isolate
+def checked():
+    alone = isolate()
+    import carom.experiment.sweep.manifest as manifest
+    import carom.recording.view.catalog as catalogue
+
+    class Window:  # in place of the viewer's
+        def __init__(self, **_): pass
+        def __enter__(self): return self
+        def __exit__(self, *_): pass
+        def open(self, address):
+            print(address, alone, flush=True)
+        def wait(self):
+            sys.stdin.read()
+
+    class Run:
+        file = "runs/restitution=0.5.rrd"
+
+    catalogue.Viewer = Window
+    manifest.stored_runs = lambda folder: [Run]
+    return alone
+
+keeper.isolate = checked
+sweep_look.serve(Path())
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="namespaces are Linux's")
+def test_the_server_of_a_window_is_where_no_other_user_can_connect(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    swept(tmp_path / "runs", 0.5)
+    with subprocess.Popen(
+        [sys.executable, "-c", CATALOGUE],
+        cwd=tmp_path,
+        env=os.environ | {"DISPLAY": ":99"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as serving:
+        assert serving.stdout is not None and serving.stdin is not None
+        assert serving.stdout.readline() == "1 recordings\n", "no address, since nobody could use it"
+        address, alone = serving.stdout.readline().split()
+        if alone != "True":
+            pytest.skip("this machine grants no namespaces")
+        port = int(address.split("/")[2].rpartition(":")[2])
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port), timeout=10)
+        serving.stdin.close()
+        assert serving.wait(60) == 0
 
 
 def test_a_catalog_names_missing_recordings(tmp_path: Path) -> None:

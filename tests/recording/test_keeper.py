@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -31,9 +32,9 @@ while True:
 # starts a keeper, as `Viewer` does, and waits
 PARENT = """
 import os, subprocess, sys, time
-folder, keeper, options, server = sys.argv[1:]
+folder, keeper, options, screen, server = sys.argv[1:]
 reads, writes = os.pipe()
-command = [sys.executable, "-I", "-S", keeper, str(os.getpid()), str(writes), folder, options, ""]
+command = [sys.executable, "-I", "-S", keeper, str(os.getpid()), str(writes), folder, options, screen]
 process = subprocess.Popen([*command, sys.executable, "-c", server], pass_fds=(writes,), start_new_session=True)
 os.close(writes)
 print(process.pid, os.read(reads, 100).decode(), flush=True)
@@ -56,16 +57,16 @@ class Kept:
 
 
 @contextlib.contextmanager
-def kept(tmp_path: Path, options: str = "", prefix: tuple[str, ...] = ()) -> Iterator[Kept]:
+def kept(tmp_path: Path, options: str = "", prefix: tuple[str, ...] = (), screen: str = "") -> Iterator[Kept]:
     folder = tmp_path / "folder"
     folder.mkdir(mode=0o700)
-    command = [*prefix, sys.executable, "-c", PARENT, str(folder), keeper.__file__, options, SERVER]
+    command = [*prefix, sys.executable, "-c", PARENT, str(folder), keeper.__file__, options, screen, SERVER]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         pid, port = map(int, parent.stdout.readline().split())
         keeping = psutil.Process(pid)
         try:
-            yield Kept(folder, port, psutil.Process(parent.pid), keeping, keeping.children()[0])
+            yield Kept(folder, port, psutil.Process(parent.pid), keeping, keeping.children()[-1])
         finally:
             parent.kill()
             with contextlib.suppress(psutil.NoSuchProcess):
@@ -112,6 +113,23 @@ def test_another_user_reaches_no_port_of_a_viewer(tmp_path: Path) -> None:
         ours = [socket for socket in psutil.net_connections("tcp") if socket.pid in (one.keeper.pid, one.server.pid)]
         listening = {socket.laddr.port for socket in ours if socket.status == psutil.CONN_LISTEN}
         assert listening == {one.port}, "there is no other port to try"
+
+
+@linux
+@as_root
+@pytest.mark.skipif(shutil.which("Xvfb") is None, reason="no Xvfb")
+@pytest.mark.parametrize("options", ["", keeper.SHARED])
+def test_another_user_cannot_look_at_the_virtual_screen(tmp_path: Path, options: str) -> None:
+    with kept(tmp_path, options, screen="320x200") as one:
+        display = one.server.environ()["DISPLAY"].removeprefix(":")
+        greeting = b"l\0\x0b\0\0\0\0\0\0\0\0\0"  # X11, protocol 11, without a cookie
+        answer = run_as_nobody(f"""
+connection = socket.socket(socket.AF_UNIX)
+connection.connect("/tmp/.X11-unix/X{display}")
+connection.sendall({greeting!r})
+print(connection.recv(1)[0])
+""")
+        assert answer == "0", "refused"
 
 
 @linux

@@ -85,14 +85,21 @@ def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
 
 
 def serve(folder: Path) -> None:
-    """Serve a sweep's recordings to the viewer until the person closes it or interrupts."""
+    """Serve a sweep's recordings to the viewer until the person closes it or interrupts.
+
+    Rerun's server has no password. So this process moves, with its viewer, where other users of the machine cannot
+    connect, before it loads libraries that start threads. Without a screen, the server is there for viewers elsewhere.
+    """
+    from carom.recording.view.keeper import has_screen, isolate, screen_is_remote
+
+    alone = has_screen() and not screen_is_remote() and isolate()
     from carom.experiment.sweep.folder import Folder
     from carom.experiment.sweep.manifest import stored_runs
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
         from carom.recording.view.catalog import serve_catalog
     paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
-    serve_catalog(folder.resolve().name, paths, typer.echo)
+    serve_catalog(folder.resolve().name, paths, typer.echo, alone)
 
 
 def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:

@@ -134,8 +134,8 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
 
     from carom.cli.text import say
     from carom.recording.read.recording import Recording
+    from carom.recording.view.keeper import has_screen
     from carom.recording.view.presentation import asked
-    from carom.recording.view.viewer import has_screen
     from carom.recording.view.web.server import hosted
 
     recording = Recording.open(file)

@@ -35,16 +35,33 @@ def catalog(name: str, paths: Sequence[Path]) -> Iterator[str]:
         yield f"{server.url()}/dataset/{dataset.id}"
 
 
-def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None]) -> None:
-    """Open the table in a viewer; without a screen, serve it until the interrupt key."""
+def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], alone: bool) -> None:
+    """Open the table in a viewer; without a screen, serve it until the interrupt key.
+
+    Parameters
+    ----------
+    name, paths
+        The dataset and its recordings.
+    say
+        Prints a line.
+    alone
+        Whether no other viewer can reach the server, since this process is in a network namespace of its own.
+
+    Raises
+    ------
+    RecordingError
+        If a recording is missing, or, of a process that is alone, if there is no viewer.
+    """
     with catalog(name, paths) as address:
-        say(f"{len(paths)} recordings at {address}")
+        say(f"{len(paths)} recordings" + ("" if alone else f" at {address}"))
         try:
             with Viewer(keep=(keeper.SHARED,)) as viewer:
                 viewer.open(address)
                 say("A click on a row's link opens its recording. Close the window to end.")
                 viewer.wait()
         except RecordingError as error:
+            if alone:
+                raise
             say(f"{error}. The address serves a viewer elsewhere on this machine; Ctrl-C ends it.")
             with contextlib.suppress(KeyboardInterrupt):
                 while True:

@@ -31,6 +31,7 @@ from pathlib import Path
 HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
 SHARED = "shared"  # in the namespace of the machine: for viewers that have to reach a server or an X display there
 LIVE = "live"  # the viewer may outlive the run that it shows
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _START = 60.0  # s
 _GRACE = 5.0  # s between asking a process to end and ending it
 _POLL = 0.2  # s
@@ -74,9 +75,23 @@ def _in_table(address: Address) -> str:
     return f"{int.from_bytes(socket.inet_aton(address[0]), sys.byteorder):08X}:{address[1]:04X}"
 
 
+def has_screen() -> bool:
+    """Return whether windows can be opened, as far as the environment tells."""
+    return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
+
+
+def screen_is_remote() -> bool:
+    """Return whether windows go to an X display by TCP, as under ``ssh -X``."""
+    display = "" if os.environ.get("WAYLAND_DISPLAY") else os.environ.get("DISPLAY", "")
+    return display.partition(":")[0] not in ("", "unix")
+
+
 def isolate() -> bool:
-    """Move this process into a network namespace of its own, in which only loopback exists; return whether it has."""
-    if sys.platform != "linux":
+    """Move this process into a network namespace of its own, in which only loopback exists; return whether it has.
+
+    Only a process of one thread can move as a whole.
+    """
+    if sys.platform != "linux" or len(list(Path("/proc/self/task").iterdir())) != 1:
         return False
     # Root keeps its rights over files of other users only without a user namespace.
     for flags in (_NEW_NET, _NEW_USER | _NEW_NET) if os.geteuid() == 0 else (_NEW_USER | _NEW_NET,):

@@ -25,7 +25,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME
 from carom.recording.view import keeper
-from carom.recording.view.keeper import HOST
+from carom.recording.view.keeper import HOST, has_screen, screen_is_remote
 from carom.recording.view.supplement import Supplement
 
 _T = TypeVar("_T")
@@ -34,7 +34,6 @@ _LOAD = 120.0  # s
 _POLL = 0.1  # s
 _DYING = 2.0  # s in which a viewer that stopped answering may end
 _GRACE = 15.0  # s between asking the process to end and ending it; it gives its own children 5 s each
-_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _VULKAN = (
     "it needs a Vulkan driver; without a graphics card: "
@@ -74,7 +73,7 @@ class Viewer:
         self._log = tempfile.TemporaryFile(mode="w+", dir=private)  # noqa: SIM115  it lives as long as the process
         beside = private.parent if keeper.LIVE in keep else private  # this process deletes its own folder at its end
         self._folder = folder or Path(tempfile.mkdtemp(prefix="carom-viewer-", dir=beside))
-        if not screen and "--headless" not in options and _screen_is_remote():
+        if not screen and "--headless" not in options and screen_is_remote():
             keep = (*keep, keeper.SHARED)
         reads, writes = os.pipe()
         with os.fdopen(reads) as report:
@@ -246,14 +245,3 @@ def binary() -> str:
             if (Path(folder) / name).is_file():
                 return str(Path(folder) / name)
     raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
-
-
-def _screen_is_remote() -> bool:
-    """Return whether windows go to an X display by TCP, as under ``ssh -X``."""
-    display = "" if os.environ.get("WAYLAND_DISPLAY") else os.environ.get("DISPLAY", "")
-    return display.partition(":")[0] not in ("", "unix")
-
-
-def has_screen() -> bool:
-    """Return whether windows can be opened, as far as the environment tells."""
-    return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
