@@ -67,6 +67,7 @@ COLUMNS = {
     "dispersion": "dispersion",
 }
 TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared up to it only
+STATISTICS = ("size", "dispersion")  # that are compared as far as the reference goes
 STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 
@@ -248,6 +249,8 @@ def _heading(study: Study, error: str) -> str:
     heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
     if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
         heading += f" up to {units.text(reference.horizon, TIME)}"
+    if reference is not None and not reference.whole and error in STATISTICS:
+        heading += f" up to {units.text(float(reference.trajectory.time[-1]), TIME)}"
     return heading
 
 

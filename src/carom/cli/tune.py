@@ -14,6 +14,7 @@ from carom.cli.text import say
 from carom.cli.tradeoff import (
     COLUMNS,
     PIPE_WIDTH,
+    STATISTICS,
     STOPPED,
     TO_THE_HORIZON,
     LimitOption,
@@ -114,7 +115,8 @@ def _show(study: Study, limits: Collection[str]) -> None:
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:
     """Say up to when errors are compared with the reference, if that is not the end of the scene."""
     reference, units = tuning.study.reference, tuning.study.scene.unit_system
-    if reference is None or reference.is_complete or not set(errors) & set(TO_THE_HORIZON):
+    compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
+    if reference is None or reference.is_complete or not compared & set(errors):
         return ""
     return f" (compared with the reference up to t = {units.text(reference.horizon, TIME)} only)"
 

@@ -86,7 +86,10 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
             _panel(ax, error, document, families, looks, units if error == "impact" else None)
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
-        figure.suptitle(document["scene"]["title"], fontsize=10)
+        title, reference = document["scene"]["title"], document["reference"]
+        if not reference.get("complete", True):  # a document of before there was this key
+            title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
+        figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
         words = "filled: on the front; ring: in doubt; faint: another is as good and cheaper"
         noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
