@@ -16,11 +16,18 @@ TEXT = "looking ahead for the step that keeps 1e-06 …"
 
 
 @pytest.mark.parametrize(
-    ("on_terminal", "quiet", "seconds", "expected"),
-    [(True, False, 0.5, True), (True, False, 0.0, False), (False, False, 0.5, False), (True, True, 0.5, False)],
+    ("on_terminal", "quiet", "everywhere", "seconds", "expected"),
+    [
+        (True, False, False, 0.5, True),
+        (True, False, False, 0.0, False),
+        (False, False, False, 0.5, False),
+        (True, True, False, 0.5, False),
+        (False, False, True, 0.5, True),
+        (False, True, True, 0.5, False),
+    ],
 )
-def test_work_that_takes_long_is_named_on_a_terminal_only(
-    on_terminal: bool, quiet: bool, seconds: float, expected: bool, monkeypatch: pytest.MonkeyPatch
+def test_work_that_takes_long_is_named_on_a_terminal_or_where_it_is_asked_for(
+    on_terminal: bool, quiet: bool, everywhere: bool, seconds: float, expected: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = io.StringIO()
 
@@ -29,6 +36,6 @@ def test_work_that_takes_long_is_named_on_a_terminal_only(
 
     monkeypatch.setattr(live_line, "Terminal", terminal)
     monkeypatch.setattr(live_line, "PATIENCE", 0.1)
-    with Patience(TEXT, LiveLine(quiet)):
+    with Patience(TEXT, LiveLine(quiet), everywhere=everywhere):
         time.sleep(seconds)
     assert (TEXT in out.getvalue()) == expected

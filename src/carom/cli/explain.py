@@ -34,15 +34,19 @@ def explain(
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
-    from carom.cli.progress import notes_on
+    from carom.cli.live_line import LiveLine, Patience
+    from carom.cli.progress import notes_on, preparing, watch_look_ahead
     from carom.cli.units import bytes_text, simulated_text
     from carom.experiment.estimate import estimate
     from carom.recording.schema.materials import ShownMaterials
 
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()
-    found, materials = estimate(loaded), ShownMaterials.of(loaded)
-    notes = notes_on(loaded)
+    line = LiveLine(quiet=as_json)
+    looks = loaded.time.accuracy is not None and loaded.promise is None
+    with preparing(loaded, line) if looks else Patience("running the scene coarsely …", line) as patience:
+        found = estimate(loaded, watch_look_ahead(loaded, patience))
+    materials, notes = ShownMaterials.of(loaded), notes_on(loaded)
     if as_json:
         own = {"title": loaded.title, "bodies": loaded.count, "units": loaded.unit_system.recorded}
         document = own | asdict(found)
@@ -76,6 +80,8 @@ def explain(
         f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
         f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
     )
+    if found.shortfall:
+        console.print(f"\n{found.shortfall}")
 
 
 def _steps(cost: Cost, scene: Scene) -> str:

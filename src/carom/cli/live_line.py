@@ -59,20 +59,38 @@ class LiveLine:
 
 
 class Patience(LiveLine):
-    """A line on a terminal while work that tells nothing takes longer than `PATIENCE`; nothing elsewhere."""
+    """A line that says what work is, on a terminal, once it takes longer than `PATIENCE`.
 
-    def __init__(self, text: str, beside: LiveLine) -> None:
+    Parameters
+    ----------
+    text
+        What the work is.
+    beside
+        The line whose place it takes.
+    everywhere
+        Whether to print it where the output is no terminal, too, and again every `LINE_EVERY`.
+    """
+
+    def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:
         super().__init__()
+        self._everywhere = everywhere
         self._console = beside._console  # so that what is said there meanwhile stands above this line
-        self._text = text
+        self._text, self._detail = text, ""
         self._timer = threading.Timer(PATIENCE, self._begin)
         self._timer.daemon = True
 
     def __enter__(self) -> Self:
         self._restart()
-        if self._console.is_terminal and not self._console.quiet:
+        if (self._console.is_terminal or self._everywhere) and not self._console.quiet:
             self._timer.start()
         return self
+
+    def detail(self, text: str) -> None:
+        """Say how far the work is."""
+        self._detail = text
+        is_due = time.perf_counter() - self._last_line >= LINE_EVERY
+        if self._everywhere and is_due and not (self._console.is_terminal or self._console.quiet):
+            self._begin()
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
@@ -83,11 +101,16 @@ class Patience(LiveLine):
         super().__exit__(kind, error, traceback)
 
     def _begin(self) -> None:
+        if not self._console.is_terminal:
+            self._last_line = time.perf_counter()
+            self.say(str(self._line()))
+            return
         self._live = Live(console=self._console, refresh_per_second=8, transient=True, get_renderable=self._line)
         self._live.start()
 
     def _line(self) -> Text:
-        return Text(f"{self._text}  {duration_text(time.perf_counter() - self._began)}")
+        text = f"{self._text} {self._detail}".strip()
+        return Text(f"{text}  {duration_text(time.perf_counter() - self._began)}")
 
 
 def bar(done: float) -> str:

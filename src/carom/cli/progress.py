@@ -9,13 +9,14 @@ from typing import Self
 from rich.table import Table
 from rich.text import Text
 
-from carom.cli.live_line import LiveLine, bar
+from carom.cli.live_line import LiveLine, Patience, bar
 from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
 from carom.experiment.contact_counts import counts_text, overlap_text
 from carom.experiment.ending import accuracy_text, error_text, in_words
-from carom.experiment.run import Outcome
+from carom.experiment.run import Outcome, shortfall_text
+from carom.physics.look_ahead.budget import Budget, Watcher
 from carom.physics.status import StepStatus
 from carom.plan.auto import largest_step
 from carom.plan.doubts import doubts
@@ -52,6 +53,11 @@ class Progress(LiveLine):
         if warning := _many_steps(scene):
             self.say(warning)
         return super().__enter__()
+
+    def announce(self, scene: Scene) -> None:
+        """Say what the scene, with the step that its accuracy takes, cannot promise."""
+        if shortfall := shortfall_text(scene):
+            self.say(f"carom: {shortfall}")
 
     def update(self, status: StepStatus) -> None:
         """Show where the run is."""
@@ -121,6 +127,24 @@ def notes_on(scene: Scene) -> list[str]:
             "energy and momentum do not cover them"
         )
     return notes + doubts(scene)
+
+
+def preparing(scene: Scene, beside: LiveLine) -> Patience:
+    """Say what carom does before the first step, if that takes long: place bodies, or look ahead for an accuracy."""
+    if scene.time.accuracy is None or scene.promise is not None:
+        return Patience(f"preparing {scene.count} bodies …", beside)
+    text = f"looking ahead for the step that keeps accuracy = {scene.time.accuracy:g}:"
+    return Patience(text, beside, everywhere=True)
+
+
+def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
+    """Return what shows how far a look ahead is."""
+
+    def watch(budget: Budget) -> None:
+        reached = scene.unit_system.text(budget.reached, TIME, ".4g")
+        patience.detail(f"a run ahead at t = {reached}, {min(1.0, budget.spent / budget.total):.0%} of the budget")
+
+    return watch
 
 
 def _fewer_frames(scene: Scene, outcome: Outcome) -> str:

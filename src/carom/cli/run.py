@@ -23,10 +23,8 @@ from carom.cli.text import say
 from carom.scene.command import command
 
 if TYPE_CHECKING:
-    from carom.cli.live_line import Patience
     from carom.cli.progress import Progress
     from carom.experiment.run import Outcome
-    from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
 
@@ -66,26 +64,18 @@ def run(
     path = output or default_output(Path(scene).stem)
 
     with claimed_output(path, force) as claim:
-        from carom.cli.progress import Progress
+        from carom.cli.progress import Progress, preparing, watch_look_ahead
         from carom.experiment.run import recording_space, simulate
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
-        with _preparing(loaded, progress):
-            space = recording_space(loaded, threads)
+        with preparing(loaded, progress) as patience:
+            space = recording_space(loaded, threads, watch_look_ahead(loaded, patience))
+        progress.announce(space.scene)
         address = live_viewer() if live else None
         with progress, telling_of(path):
             outcome = simulate(space, path, claim=claim, live=address, watch=progress.update)
     report(outcome, progress, as_json)
-
-
-def _preparing(scene: Scene, progress: Progress) -> Patience:
-    """Say what carom does before the first step, if that takes long: place bodies, or look ahead for an accuracy."""
-    from carom.cli.live_line import Patience
-
-    if scene.time.accuracy is None or scene.promise is not None:
-        return Patience(f"preparing {scene.count} bodies …", progress)
-    return Patience(f"looking ahead for the step that keeps {scene.time.accuracy:g} …", progress)
 
 
 @contextmanager

@@ -24,6 +24,8 @@ def error_text(error: float) -> str:
 def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
     """Say whether a run kept its accuracy; for the keys see `carom.experiment.run.kept_accuracy`."""
     until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
+    if "looked" in accuracy:
+        until += f" (the budget of the look ahead ended at t = {units.text(accuracy['looked'], TIME)})"
     per = f" /{units.unit(TIME)}" if units.unit(TIME) else ""
     exponent = f"largest Lyapunov exponent over that time {units.shown(accuracy['lyapunov'], RATE):.3g}{per}"
     return f"{accuracy['requested']:g} kept {until}; {exponent}"

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.experiment.outlook import estimate_steps
-from carom.experiment.run import header_of, recording_space
+from carom.experiment.run import header_of, kept_accuracy, recording_space, shortfall_text
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import Frame
+from carom.physics.look_ahead.budget import Watcher
 from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
@@ -102,17 +103,21 @@ class Estimate:
     parts: list[PartCost]
     entities: list[EntityCost]
     cost: Cost
+    accuracy: dict[str, float]  # see `kept_accuracy`
+    shortfall: str  # why the accuracy is not promised to the end; empty if it is
 
 
-def estimate(scene: Scene) -> Estimate:
+def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     """Run the first steps of a scene for about a second, record a few frames, and run it coarsely.
+
+    For ``watch_look_ahead`` see `Space`.
 
     Raises
     ------
     SceneError, PhysicsError
         If the scene cannot run.
     """
-    space = recording_space(scene)
+    space = recording_space(scene, None, watch_look_ahead)
     _load_kernels(space)
     began = time.perf_counter()
     few = _first_frames(space)
@@ -144,6 +149,8 @@ def estimate(scene: Scene) -> Estimate:
             frame_seconds=sum(each.seconds for each in taken.values()),
             size=FILE_BYTES + round(size),
         ),
+        accuracy=kept_accuracy(space.scene),
+        shortfall=shortfall_text(space.scene),
     )
 
 

@@ -23,6 +23,7 @@ from carom.experiment.progress_bar import progress_bar
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.error import PhysicsError
 from carom.physics.event import Event
+from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
@@ -35,6 +36,7 @@ from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
 from carom.scene.half_space import planes_of
 from carom.scene.schema import Scene
+from carom.scene.schema.time import LARGEST_ACCURACY
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
@@ -137,15 +139,17 @@ def _tell(watchers: list[Watcher], status: StepStatus) -> None:
         watcher(status)
 
 
-def recording_space(scene: Scene, threads: int | None = None) -> Space:
-    """Build a space whose frames carry all that the scene's recording needs.
+def recording_space(
+    scene: Scene, threads: int | None = None, watch_look_ahead: LookAheadWatcher | None = None
+) -> Space:
+    """Build a space whose frames carry all that the scene's recording needs; for ``watch_look_ahead`` see `Space`.
 
     Raises
     ------
     SceneError
         If the scene cannot run.
     """
-    return Space(scene, threads, record_contacts=scene.record.impacts != "none")
+    return Space(scene, threads, record_contacts=scene.record.impacts != "none", watch_look_ahead=watch_look_ahead)
 
 
 def simulate(
@@ -369,13 +373,31 @@ def header_of(space: Space) -> Header:
 def kept_accuracy(scene: Scene) -> dict[str, float]:
     """Return what was asked for, up to when it is kept in s, and the largest Lyapunov exponent in 1/s.
 
-    ``horizon`` is there only if the promise ends before the run.
+    ``horizon`` is there only if the promise ends before the run, and ``looked``, in s, only if the budget of the look
+    ahead did.
     """
     promise, requested = scene.promise, scene.time.accuracy
     if promise is None or requested is None:
         return {}
     kept = {"requested": requested, "kept_until": promise.kept_until, "lyapunov": promise.lyapunov}
+    kept |= {} if promise.looked is None else {"looked": promise.looked}
     return kept | ({} if promise.kept_until >= scene.time.duration else {"horizon": promise.kept_until})
+
+
+def shortfall_text(scene: Scene) -> str:
+    """Say why the accuracy of a scene is not promised to the end, and what is; empty if it is."""
+    promise, accuracy, units = scene.promise, scene.time.accuracy, scene.unit_system
+    if promise is None or accuracy is None or promise.horizon is None:
+        return ""
+    if promise.looked is not None:
+        why = f"the budget of the look ahead ended at t = {units.text(promise.looked, TIME, '.4g')}"
+    else:
+        why = "its error grows beyond that"
+    text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
+    text += units.text(promise.horizon, TIME, ".4g")
+    if promise.looked is None and accuracy < promise.error[-1] <= LARGEST_ACCURACY:
+        text += f"; {promise.error[-1]:.1g} could be promised to the end"
+    return text
 
 
 def _impacts_counted(space: Space) -> str:

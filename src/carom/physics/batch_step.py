@@ -191,11 +191,6 @@ class BatchStepper:
         return due
 
     @property
-    def is_free_flight(self) -> bool:
-        """False: the integrator takes its steps in batches of its own."""
-        return False
-
-    @property
     def has_solution(self) -> bool:
         """Whether `between` returns something."""
         return self._took_last

@@ -36,8 +36,6 @@ from carom.scene.start import Start
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
 
-IMPACTS_PER_STEP = 300  # impacts that cost as much as a step with held contacts: 1.4 µs each, beside some 0.4 ms
-
 
 class Simulation:
     """A scene in motion, of which the steps are known; `Space` has the parameters.
@@ -190,30 +188,24 @@ class Simulation:
             self._advance(goal, checked=False)
         self._stopping = False
 
-    def pass_by(self, time: float, most_held: float) -> float:
-        """Step until a time in s is reached or passed, without frames and without a step that ends there.
+    def approach(self, time: float, most: int, *, ends_there: bool) -> None:
+        """Take a step, or up to ``most`` in one call, towards a time in s, without frames.
 
-        Stop before it once contacts were held in ``most_held`` steps; `IMPACTS_PER_STEP` within a step count as one
-        more. Return their number.
+        Unless the last one ends there, it reaches or passes the time.
         """
-        goal = Goal(self.scene.time.duration, Pause(time), most=self.scene.record.check_every, shows_end=False)
-        held = 0.0
-        while self.time < time and held < most_held and not self._stopping:
-            self._advance(goal, checked=False)
-            if self._contact and not self._stepper.has_solution:
-                held += 1.0 + len(self._contact.impacts) / IMPACTS_PER_STEP
-        self._stopping = False
-        return held
+        end = time if ends_there else self.scene.time.duration
+        self._advance(Goal(end, at(()) if ends_there else Pause(time), most, shows_end=False), checked=False)
+
+    @property
+    def contact_work(self) -> tuple[int, int, int]:
+        """Contacts of the last step, the iterations that held them, and the impacts on the way."""
+        contact = self._contact
+        return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
     def count_no_impacts(self) -> None:
         """Leave impacts during drifts out of the statistics, for a look ahead; they cost a fourth of a small step."""
         if self._contact:
             self._contact.counts_impacts = False
-
-    @property
-    def is_free_flight(self) -> bool:
-        """Whether one kernel takes all steps between frames and checks, since nothing can touch."""
-        return self._stepper.is_free_flight
 
     def stop(self) -> None:
         """Let `run` end after the current step, with a last frame; any thread may call it.

@@ -13,6 +13,7 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.event import Event
+from carom.physics.look_ahead.budget import Watcher
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy
@@ -47,6 +48,8 @@ class Space(Simulation):
     record_contacts
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
         not depend on it.
+    watch_look_ahead
+        Called with a `Budget` while runs ahead look for the step that keeps an accuracy.
 
     Raises
     ------
@@ -65,6 +68,7 @@ class Space(Simulation):
         start: Start | None = None,
         stride: float = 1.0,
         record_contacts: bool = False,
+        watch_look_ahead: Watcher | None = None,
     ) -> None:
         if not isinstance(scene, Scene):
             raise TypeError(f"Space: a Scene is needed, not {type(scene).__name__}; make one by Scene.load(path)")
@@ -74,7 +78,7 @@ class Space(Simulation):
             )
         refuse_impossible(scene)
         start = start or place(scene)
-        super().__init__(with_promise(scene, threads, start), start, threads, stride, record_contacts)
+        super().__init__(with_promise(scene, threads, start, watch_look_ahead), start, threads, stride, record_contacts)
 
     @property
     def foreseen(self) -> dict[str, float]:

@@ -153,11 +153,6 @@ class KickDriftStepper:
             books.check_pace(*self.timestep.target(world.bodies, self.borne()))
 
     @property
-    def is_free_flight(self) -> bool:
-        """Whether there is such a kernel for the world, and no contact."""
-        return self._flight is not None and self._world.contact is None
-
-    @property
     def has_solution(self) -> bool:
         """False: there is no solution between the steps."""
         return False

@@ -69,10 +69,6 @@ class Stepper(Protocol):
         """
 
     @property
-    def is_free_flight(self) -> bool:
-        """Whether one kernel takes all steps between frames and checks, since nothing can touch."""
-
-    @property
     def has_solution(self) -> bool:
         """Whether there is a solution between the beginning and the end of the last step."""
 

@@ -3,12 +3,14 @@
 The twin takes the steps of the orbit. Their polynomials differ only as much as they are apart, so the twin begins with
 the coefficients that the orbit has before its last iteration. A single one costs a third of a run of its own. It misses
 less than a hundredth of their difference, but very eccentric orbits then part too fast: with e = 0.999 by 10³⁰ in 13
-orbits, where three iterations are right to a factor of 2.
+orbits. A twin that converges by itself costs as much as a run of its own and rounds like one, so that its distance is
+the error by rounding.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -39,6 +41,15 @@ FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
 
 FIRST_PART = 1e-3  # of the duration: the first step that is tried
+STEPS_AT_ONCE = 500  # 1 ms for two bodies, half a second for 100
+CONVERGES = MAX_ITERATIONS  # iterations of a twin
+
+GoesOn = Callable[[int, float], bool]
+
+
+def always(iterations: int, time: float) -> bool:
+    """Set no bound."""
+    return True
 
 
 class Orbits(NamedTuple):
@@ -47,6 +58,7 @@ class Orbits(NamedTuple):
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, infinite beyond
     steps: int
+    known: int  # times up to which they were followed, or to which nothing kept them from being followed
 
     def at(self, sample: int) -> FloatArray | None:
         """Return the positions at one of the times, (n, 3) m; None where they were not followed."""
@@ -55,7 +67,14 @@ class Orbits(NamedTuple):
 
 
 def part(
-    scene: Scene, start: Start, twin: FloatArray, refinement: float, times: FloatArray, enough: float, iterations: int
+    scene: Scene,
+    start: Start,
+    twin: FloatArray,
+    refinement: float,
+    times: FloatArray,
+    enough: float,
+    iterations: int,
+    goes_on: GoesOn = always,
 ) -> tuple[Orbits, FloatArray]:
     """Follow the bodies of a scene without contacts, and their twins.
 
@@ -72,14 +91,17 @@ def part(
     enough
         m
     iterations
-        Of the twin in each step.
+        Of the twin in each step; `CONVERGES`: as many as it takes.
+    goes_on
+        Called after every `STEPS_AT_ONCE` steps with the iterations since the last call and the time in s; both end
+        where it returns False.
     """
-    return _follow(scene, start, refinement, times, _motion(scene, start, twin), enough, iterations)
+    return _follow(scene, start, refinement, times, goes_on, _motion(scene, start, twin), enough, iterations)
 
 
-def orbits(scene: Scene, start: Start, refinement: float, times: FloatArray) -> Orbits:
+def orbits(scene: Scene, start: Start, refinement: float, times: FloatArray, goes_on: GoesOn = always) -> Orbits:
     """Follow the bodies of a scene without contacts; see `part`."""
-    return _follow(scene, start, refinement, times)[0]
+    return _follow(scene, start, refinement, times, goes_on)[0]
 
 
 def _follow(
@@ -87,6 +109,7 @@ def _follow(
     start: Start,
     refinement: float,
     times: FloatArray,
+    goes_on: GoesOn,
     twin: Motion | None = None,
     enough: float = math.inf,
     iterations: int = 0,
@@ -96,8 +119,18 @@ def _follow(
     progress["next_dt"], progress["fraction"] = FIRST_PART * times[-1], STEP_FRACTION / refinement
     progress["tolerance"] = tolerance(refinement)
     motion, eps2 = _motion(scene, start, start.position), scene.gravity.softening**2
-    follow(motion, twin, eps2, progress, times, largest_step(scene), enough, iterations, path, apart)
-    return Orbits(times, path, int(progress["steps"][0])), apart
+    k, steps, counted, known = 0, 0, 0, len(times)
+    while k < len(times):
+        steps += STEPS_AT_ONCE
+        k = follow(motion, twin, eps2, progress, times, largest_step(scene), enough, iterations, k, steps, path, apart)
+        fresh, counted = int(progress["iterations"][0]) - counted, int(progress["iterations"][0])
+        lasts = goes_on(fresh, float(progress["time"][0]))
+        if int(progress["steps"][0]) < steps:
+            break  # at the end, far enough apart, or with a step that is too short to change the clock
+        if not lasts:
+            known = k
+            break
+    return Orbits(times, path, int(progress["steps"][0]), known), apart
 
 
 def _motion(scene: Scene, start: Start, position: FloatArray) -> Motion:
@@ -115,12 +148,17 @@ def follow(
     max_dt: float,
     enough: float,
     iterations: int,
+    k: int,
+    most: int,
     path: FloatArray,
     apart: FloatArray,
-) -> None:
-    """Write the positions and distances at all times; see `part`."""
-    run, k, end = progress[0], 0, times[-1]
-    while k < len(times):
+) -> int:
+    """Write the positions and distances from time ``k`` on, until so many steps are made; return the next time.
+
+    For the other parameters see `part`.
+    """
+    run, end = progress[0], times[-1]
+    while k < len(times) and run.steps < most:
         dt = min(run.next_dt, max_dt)
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt = end - run.time
@@ -135,8 +173,13 @@ def follow(
             if not wanted > SHRINKING * share * dt:
                 break
         if twin is not None:
-            for _ in range(iterations):
-                iterate(twin, eps2, dt)
+            before = np.inf
+            for iteration in range(iterations):
+                error = iterate(twin, eps2, dt)
+                run.iterations += 1
+                if iterations == CONVERGES and stops(iteration, error, before, run.tolerance):
+                    break
+                before = error
         after = end if end - run.time <= dt else run.time + dt
         while k < len(times) and times[k] <= after:
             h = (times[k] - run.time) / dt
@@ -144,7 +187,7 @@ def follow(
             if twin is not None:
                 apart[k] = _distance(motion, twin, dt, h)
                 if not apart[k] < enough:
-                    return
+                    return k + 1
             k += 1
         move(motion, dt)
         if twin is not None:
@@ -153,6 +196,7 @@ def follow(
         if not after > run.time:
             break  # the step is too short to change the clock, or NaN
         run.time, run.last_dt, run.next_dt = after, dt, min(wanted, LARGEST_CHANGE * dt)
+    return k
 
 
 @unowned
@@ -166,6 +210,7 @@ def _attempt(motion: Motion, twin: Motion | None, eps2: float, run: Any, dt: flo
                 for j in range(TERMS):
                     twin.b[c, j] = motion.b[c, j]
         error = iterate(motion, eps2, dt)
+        run.iterations += 1
         if stops(iteration, error, before, run.tolerance):
             break
         before = error

@@ -7,14 +7,25 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.schema import Scene
-
 FloatArray = NDArray[np.float64]
 
+GOLDEN = 0.3819660112501051  # of the time from one comparison to the next
 
-def samples(scene: Scene, count: int) -> FloatArray:
-    """Return times at which runs are compared, (count,) s."""
-    return np.asarray(scene.time.duration * (np.arange(1, count + 1) / count))
+
+def samples(end: float, count: int) -> FloatArray:
+    """Return times up to ``end`` at which runs are compared, (count,) s."""
+    return np.asarray(end * (np.arange(1, count + 1) / count))
+
+
+def between_round_times(end: float, count: int) -> FloatArray:
+    """Return times up to ``end`` at which steps of runs ahead may end, (count,) s.
+
+    Something that happens in the middle of a step makes an error; at the end of a step it makes none. What happens in
+    a scene happens at round parts of its duration more often than elsewhere.
+    """
+    times = end * ((np.arange(1, count + 1) - GOLDEN) / count)
+    times[-1] = end
+    return np.asarray(times)
 
 
 def with_start(values: FloatArray, start: float) -> FloatArray:

@@ -1,11 +1,11 @@
 """Finds the step that keeps an accuracy, by running the scene ahead with longer steps.
 
-A run with steps of h has the error e(t). The same scene run with h and with h/2 differs by D(t), and
+A run with steps of h has the error e(t). The same scene run with steps of h and of h/q differs by D(t), and
 
-    e(t) of the finer run = D(t) / (2^p - 1),     e(t) with steps 2^j times shorter = e(t) / 2^{p j}
+    e(t) of the finer run = D(t) / (q^p - 1),     e(t) with steps s times shorter = e(t) / s^p
 
-for an integrator of order p, or for the order that three such runs show, if that is lower. D contains everything that
-makes errors grow, contacts and chaos too. The runs begin with the longest useful steps and halve them until the
+for an integrator of order p, or for the order that the latest runs show, if that is lower. D contains everything that
+makes errors grow, contacts and chaos too. The runs begin with about the longest useful steps and shorten them until the
 extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
 
 Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. The error r(t) by rounding is
@@ -13,36 +13,46 @@ proportional to the distance of the twins. The horizon is the time at which 2 e(
 Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. Its longer
 steps err by multiples of the distance of two runs ahead, see `RADAU_ERRORS`. The largest Lyapunov exponent is the
 growth rate of the distance of twins, to the end or until it is `APART`.
+
+The look ahead has a budget (`budget`). Where the runs ahead would cost more, they cover the beginning of the run, and
+the promise ends with them.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from collections.abc import Callable
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.integrators.radau_twin import Orbits, orbits, part
-from carom.physics.look_ahead.error_curve import kept_until, samples, with_start
-from carom.physics.look_ahead.extrapolation import COARSER, FARTHEST, SAFETY, TRIED, extrapolate, stays
+from carom.physics.integrators.radau_twin import CONVERGES, Orbits, orbits, part
+from carom.physics.look_ahead.budget import LEAST, Budget, Watcher, radau_work
+from carom.physics.look_ahead.error_curve import between_round_times, kept_until, samples, with_start
+from carom.physics.look_ahead.extrapolation import COARSEST, RATIO, SAFETY, TRIED, extrapolate, stays
 from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.look_ahead.twins import APART, EPS, Twins, displaced
 from carom.physics.placement import place
-from carom.plan.auto import integrator
+from carom.plan import pulls
+from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
 from carom.scene.error import SceneError
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.key_places import naming_places
 from carom.scene.schema import Promise, Scene
+from carom.scene.schema.time import LARGEST_ACCURACY
 from carom.scene.start import Start
+from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
 
 SAMPLES = 64  # times at which runs are compared
+ENOUGH_SAMPLES = 8  # reached within the budget; with fewer, it is divided into more
+STEPS_PER_SAMPLE = 8  # at least, of the coarsest run ahead, whose steps end there
 FEWER_SAMPLES = (4, 32)  # where bodies meet, since pausing costs more than steps; the second if a promise ends early
 LONGEST = 1.0  # refinement of the longest useful steps
 EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter steps cost more
@@ -52,9 +62,8 @@ FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with g
 FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
 HILL_RADII = 3.0  # between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
-MARGIN = 2.0  # factor from the extrapolated to the expected error; without it, a horizon was late
-MOST_WORK = 2e6  # `TrialRun.work` of the finest run ahead, some seconds; the run itself takes up to eight times as long
-MOST_IDLE = 3  # halvings in a row that hardly change the distance, see `stays`
+MARGIN = 3.0  # factor from the extrapolated to the expected error; with 2, an event in a step erred by 1.4 times that
+MOST_IDLE = 5  # runs in a row with shorter steps that hardly change the distance, see `stays`
 # Comparisons in a row after which shorter steps would hardly extend a promise; one may be chance. Where none is kept at
 # all, steps may still be too long to tell.
 MOST_ENOUGH = 2
@@ -67,35 +76,57 @@ ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
 STEPS_OF_TWINS = 200  # those of the last 1 / λ in chaos; a twin with a single iteration hardly rounds by itself
 RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
-RADAU_CHAOTIC = 0.5  # likewise, where the promise ends: its own error may not reach the accuracy before
 RADAU_LONG = 0.25  # refinement of the run whose distance from that one is its error
 # Refinement, and the error of its steps over that distance. Of 40 scenes (Kepler orbits of up to 3000 periods, planets,
 # hierarchical triples, 3 to 60 bodies) the largest were 1.1, 0.2, 0.009 and 0.0013 at the end; steps of 1 err by
 # rounding.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
+PLANNED = COARSEST * RATIO**TRIED  # refinement up to which runs ahead are made in any case
 
-def with_promise(scene: Scene, threads: int | None = None, start: Start | None = None) -> Scene:
+# Shares of the budget.
+FIRST_SHARE = 1.0 / 13.0  # of the coarsest run ahead; with `TRIED` finer ones and a twin that makes 12 times as much
+TWIN_SHARE = 0.25  # of a run and of its twin each; the rest is for a run with long steps, or for leapfrog
+
+
+def with_promise(
+    scene: Scene, threads: int | None = None, start: Start | None = None, watch: Watcher | None = None
+) -> Scene:
     """Return a scene with the step that its accuracy takes, as a [promise]; others are returned as they are.
+
+    ``watch`` is called with the `Budget` while runs ahead go on.
 
     Raises
     ------
     SceneError
-        If double precision cannot give the accuracy.
+        If double precision cannot give the accuracy, or the budget of the look ahead ends before anything is known.
     PhysicsError
         If no run ahead comes to an end.
     """
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
-    with naming_places(scene):
-        ahead = _LookAhead(scene, scene.time.accuracy, threads, start or place(scene))
-    return ahead.find()
+    with naming_places(scene), np.errstate(invalid="ignore", divide="ignore"):  # what is unknown is infinite
+        ahead = _LookAhead(scene, scene.time.accuracy, threads, start or place(scene), watch)
+        return ahead.find()
+
+
+class _Found(NamedTuple):
+    """A step, and what it keeps."""
+
+    kept: float  # s, up to which it keeps the accuracy
+    refinement: float
+    error: FloatArray  # (K,) over the size
+    run: TrialRun  # with about this step
+    known: int  # times at which the error is known
 
 
 class _LookAhead:
-    def __init__(self, scene: Scene, accuracy: float, threads: int | None, start: Start) -> None:
+    def __init__(
+        self, scene: Scene, accuracy: float, threads: int | None, start: Start, watch: Watcher | None = None
+    ) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
-        self._times = samples(scene, SAMPLES)
+        self._budget = Budget(scene.time.duration, watch)
+        self._times = samples(scene.time.duration, SAMPLES)
         self._scale = Scale.of(scene, start)
         self._last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
         least = LOWEST * ROUNDING * self._last_bit
@@ -122,10 +153,21 @@ class _LookAhead:
                 return promised
         if integrator(self._scene).controls_error:
             return self._find_for_radau()
+        ahead = EXACT if self._scene.count <= EXACT_UP_TO else EXACT_OF_MANY
+        if self._is_exact:
+            _, twins = self._part_at_impacts(ahead)
+            longest = auto_interval(self._scene, self._scene.time.duration) / largest_step(self._scene)
+            return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
         if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
-            _, twins = self._part_at_impacts(EXACT if self._scene.count <= EXACT_UP_TO else EXACT_OF_MANY)
+            _, twins = self._part_at_impacts(ahead)
             return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
         return self._find_for_steps(integrator(self._scene).order)
+
+    @property
+    def _is_exact(self) -> bool:
+        """Whether steps of any length are exact: nothing can touch, and uniform fields and drag are all the forces."""
+        needs = require(self._scene)
+        return not (needs.contact.modelled or needs.gravity.modelled or pulls.further(self._scene))
 
     @property
     def _is_rough(self) -> bool:
@@ -137,21 +179,22 @@ class _LookAhead:
         run: TrialRun | Orbits
         if needs.contact.modelled:
             run, twins = self._part_at_impacts(RADAU_AHEAD if needs.gravity.modelled else RADAU_LONG)
-            if run.is_given_up:
+            if run.is_cut and run.rests_from < math.inf:
                 return self._find_for_steps(INTEGRATORS["leapfrog"].order)
             rests_from, rounding = run.rests_from, SPREAD * twins.apart
         else:
             run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, 1)
-            if rounding[-1] > self._accuracy:  # the run ahead must be accurate while the promise lasts
-                run, twins, rounding = self._part_of_orbits(RADAU_CHAOTIC, 3)
+            if run.known == len(self._times) and not rounding[-1] <= self._accuracy:
+                run, twins, rounding = self._part_of_orbits(1.0, CONVERGES)
         if not needs.gravity.modelled:  # parabolas are exact in steps of any length
             refinement, error = RADAU_LONG, rounding
-        elif SAFETY * rounding[-1] > self._accuracy:  # no other steps keep it for longer
+        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other steps keep it for longer
             refinement, error = 1.0, rounding
         else:
             missed = twins.continued(self._times, self._missed_by_long_steps(run), run.times)
+            last = self._last
             errors = ((each, rounding + share * missed) for each, share in RADAU_ERRORS)
-            refinement, error = next((each, e) for each, e in errors if SAFETY * e[-1] <= self._accuracy)
+            refinement, error = next((each, e) for each, e in errors if SAFETY * e[last] <= self._accuracy)
         if rests_from < kept_until(self._times, error, self._accuracy):
             return self._find_for_steps(INTEGRATORS["leapfrog"].order)
         return self._promise(refinement, error, twins.exponent)
@@ -160,88 +203,195 @@ class _LookAhead:
         """Return the distance over the size of a run with long steps from another, at the times of that, (K',)."""
         long: TrialRun | Orbits
         if isinstance(run, Orbits):
-            long = orbits(self._scene, self._start, RADAU_LONG, run.times)
+            long = orbits(self._scene, self._start, RADAU_LONG, run.times, self._bound(1.0))
         else:
-            long = TrialRun(self._scene, RADAU_LONG, self._threads, self._start, run.times)
-        return self._scale.apart(run, long, APART)
+            long = self._run(RADAU_LONG, times=run.times)
+        missed = self._scale.apart(run, long, APART)
+        if min(run.known, long.known) < len(missed):
+            self._cover(run.times, min(run.known, long.known))
+        return missed
 
     def _part_of_orbits(self, refinement: float, iterations: int) -> tuple[Orbits, Twins, FloatArray]:
         """Return a run without contacts, how it and its twin diverge, and its error by rounding, (K,)."""
         enough, twin = APART * self._scale.size, self._twin.position
-        run, apart = part(self._scene, self._start, twin, refinement, self._times, enough, iterations)
-        twins = Twins.grown(self._times, np.maximum.accumulate(apart) / self._scale.size, self._began)
+        followed = refinement, self._times, enough, iterations, self._bound(TWIN_SHARE)
+        run, apart = part(self._scene, self._start, twin, *followed)
+        if run.known < ENOUGH_SAMPLES and self._budget.reached > 0.0:
+            self._times = samples(self._budget.reached, SAMPLES)
+            followed = refinement, self._times, enough, iterations, self._bound(2.0 * TWIN_SHARE)
+            run, apart = part(self._scene, self._start, twin, *followed)
+        self._cover(self._times, run.known)
+        apart = np.maximum.accumulate(apart) / self._scale.size
+        twins = Twins.grown(self._times, apart, self._began, run.known)
+        if iterations == CONVERGES:  # it rounds like a run of its own
+            return run, twins, SPREAD * twins.apart
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
+    def _bound(self, share: float) -> Callable[[int, float], bool]:
+        """Return what bounds a run of gauss-radau15 without contacts to a share of the whole budget."""
+        budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
+
+        def goes_on(iterations: int, time: float) -> bool:
+            budget.spend(iterations * each, time)
+            budget.own = (budget.spent - begun) * budget.duration / time
+            return budget.spent - begun < min(share * budget.total, budget.total - begun)
+
+        return goes_on
+
     def _find_for_orbits(self, persists: bool) -> Scene | None:
         """Return the scene with a promise of Wisdom–Holman integration; None if that is not worth it."""
-        times, most = samples(self._scene, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
-        found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists)
+        times, most = samples(self._scene.time.duration, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
+        found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists, self._budget)
         if not (found.keeps or persists):
+            self._budget.covered = math.inf
             return None
         error = np.interp(self._times, with_start(times, 0.0), with_start(found.error / self._scale.size, 0.0))
         chosen: Literal["wisdom-holman"] | None = "wisdom-holman" if self._scene.time.integrator == AUTO else None
         return self._promise(found.refinement, MARGIN * error, found.exponent, chosen)
 
     def _find_for_steps(self, order: int) -> Scene:
-        refinement = LONGEST
-        coarse, apart, idle, enough = self._run(refinement), list[FloatArray](), 0, 0
-        while True:
-            refinement *= 2.0
-            fine = self._run(refinement)
+        self._budget.covered = math.inf
+        coarse = self._coarsest()
+        budget, refinement, apart, idle, enough = self._budget, coarse.refinement, list[FloatArray](), 0, 0
+        best: _Found | None = None
+        while len(apart) < TRIED or 2.0 * RATIO * coarse.work <= budget.left:  # with a twin
+            refinement *= RATIO
+            share = (budget.left / 2.0) / budget.total  # a twin costs as much again
+            fine = self._run(refinement, share=share, longer=max(1.0, PLANNED / refinement))
             apart.append(self._scale.apart(coarse, fine, 1.0))
-            given_up = coarse.is_given_up or fine.is_given_up
-            farthest = COARSER if given_up else FARTHEST
-            chosen, kept, error = extrapolate(self._times, apart, order, self._accuracy, farthest)
+            known = min(coarse.known, fine.known)
+            chosen, kept, error = extrapolate(self._times, apart, refinement, order, self._accuracy)
+            if len(apart) < TRIED:
+                kept, error = 0.0, np.full(len(self._times), np.inf)
+            if best is None or kept > best.kept or known >= best.known:
+                run = fine if chosen > coarse.refinement and not fine.is_cut else coarse
+                best = _Found(kept, chosen, error, run, known)
             idle = idle + 1 if stays(self._times, apart, kept) else 0
-            enough = 0 if chosen >= 0 or len(apart) < TRIED or kept == 0.0 else enough + 1
-            too_much = given_up or fine.work > MOST_WORK
-            if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or too_much:
+            enough = enough + 1 if chosen <= coarse.refinement and kept > 0.0 else 0
+            if kept >= self._times[-1] or enough == MOST_ENOUGH or idle == MOST_IDLE or not known:
                 break
             coarse = fine
-        run = fine if chosen >= 0 else coarse
-        twins = self._part(run, self._run(run.refinement, self._twin))
-        return self._promise(refinement * 2.0**chosen, MARGIN * error + self._rounding * twins.apart, twins.exponent)
+        assert best is not None
+        longer = max(1.0, PLANNED / best.run.refinement)
+        twin = self._run(best.run.refinement, self._twin, share=budget.left / budget.total, longer=longer)
+        twins = self._part(best.run, twin)
+        self._cover(self._times, min(best.known, twin.known))
+        return self._promise(best.refinement, MARGIN * best.error + self._rounding * twins.apart, twins.exponent)
+
+    def _coarsest(self) -> TrialRun:
+        """Return the coarsest run ahead, which covers as much of the run as finer ones can within the budget.
+
+        It sets the times at which runs are compared.
+        """
+        duration = self._scene.time.duration
+        self._times = between_round_times(duration, SAMPLES)
+        run = self._run(COARSEST, share=FIRST_SHARE, longer=PLANNED / COARSEST)
+        run.at(SAMPLES - 1)
+        if run.is_cut:
+            count = max(1, min(SAMPLES, run.steps // STEPS_PER_SAMPLE))
+            self._times = between_round_times(run.reached, count)
+            run = self._run(COARSEST, share=2.0 * FIRST_SHARE, longer=PLANNED / COARSEST)
+            run.at(count - 1)
+        return run
 
     def _part_at_impacts(self, refinement: float) -> tuple[TrialRun, Twins]:
-        """Return a run with impacts, and how it and its twin diverge."""
-        if self._scene.count > EXACT_UP_TO:
-            run = self._run(refinement)
-            return run, self._part(run, self._run(refinement, self._twin))
-        for count in FEWER_SAMPLES:
-            times = self._times = samples(self._scene, count)
-            run = self._run(refinement)
-            twins = self._part(run, run.again(self._twin))
-            if run.is_given_up or self._rounding * twins.apart[-1] <= self._accuracy:
+        """Return a run with impacts, and how it and its twin diverge; they reuse memory where it is little."""
+        duration, many = self._scene.time.duration, self._scene.count > EXACT_UP_TO
+        for count in (SAMPLES,) if many else FEWER_SAMPLES:
+            self._times = samples(duration, count)
+            run = self._within_budget(refinement)
+            known = run.known
+            twin = self._run(refinement, self._twin, share=TWIN_SHARE) if many else run.again(self._twin)
+            twins = self._part(run, twin)
+            known = min(known, twin.known)
+            if run.is_cut or twin.is_cut or self._rounding * twins.apart[-1] <= self._accuracy:
                 break
-        self._times = samples(self._scene, SAMPLES)
+        times = self._times
+        self._cover(times, known)
+        self._times = samples(min(duration, self._budget.covered or duration), SAMPLES)
         return run, twins.at(self._times, times, self._began)
+
+    def _within_budget(self, refinement: float) -> TrialRun:
+        """Return a run ahead to the end; if its share of the budget ends before, one with times up to there."""
+        run = self._run(refinement, share=TWIN_SHARE)
+        run.at(len(run.times) - 1)
+        if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:
+            self._times = samples(run.reached, len(run.times))
+            run = self._run(refinement, share=2.0 * TWIN_SHARE)
+        return run
 
     def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
         """Return how a run and its twin diverge."""
-        return Twins.grown(self._times, self._scale.apart(run, twin, APART), self._began)
+        apart = self._scale.apart(run, twin, APART)
+        return Twins.grown(self._times, apart, self._began, min(run.known, twin.known))
+
+    @property
+    def _last(self) -> int:
+        """The last of the times that the runs ahead have reached within the budget."""
+        return max(0, int(np.count_nonzero(self._times <= self._budget.covered)) - 1)
+
+    def _cover(self, times: FloatArray, known: int) -> None:
+        """Note how many of the times the runs ahead have reached within the budget."""
+        if known < len(times) or times[-1] < self._scene.time.duration:
+            self._budget.cover(float(times[known - 1]) if known else 0.0)
 
     @property
     def _began(self) -> float:
         """The distance of the twins at the start, over the size."""
         return max(self._scale.distance(self._start.position, self._twin.position), EPS**2)
 
-    def _run(self, refinement: float, start: Start | None = None) -> TrialRun:
-        return TrialRun(self._scene, refinement, self._threads, start or self._start, self._times)
+    def _run(
+        self,
+        refinement: float,
+        start: Start | None = None,
+        times: FloatArray | None = None,
+        share: float = 1.0,
+        longer: float = 1.0,
+    ) -> TrialRun:
+        begins, times = start or self._start, self._times if times is None else times
+        return TrialRun(self._scene, refinement, self._threads, begins, times, self._budget, share, longer)
 
     def _promise(
         self, refinement: float, error: FloatArray, exponent: float, chosen: Literal["wisdom-holman"] | None = None
     ) -> Scene:
-        until = self._scene.time.duration
-        kept = kept_until(self._times, error, self._accuracy)
-        horizon = kept if kept < until else None
+        until, covered = self._scene.time.duration, min(self._scene.time.duration, self._budget.covered)
+        error = np.where(np.isfinite(error), np.minimum(error, LARGEST_ERROR), LARGEST_ERROR)
+        known = self._times <= covered
+        kept = min(kept_until(self._times, error, self._accuracy), covered)
+        if covered < until and kept == 0.0:
+            self._refuse(covered, error[known])
+        grid = covered * (np.arange(1, SAMPLES + 1) / SAMPLES)
+        expected = np.interp(grid, with_start(self._times, 0.0), with_start(error, 0.0))
         return self._scene.promising(
             Promise(
                 refinement=refinement,
                 until=until,
-                horizon=horizon,
+                looked=covered if covered < until else None,
+                horizon=kept if kept < until else None,
                 integrator=chosen,
                 lyapunov=float(f"{exponent:.6g}"),
-                error=tuple(float(f"{min(each, LARGEST_ERROR):.3g}") for each in error.tolist()),
+                error=tuple(float(f"{each:.3g}") for each in expected.tolist()),
             )
         )
+
+    def _refuse(self, covered: float, error: FloatArray) -> None:
+        """Say that nothing can be promised, and what could be."""
+        units, until = self._scene.unit_system, self._scene.time.duration
+        best = float(error.min(initial=LARGEST_ERROR))
+        if best <= LARGEST_ACCURACY:
+            could = f"{_rounded_up(best):g} could be promised for the first {units.text(covered, TIME, '.2g')} or less"
+        else:
+            could = f"not even {LARGEST_ACCURACY:g} could be promised"
+        raise SceneError(
+            f"time.accuracy = {self._accuracy:g}: cannot promise this: for {LEAST:g} s of computing, or a tenth of the "
+            f"run, the runs ahead reach t = {units.text(covered, TIME, '.2g')} of {units.text(until, TIME, '.4g')}; "
+            f"{could}; ask for less, shorten time.duration, use fewer bodies, or leave accuracy out",
+            ("time", "accuracy"),
+        )
+
+
+def _rounded_up(error: float) -> float:
+    """Round an error up to one digit."""
+    power = 10.0 ** math.floor(math.log10(max(error, 1e-300)))
+    return math.ceil(error / power) * power

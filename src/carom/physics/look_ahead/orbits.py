@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.integrators.wisdom_holman import WisdomHolman
+from carom.physics.look_ahead.budget import ITERATIONS, ORBIT_BODY, ORBIT_STEP, Budget, radau_work
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import Start
@@ -30,6 +31,8 @@ COMPARED = (1.0, 1.2)
 # The error of single systems is up to 9 times that of second order: parts of it fall faster and have either sign
 UNEVEN = 4.0
 CHEAP = (0.7, 1.0, 2.0)  # refinements with which a run costs less than with gauss-radau15
+STEPS_AT_ONCE = 1000  # between two looks at the budget
+SHARE = 1.0 / 3.0  # of the budget for each run ahead; the rest is left for gauss-radau15
 FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition where no other integrator may be taken
 
 
@@ -43,7 +46,7 @@ class OrbitStep(NamedTuple):
 
 
 def look_at_orbits(
-    scene: Scene, start: Start, times: FloatArray, accuracy: float, most: float, persists: bool
+    scene: Scene, start: Start, times: FloatArray, accuracy: float, most: float, persists: bool, budget: Budget
 ) -> OrbitStep:
     """Find the longest step that keeps an error.
 
@@ -57,10 +60,14 @@ def look_at_orbits(
         m, largest error of the step.
     persists
         Whether to try steps that cost more than those of gauss-radau15.
+    budget
+        Bounds the runs ahead: each may spend a third of it.
     """
     compared = COMPARED_ROUGHLY if accuracy >= ROUGH else COMPARED
     r, s = compared
-    usual = UNEVEN * _apart(*(_follow(scene, start, each, times) for each in compared)) / (1.0 / r**2 - 1.0 / s**2)
+    usual = (
+        UNEVEN * _apart(*(_follow(scene, start, each, times, budget) for each in compared)) / (1.0 / r**2 - 1.0 / s**2)
+    )
     tried = (*CHEAP, *FINER) if persists else CHEAP
     found = next((q for q in tried if q >= r and usual[-1] / q**2 <= most), None)
     q = tried[-1] if found is None else found
@@ -69,19 +76,26 @@ def look_at_orbits(
     return OrbitStep(q, usual / q**2, exponent, keeps=found is not None)
 
 
-def _follow(scene: Scene, start: Start, refinement: float, times: FloatArray) -> FloatArray:
-    """Return the positions at all times, (K, n, 3) m."""
-    rule, pull = scene.time, scene.gravity.constant * start.mass
+def _follow(scene: Scene, start: Start, refinement: float, times: FloatArray, budget: Budget) -> FloatArray:
+    """Return the positions at all times, (K, n, 3) m; NaN beyond those that the budget lets it reach."""
+    rule, pull, n = scene.time, scene.gravity.constant * start.mass, scene.count
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"
     runner = WisdomHolman(*state, pull, largest_step(scene), None, resolves, refinement)
     runner.begin(0.0)
-    now, found = 0.0, np.full((len(times), *start.position.shape), np.nan)
+    each, met = ORBIT_STEP + ORBIT_BODY * n, ITERATIONS * radau_work(n)  # nominal s of a step, and in an encounter
+    now, work, found = 0.0, 0.0, np.full((len(times), *start.position.shape), np.nan)
     for k, time in enumerate(times.tolist()):
         while now < time:
-            batch = runner.advance(now, float(times[-1]), time, 2**62)
+            if work > SHARE * budget.total:
+                budget.cover(float(times[k - 1]) if k else 0.0)
+                return found
+            batch = runner.advance(now, float(times[-1]), time, STEPS_AT_ONCE)
             if not batch.time > now:
                 return found
-            now = batch.time
+            now, fresh = batch.time, batch.steps * (met if runner.encounters else each)
+            work += fresh
+            budget.own = work * budget.duration / now
+            budget.spend(fresh, now)
         found[k] = runner.at(now - time)[0] if now > time else state[0]
     return found
 

@@ -26,8 +26,16 @@ class Twins:
     exponent: float  # 1/s
 
     @classmethod
-    def grown(cls, times: FloatArray, apart: FloatArray, began: float) -> Twins:
-        """Continue the distance, (K,) over the size, beyond where it is no longer small."""
+    def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
+        """Continue the distance, (K,) over the size, beyond where it is no longer small.
+
+        It is unknown, and infinite, from the time ``known`` on.
+        """
+        if known < len(apart):
+            if not known:
+                return cls(np.full(len(apart), np.inf), 0.0)
+            part = cls.grown(times[:known], apart[:known], began, known)
+            return cls(np.concatenate((part.apart, np.full(len(apart) - known, np.inf))), part.exponent)
         apart = np.maximum(apart, began)
         over = np.flatnonzero(~(apart < APART))
         last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they are taken to diverge at the same rate

@@ -1,0 +1,174 @@
+"""The look ahead of an accuracy: what it promises where a mode changes, and how its budget ends."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from carom.experiment.run import shortfall_text
+from carom.physics.look_ahead.budget import Budget
+from carom.physics.look_ahead.find_step import with_promise
+from carom.physics.schedule import at
+from carom.physics.space import Space
+from carom.scene.error import SceneError
+from carom.scene.schema import Scene
+from examples import scene_of
+
+LEAST = "carom.physics.look_ahead.budget.LEAST"
+
+
+def sliding_ball(accuracy: float, speed: float = 2.0) -> Scene:
+    """Return a ball that slides on a plane with a friction of 0.2, and rolls from 2 v / (7 μ g) on."""
+    return scene_of(
+        [{"radius": 0.03, "mass": 1.0, "position": [0.0, 0.0, 0.03], "velocity": [speed, 0.0, 0.0]}],
+        time={"duration": 2.0, "accuracy": accuracy},
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+        contact={"restitution": 0.0, "static_friction": 0.2, "kinetic_friction": 0.2},
+        plane=[{}],
+        record={"check_every": 1000},
+    )
+
+
+def way(time: float, speed: float) -> float:
+    """Return how far the ball has come."""
+    slows = 0.2 * 9.81
+    rolls = 2.0 * speed / (7.0 * slows)
+    slid = min(time, rolls)
+    return speed * slid - 0.5 * slows * slid * slid + 5.0 / 7.0 * speed * (time - slid)
+
+
+@pytest.mark.parametrize(
+    ("accuracy", "speed"),
+    [
+        (1e-5, 2.0),
+        *(pytest.param(10.0**-digits, 2.0, marks=pytest.mark.slow) for digits in (2, 4, 6, 7, 8)),
+        *(pytest.param(3e-6, speed, marks=pytest.mark.slow) for speed in (1.1, 1.7, 2.3, 3.1, 4.7)),
+    ],
+)
+def test_a_ball_that_slides_and_then_rolls_keeps_the_accuracy_and_the_expected_error(
+    accuracy: float, speed: float
+) -> None:
+    space = Space(sliding_ball(accuracy, speed), 1)
+    promise = space.scene.promise
+    assert promise is not None
+    for time in np.linspace(0.0, promise.kept_until, 41)[1:]:
+        for _ in space.run(float(time), schedule=at(())):
+            pass
+        error = abs(space.state.position[0, 0] - way(space.time, speed)) / 0.03  # the size of a single body: its radius
+        assert error <= accuracy
+        # the error comes within a step and is interpolated between 64 times; the sum of the steps is rounded
+        assert error <= promise.error_at(space.time + 2.0 / 64) + 1e-10
+    if accuracy >= 1e-7:
+        assert promise.horizon is None
+
+
+def test_an_accuracy_takes_no_more_steps_than_the_default_where_drag_makes_these_exact() -> None:
+    def falling(**time: Any) -> Scene:
+        return scene_of(
+            [{"position": [0.0, 0.0, 5.0], "radius": 0.1}],
+            time={"duration": 10.0, **time},
+            gravity={"constant": 0.0, "uniform": [0.0, 0.0, -9.81]},
+            drag={"relaxation_time": 2.0},
+        )
+
+    usual, accurate = Space(falling(), 1), Space(falling(accuracy=1e-8), 1)
+    for space in (usual, accurate):
+        space.reach(10.0)
+    assert accurate.step <= usual.step
+    terminal = 9.81 * 2.0
+    fallen = terminal * (10.0 - 2.0 * (1.0 - math.exp(-5.0)))
+    assert abs(accurate.state.position[0, 2] - 5.0 + fallen) / 5.0 < 1e-12
+
+
+def test_the_promise_for_an_orbit_of_eccentricity_09999_lasts_while_rounding_is_small() -> None:
+    """At the pericentre, 10⁻⁴ from the centre, errors in time are errors of position times 141."""
+    e, duration = 0.9999, 80.0 * math.pi  # 40 orbits
+    speed = 0.5 * math.sqrt((1.0 - e) / (1.0 + e))
+    scene = scene_of(
+        [
+            {"mass": 0.5, "radius": 1e-6, "position": [0.5 * side * (1.0 + e), 0, 0], "velocity": [0, side * speed, 0]}
+            for side in (-1.0, 1.0)
+        ],
+        time={"duration": duration, "accuracy": 1e-6, "max_dt": 1e3},
+        gravity={"constant": 1.0},
+        contact={"enabled": False},
+    )
+    promise = with_promise(scene, 1).promise
+    assert promise is not None and promise.horizon is None
+
+
+def asteroids(count: int, **time: Any) -> Scene:
+    """Return bodies that pull each other by a tree."""
+    return scene_of(
+        [],
+        group=[
+            {
+                "count": count,
+                "radius": 1e-6,
+                "mass": 1.0 / count,
+                "region": {"shape": "ball", "radius": 1.0},
+                "velocity": {"dispersion": 0.3},
+            }
+        ],
+        time={"duration": 3.0, "accuracy": 1e-4, **time},
+        gravity={"constant": 1.0, "method": "tree", "opening_angle": 0.5, "softening": 0.05},
+        contact={"enabled": False},
+    )
+
+
+def test_a_look_ahead_ends_with_its_budget_and_says_how_far_it_came(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LEAST, 0.2)
+    spent: list[float] = []
+
+    def watch(budget: Budget) -> None:
+        spent.append(budget.spent / budget.total)
+
+    scene = with_promise(asteroids(300), 1, watch=watch)
+    promise = scene.promise
+    assert promise is not None and promise.looked is not None and promise.horizon is not None
+    assert 0.0 < promise.horizon <= promise.looked < 3.0
+    assert promise.error_at(0.9 * promise.horizon) <= 1e-4
+    assert promise.error_at(1.1 * promise.looked) == 1.0, "nothing is known beyond"
+    assert max(spent) < 1.5, "each run ahead ends with its share"
+    text = shortfall_text(scene)
+    assert "cannot promise accuracy = 0.0001 to the end: the budget of the look ahead ended at t = " in text
+    assert "it is kept up to t = " in text
+
+
+def test_the_promise_of_a_budget_does_not_depend_on_threads_or_on_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LEAST, 0.2)
+    one = with_promise(asteroids(300), 1).promise
+    monkeypatch.setattr("time.perf_counter", lambda: 0.0)
+    assert with_promise(asteroids(300), 2).promise == one
+
+
+def test_an_accuracy_of_which_nothing_can_be_promised_is_refused_with_what_could_be(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(LEAST, 1e-4)
+    monkeypatch.setattr("carom.physics.look_ahead.budget.PART_OF_RUN", 1e-4)
+    with pytest.raises(SceneError, match=r"accuracy = 0\.0001: cannot promise this: .*; not even 0\.01 could be"):
+        with_promise(asteroids(300), 1)
+
+
+@pytest.mark.parametrize("integrator", ["gauss-radau15", "leapfrog"])
+def test_the_budget_bounds_a_look_ahead_over_a_long_time(integrator: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten bodies for an hour of close encounters: the first comparison would take thousands of times the budget."""
+    monkeypatch.setattr(LEAST, 0.02)
+    monkeypatch.setattr("carom.physics.look_ahead.budget.PART_OF_RUN", 1e-4)
+    rng = np.random.default_rng(5)
+    scene = scene_of(
+        [
+            {"position": place, "radius": 1e-6, "mass": 0.1}
+            for place in rng.uniform(-1.0, 1.0, (10, 3)).round(3).tolist()
+        ],
+        time={"duration": 36000.0, "accuracy": 1e-4, "integrator": integrator},
+        gravity={"constant": 1.0, "softening": 0.05},
+        contact={"enabled": False},
+    )
+    budgets: list[Budget] = []
+    with_promise(scene, 1, watch=budgets.append)
+    assert budgets[-1].spent < 2.0 * budgets[-1].total + 0.1, "a call of a kernel goes on for 0.05 s"
