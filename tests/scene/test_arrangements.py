@@ -100,6 +100,19 @@ def test_a_lattice_without_a_spacing_fills_its_region_and_leaves_room_for_bodies
     assert (around.position[1:, 2] >= -3.0 + 0.3 - ROUNDING).all()
 
 
+@pytest.mark.parametrize("arrangement", ["cubic", "fcc", "hcp"])
+@pytest.mark.parametrize("shape", ["ball", "shell"])
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_a_lattice_of_a_few_spheres_beside_a_body_narrows_until_it_has_points(
+    arrangement: str, shape: str, count: int
+) -> None:
+    region = {"shape": shape, "radius": 4.0} | ({"inner_radius": 1.2} if shape == "shell" else {})
+    group = {"count": count, "radius": 0.5, "arrangement": arrangement, "region": region}
+    for plane in ([], [{"point": [0.0, 0.0, -1.0]}]):
+        start = placed(group, body=[{"radius": 0.3, "position": [0.0, 0.0, -0.5]}], plane=plane)
+        assert len(start.position) == count + 1
+
+
 @pytest.mark.parametrize("packing", [0.45, 0.6])
 def test_compression_reaches_its_packing_in_a_periodic_box(packing: float) -> None:
     n = 250

@@ -197,3 +197,11 @@ def test_a_body_written_outside_a_periodic_box_begins_inside_it() -> None:
 def test_more_pairs_than_memory_holds_are_counted_and_refused() -> None:
     with pytest.raises(SceneError, match=r"7.2e\+07 pairs of bodies overlap or nearly do"):
         overlapping_pairs(np.zeros((12_000, 3)), np.ones(12_000))
+
+
+def test_a_body_whose_radius_is_a_rounding_of_its_position_does_not_begin_behind_a_wall() -> None:
+    # Four units in the last place are allowed for rounding, which is more than this radius.
+    beyond = float(np.nextafter(np.nextafter(1.0, 2.0), 2.0))
+    body = {"position": [beyond, 0.0, 0.0], "radius": 3e-16, "mass": 1.0}
+    with pytest.raises(SceneError, match=r"body\.0 reaches .* into wall at \+x at the start"):
+        place(Scene.from_dict({"body": [body], "domain": {"boundary": "walls", "size": [2.0, 2.0, 2.0]}}))

@@ -200,15 +200,15 @@ def _crowd(draw: Draw, scale: Scales) -> Document:
 def _column(draw: Draw, scale: Scales) -> Document:
     """Draw a column that gets heavier upwards, by masses or by radii of one density, over a plane or a wall."""
     L, U, M = scale
-    count, ratio, gap = draw.integer(2, 5), draw.choice(0.5, 1.0, 2.0, 3.0), draw.choice(0.0, 1e-3, 0.01, 0.05)
-    aside = draw.choice(0.0, 0.0, 1e-9, 1e-3)
+    count, gap, aside = draw.integer(2, 5), draw.choice(0.0, 1e-3, 0.01, 0.05), draw.choice(0.0, 0.0, 1e-9, 1e-3)
+    decades = draw.choice(1.0, 3.0, 6.0) / (count - 1)  # between neighbours; beyond 10⁶, rounding shows in the ledger
     bodies: list[Document] = []
     z, grows = 0.0, draw.choice(False, True)
     for number in range(count):
-        radius = L * (10.0 ** (ratio * number / 3.0) if grows else 1.0)
+        radius = L * (10.0 ** (decades * number / 3.0) if grows else 1.0)
         z += gap * L + radius
         place = [aside * L * (number % 2), 0.0, z]
-        bodies.append({"position": place, "radius": radius, "mass": M * 10.0 ** (ratio * number)})
+        bodies.append({"position": place, "radius": radius, "mass": M * 10.0 ** (decades * number)})
         z += radius
     document: Document = {
         "body": bodies,

@@ -129,8 +129,8 @@ def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
 
 
 def _rounding(start: Start, length: FloatArray) -> FloatArray:
-    """Return the possible rounding errors of lengths, in m."""
-    return np.asarray(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()))
+    """Return the possible rounding errors of lengths, in m; less than a length, however far from the origin."""
+    return np.asarray(np.minimum(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()), 0.5 * length))
 
 
 def _written(start: Start) -> FloatArray:

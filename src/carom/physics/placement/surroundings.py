@@ -35,7 +35,7 @@ class Surroundings:
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
         clear: NDArray[np.bool_] = np.all(self.solids.depth(position, radius) < 0.0, axis=1)
-        if not self._trees:
+        if not self._trees or len(position) == 0:  # a wide lattice may have no point in a region
             return clear
         own = cKDTree(wrapped(position, self.box), boxsize=self.box)
         for tree, centres, radii in self._trees:
