@@ -83,6 +83,14 @@ def test_a_limit_that_no_step_keeps_ends_the_search(tmp_path: Path) -> None:
     assert tuning.why_none().startswith("position below 1e-13 is rounding")
 
 
+def test_an_integrator_that_cannot_win_gets_no_shorter_steps(tmp_path: Path) -> None:
+    """Euler errs by 10⁵ times the limit: to be of use its steps would have to be about as many times shorter."""
+    tuning = search(eight(), tmp_path, position=1e-8)
+    assert tuning.best is not None
+    by_euler = [point_of(each, tuning.study.scene).step for each in tuning.tried if "euler" in each.setting.name]
+    assert by_euler and min(by_euler) >= 1.0
+
+
 def test_a_step_that_would_lose_frames_is_not_taken(tmp_path: Path) -> None:
     scene = Scene.load("figure-eight", ["time.duration=1", "time.fixed_dt=0.005", "record.every=0.02"])
     tuning = search(scene, tmp_path, energy=1e-3)

@@ -18,11 +18,13 @@ import math
 from carom.experiment.work_precision.result import Result
 from carom.experiment.work_precision.settings_grid import Point, default_points, knobs
 from carom.experiment.work_precision.tradeoff import Study, Teller
-from carom.plan.auto import auto_interval
+from carom.plan.auto import auto_interval, integrator
+from carom.plan.features import require
 
 FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky
 NEARER = 0.9  # half the step must reduce the factor by which limits are missed to this fraction
 DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
+HOPELESS = 2.0  # times the cost of a rival, that a setting would have which keeps the limits; costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
 BETWEEN = 1.5  # times the step, where twice the step is too long
 CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
@@ -76,7 +78,7 @@ class Search:
             while self._better(here, here.times(2.0)) != here:
                 here = here.times(2.0)
             return here
-        while self._excess(here) and here.step > SHORTEST and not self._too_dear(here, best):
+        while self._excess(here) and here.step > SHORTEST and not self._cannot_win(here, best):
             shorter = here.times(0.5)
             if self._excess(shorter) > NEARER * self._excess(here):
                 break
@@ -88,6 +90,22 @@ class Search:
         if best is not None and not self._excess(best):
             return self._see(point).cost >= self._see(best).cost
         return self._see(point).cost >= DEAREST * self._see(Point()).cost
+
+    def _cannot_win(self, point: Point, best: Point | None) -> bool:
+        """Tell whether a point is too expensive, now or once its steps are short enough to keep the limits.
+
+        Half the step costs twice as much, and errors of smooth motion fall by the order of the integrator at most.
+        """
+        if self._too_dear(point, best):
+            return True
+        settled_scene = point.setting(self._study.scene).apply(self._study.scene)
+        chosen = integrator(settled_scene)
+        if chosen.controls_error or require(settled_scene).contact.modelled or not math.isfinite(self._excess(point)):
+            return False
+        cost = self._see(point).cost * math.pow(self._excess(point), 1.0 / chosen.order)
+        if best is not None and not self._excess(best):
+            return cost >= HOPELESS * self._see(best).cost
+        return cost >= HOPELESS * DEAREST * self._see(Point()).cost
 
     def _better(self, one: Point, other: Point) -> Point:
         return other if self._rank(other) < self._rank(one) else one
