@@ -32,8 +32,8 @@ def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path:
     assert json.loads((folder / "tradeoff.json").read_text(encoding="utf-8"))["reference"]["horizon"] == 1.0
     assert (folder / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "tradeoff.rrd").exists()
-    refused = carom("inspect", str(folder / "tradeoff.rrd"), cwd=tmp_path)
-    assert refused.returncode == 2 and "can only be looked at, with `carom view`" in refused.stderr
+    shown = carom("inspect", str(folder / "tradeoff.rrd"), cwd=tmp_path)
+    assert shown.returncode == 0 and "reference, exact; step × 2; as written" in " ".join(shown.stdout.split())
     again = carom("tradeoff", "figure-eight", *QUICK, "--json", cwd=tmp_path)
     document = json.loads(again.stdout)
     assert again.stderr == "" and [len(entry["costs"]) for entry in document["settings"]] == [1, 1]
