@@ -56,12 +56,13 @@ class World:
         is_periodic = scene.domain.boundary == "periodic"
         box = np.array(scene.domain.size if is_periodic else (0.0, 0.0, 0.0))
         forces = TotalForce(scene, needs, bodies, team, profile)
-        falling = np.zeros(3) if scene.anchored else forces.uniform
+        at_rest = np.zeros(3)
+        falling, bending = (at_rest, forces.uniform) if scene.anchored else (forces.uniform, at_rest)
         contact = None
         if needs.contact.modelled:
             materials = materials_of(pair_coefficients(scene))
             ends = bodies, planes, materials
-            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, team, records_contacts)
+            contact = ContactPipeline(scene.contact, *ends, needs, box, falling, bending, team, records_contacts)
         return cls(
             scene=scene,
             needs=needs,

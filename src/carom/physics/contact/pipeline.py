@@ -75,6 +75,8 @@ class ContactPipeline:
         Size of the periodic box, (3,) m; zeros in open space.
     field
         (3,) m/s², the uniform field if it accelerates everything alike; zeros if something is fixed.
+    bending
+        (3,) m/s², the uniform field if something is fixed; zeros if it accelerates everything alike.
     team
         Threads that share the work.
     records
@@ -90,6 +92,7 @@ class ContactPipeline:
         requirements: Requirements,
         box: FloatArray,
         field: FloatArray,
+        bending: FloatArray,
         team: Team,
         records: bool = False,
     ) -> None:
@@ -114,7 +117,10 @@ class ContactPipeline:
         self._event_drift = None
         if requirements.impact_time.modelled:
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            self._event_drift = EventDrivenDrift(bodies, planes, materials, box, field, *drift, self._near.search, team)
+            fields = (field, bending)
+            self._event_drift = EventDrivenDrift(
+                bodies, planes, materials, box, *fields, *drift, self._near.search, team
+            )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers = Sleepers(contact.sleep, bodies, planes, box) if contact.sleep and self._lasts else None
         self._compile()
@@ -223,7 +229,9 @@ class ContactPipeline:
         if self._sleepers and self._sleepers.all:
             self.impacts = NO_IMPACTS
             return
-        self.impacts = self._event_drift.drift(kick, dt, *self._near.margins(dt), along)
+        held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
+        asleep = self._sleepers.asleep if self._sleepers else None
+        self.impacts = self._event_drift.drift(kick, dt, *self._near.margins(dt), held, asleep, along)
         if self.tap:
             self.tap.see_drift(self.impacts)
 
@@ -307,7 +315,7 @@ class ContactPipeline:
         if len(self._slept.pairs):
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
-            self.statistics = self.statistics.with_impacts(self.seen, self.impacts.ledger, self._bodies.ends)
+            self._count_impacts()
 
     @property
     def sleeps(self) -> bool:
@@ -373,6 +381,11 @@ class ContactPipeline:
         fresh = [(level, text) for level, text in reached if text not in self.warned]
         self.warned.update(text for _, text in fresh)
         return fresh
+
+    def _count_impacts(self) -> None:
+        """Add the impacts during the drift to the statistics of the step."""
+        records = (self._found, self._solver.contacts, self._solver.states)
+        self.statistics = self.statistics.with_impacts(self.impacts, *records, self._bodies.ends.inverse_mass)
 
     def _near_awake(self, dt: float, sleepers: Sleepers) -> IntArray:
         """Find the pairs with an end that is awake, after waking the islands that are disturbed."""
@@ -448,6 +461,8 @@ class ContactPipeline:
         self._resolve(1.0, 1.0, Profile())
         self._solver.is_closing(1.0)
         self._solver.statistics()
+        if self._event_drift:
+            self._count_impacts()
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)

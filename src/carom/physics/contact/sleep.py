@@ -114,6 +114,11 @@ class Sleepers:
         return self._count == self._movable
 
     @property
+    def asleep(self) -> Flags:
+        """(n,) which bodies sleep."""
+        return np.asarray(self._calm == ASLEEP)
+
+    @property
     def memory(self) -> SleepCheckpoint:
         """A copy of the state that the next step needs."""
         return SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)

@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
+from carom.physics.contact.constraint_graph import first_of
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
+from carom.physics.contact.continuous.drift import Impacts
+from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.pair_order import comes_before
-from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -77,22 +79,36 @@ class ContactStatistics(NamedTuple):
         first = max(mine, theirs, key=lambda found: (found[0], -found[1][0], -found[1][1]))
         return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])
 
-    def with_impacts(self, snapshot: ContactSnapshot, ledger: FloatArray, ends: Ends) -> ContactStatistics:
-        """Return the statistics of a step with impacts during its drift.
+    def with_impacts(
+        self, struck: Impacts, found: OrderedContacts, contacts: Records, states: Records, inverse_mass: FloatArray
+    ) -> ContactStatistics:
+        """Add the impacts during the drift of a step; a pair that had several counts as one contact, by its hardest.
 
         Parameters
         ----------
-        snapshot
-            All contacts of the step, including the impacts.
-        ledger
-            (k, 3) J, of the impacts.
+        found, contacts, states
+            The contacts found at the end of the step, whose statistics these are; see `ConstraintSystem`.
+        inverse_mass
+            (n + p,) 1/kg
         """
-        graph = snapshot.graph
-        contacts, states = np.zeros(len(graph), CONTACT), np.zeros(len(graph), CONTACT_STATE)
-        states["found_overlap"], states["rest_speed"] = graph.overlaps, snapshot.rest_speed
-        states["approach_speed"] = snapshot.approach
-        seen = ContactStatistics.of(graph.pairs, contacts, states, ends, SOLO)
-        return seen._replace(work=np.concatenate((ledger, self.work)), impacts=snapshot.impacts)
+        order = np.lexsort((-struck.approach, struck.pairs[:, 1], struck.pairs[:, 0]))
+        impacts = (struck.pairs[order], struck.approach[order], struck.rest_speed[order])
+        place = found.order.place
+        further, energy, hardest, i, j = _add_impacts(*impacts, found.pairs, place, contacts, states, inverse_mass)
+        mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
+        first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
+        touching, deepest_pair = [(i, j) for i, j in impacts[0][:1].tolist()], self.deepest_pair  # without an overlap
+        if self.deepest == 0.0 and touching and (self.contacts == 0 or touching[0] < deepest_pair):
+            deepest_pair = touching[0]
+        return self._replace(
+            work=np.concatenate((struck.ledger, self.work)),
+            contacts=self.contacts + further,
+            impacts=self.impacts + int(np.count_nonzero(struck.approach > struck.rest_speed)),
+            struck=self.struck + energy,
+            hardest=first[0],
+            hardest_pair=first[1],
+            deepest_pair=deepest_pair,
+        )
 
 
 NO_CONTACTS = ContactStatistics(np.zeros((0, 3)), 0, 0, 0.0, 0.0, (0, 0), 0.0, (0, 0))
@@ -132,6 +148,56 @@ def _count(
             _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
         block.restitution_loss, block.friction_loss, block.stabilisation_gain = restitution, friction, stabilisation
         block.contacts, block.impacts, block.struck = contacts_seen, impacts, struck
+
+
+@kernel
+def _add_impacts(
+    pairs: IntArray,
+    approach: FloatArray,
+    rest_speed: FloatArray,
+    found: IntArray,
+    place: IntArray,
+    contacts: Records,
+    states: Records,
+    inverse_mass: FloatArray,
+) -> tuple[int, float, float, int, int]:
+    """Count impacts in the order of their pairs, the hardest of each first.
+
+    Returns
+    -------
+    contacts
+        Pairs that were not found at the end.
+    energy
+        J, by which the energy of the impacts grows, with the hardest of each pair.
+    hardest, i, j
+        J, of the hardest impact, and its ends.
+    """
+    further, energy, hardest, hardest_i, hardest_j = 0, 0.0, 0.0, 0, 0
+    for row in range(len(pairs)):
+        i, j = ends_of(pairs, row)
+        if row > 0 and pairs[row - 1, 0] == i and pairs[row - 1, 1] == j:
+            continue
+        speed, limit, counted = approach[row], rest_speed[row], 0.0
+        twice = 2.0 * (inverse_mass[i] + inverse_mass[j])
+        c = first_of(i, found)
+        while c < len(found) and found[c, 0] == i and found[c, 1] < j:
+            c += 1
+        is_known = c < len(found) and found[c, 0] == i and found[c, 1] == j
+        if is_known:
+            state = states[place[c]]
+            is_known = not state.apart or contacts[place[c]].normal_impulse > 0.0
+            if is_known:
+                late, limit = state.approach_speed, state.rest_speed
+                counted = late * late / twice if late > limit else 0.0
+                speed = max(speed, late)
+        if not is_known:
+            further += 1
+        if speed > limit:
+            struck = speed * speed / twice
+            energy += struck - counted
+            if _comes_first(struck, i, j, hardest, hardest_i, hardest_j):
+                hardest, hardest_i, hardest_j = struck, i, j
+    return further, energy, hardest, hardest_i, hardest_j
 
 
 @inline

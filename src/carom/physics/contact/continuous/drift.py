@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.search import Search
-from carom.physics.contact.continuous.event_loop import IMPACT, predict, resolve
+from carom.physics.contact.continuous.event_loop import IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
 from carom.physics.contact.continuous.event_queue import put
 from carom.physics.contact.continuous.simultaneous import resolve_touching
 from carom.physics.contact.continuous.trajectories import (
@@ -29,10 +29,12 @@ from carom.physics.contact.continuous.trajectories import (
     begin,
     both_ways,
     finish,
+    straighten,
     write_reaches,
 )
 from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.contact.law import Materials
+from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.parallel.jit import entry_of, kernel
@@ -42,6 +44,7 @@ from carom.scene.half_space import HalfSpaces
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
+Flags = NDArray[np.bool_]
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_CONTACTS = 16  # per body at one moment, on average
@@ -107,7 +110,7 @@ class _Kernels(NamedTuple):
         none = np.zeros(0, dtype=np.int64)
         nobody = Neighbours(none, none, none)
         return cls(
-            begin=entry_of(begin, T, 1.0, 0.0),
+            begin=entry_of(begin, T, 1.0, 0.0, False),
             predict=entry_of(predict, 0, 0, nobody, T),
             fill_queue=entry_of(_fill_queue, T),
             resolve=entry_of(resolve, nobody, T, log),
@@ -128,6 +131,8 @@ class EventDrivenDrift:
         Size of the periodic box, (3,) m; zeros in open space.
     field
         (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
+    bending
+        (3,) m/s², the uniform field if it accelerates bodies towards something fixed; otherwise zeros.
     friction, anchored, forces
         Whether impulses turn bodies, something is fixed, and a force presses contacts together.
     search, team
@@ -141,6 +146,7 @@ class EventDrivenDrift:
         materials: Materials,
         box: FloatArray,
         field: FloatArray,
+        bending: FloatArray,
         friction: bool,
         anchored: bool,
         forces: bool,
@@ -151,6 +157,7 @@ class EventDrivenDrift:
         spin = slice(None) if friction else slice(0)
         self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
+        self._bends = bool(bending.any()) and not box.any()
         self._log = np.empty(LOG_ROWS, dtype=IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self._trajectories = Trajectories(
@@ -174,13 +181,17 @@ class EventDrivenDrift:
             everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
+        drift = self._trajectories.drift[0]
+        drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
+        drift["field_x"], drift["field_y"], drift["field_z"] = bending if self._bends else (0.0, 0.0, 0.0)
         self._kernels = _Kernels.of(self._trajectories, self._log)
         self._compile()
 
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
-        self._kernels.begin(T, 1.0, 0.0)
+        self._kernels.begin(T, 1.0, 0.0, False)
+        self._straighten(ImpulseCache.empty(), None)
         if self._forces:
             self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
         self._resolve(nobody, T)
@@ -190,7 +201,16 @@ class EventDrivenDrift:
         """Whether a body reached the largest number of impacts in the last drift."""
         return bool(self._trajectories.drift["exhausted"][0])
 
-    def drift(self, kick: float, dt: float, scale: float, skin: float, along: FloatArray | None = None) -> Impacts:
+    def drift(
+        self,
+        kick: float,
+        dt: float,
+        scale: float,
+        skin: float,
+        held: ImpulseCache,
+        asleep: Flags | None,
+        along: FloatArray | None = None,
+    ) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve their impacts.
 
         Parameters
@@ -198,6 +218,10 @@ class EventDrivenDrift:
         scale, skin
             1 + the relative margin, and m: bodies no farther apart than ``(r_i + r_j) scale + skin`` belong to one
             island.
+        held
+            The impulses of the contacts that are held through the drift.
+        asleep
+            (n,) which bodies sleep; None if none can.
         along
             (n + p, 3) m/s², rate of change of the velocities along the drift; by default the accelerations.
         """
@@ -209,7 +233,10 @@ class EventDrivenDrift:
         pairs = self._neighbours(farthest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
-            self._kernels.begin(T, dt, kick)
+            bends = self._bends and along is None and kick == 0.5 * dt  # velocities are those of the middle
+            self._kernels.begin(T, dt, kick, bends)
+            if bends:
+                self._straighten(held, asleep)
             if self._forces:
                 self._find_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
@@ -237,6 +264,13 @@ class EventDrivenDrift:
         pairs[:1] = pair or 0
         count = resolve_touching(T, pairs, self._log)
         return Impacts.of(self._log[:count].copy())
+
+    def _straighten(self, held: ImpulseCache, asleep: Flags | None) -> None:
+        """Make the paths of bodies that contacts hold, and of sleepers, straight."""
+        body = self._trajectories.body
+        straighten(held.pairs, held.place, held.contacts, body)
+        if asleep is not None:
+            body["is_straight"][asleep] = True
 
     def _find_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Find the rest speed of each body."""
@@ -274,7 +308,7 @@ class EventDrivenDrift:
             count = self._kernels.resolve(neighbours, T, self._log)
             logs.append(self._log[:count].copy())
             again = T.drift["queued"][0] > 0
-        return Impacts.of(np.concatenate(logs))
+        return Impacts.of(logs[0] if len(logs) == 1 else np.concatenate(logs))
 
 
 @kernel

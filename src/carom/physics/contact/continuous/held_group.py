@@ -32,6 +32,7 @@ from carom.physics.contact.continuous.trajectories import (
     Neighbours,
     Trajectories,
     advance,
+    centre,
     contact_geometry,
 )
 from carom.physics.parallel.jit import inline, inner, kernel
@@ -368,7 +369,7 @@ def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -
         entry.friction_loss = entry.stabilisation_gain = 0.0
         entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
         entry.friction_x = entry.friction_y = entry.friction_z = 0.0
-        x, y, z = vector(T.x, i)
+        x, y, z = centre(i, T)
         entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
         entry.vix, entry.viy, entry.viz = along(T.v, T.a, i, s)
         entry.vjx, entry.vjy, entry.vjz = along(T.v, T.a, j, s)

@@ -8,6 +8,13 @@ nearest at t_c = -d·v/v², at the separation p = d + v t_c. They touch before t
 p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small sphere that
 comes from far away. Bodies that already overlap and close meet at once.
 
+Where a uniform field bends the path of one of two bodies only, their separation is d + w t + ½ b t². The gap between
+their surfaces has a second derivative of at least -|b|. A gap g that closes at the speed c therefore stays open for
+
+    2 g / (c + √(c² + 2 |b| g))
+
+These steps lead to the first root from below, at the rate of Newton's method.
+
 A drift uses the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick before the
 drift. A meeting is an impact if the bodies then close faster than a given speed.
 """
@@ -18,6 +25,9 @@ import numpy as np
 
 from carom.physics.parallel.jit import kernel
 from carom.physics.periodic_box import nearest_image
+
+MOST_PASSES = 100
+TOUCHING = 2.0**-50  # of the sum of radii; a smaller gap is rounding
 
 
 @kernel
@@ -68,6 +78,55 @@ def time_of_impact(
     nx, ny, nz, s = dx + vx * tau, dy + vy * tau, dz + vz * tau, since_kick + tau
     closing = -((vx + ax * s) * nx + (vy + ay * s) * ny + (vz + az * s) * nz)
     return tau if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
+
+
+@kernel
+def time_of_impact_on_parabola(
+    dx: float,
+    dy: float,
+    dz: float,
+    wx: float,
+    wy: float,
+    wz: float,
+    bx: float,
+    by: float,
+    bz: float,
+    R: float,
+    span: float,
+) -> float:
+    """Return the time in s until two bodies touch and close; infinite if they do not within a span.
+
+    Parameters
+    ----------
+    dx, dy, dz, wx, wy, wz, bx, by, bz
+        m, m/s and m/s²: present separation, velocity and acceleration of one body relative to the other.
+    R
+        m, the sum of radii.
+    span
+        s.
+    """
+    b = np.sqrt(bx * bx + by * by + bz * bz)
+    ux, uy, uz = wx + 0.5 * span * bx, wy + 0.5 * span * by, wz + 0.5 * span * bz  # mean velocity of the span
+    near = R + 0.125 * b * span * span  # from the chord of the parabola
+    t = 0.0
+    if dx * dx + dy * dy + dz * dz > near * near:
+        t = time_of_impact(dx, dy, dz, ux, uy, uz, 0.0, 0.0, 0.0, near, span, 0.0, -np.inf)
+    for _ in range(MOST_PASSES):
+        if not t <= span:
+            return np.inf
+        px, py, pz = dx + t * (wx + 0.5 * t * bx), dy + t * (wy + 0.5 * t * by), dz + t * (wz + 0.5 * t * bz)
+        distance = np.sqrt(px * px + py * py + pz * pz)
+        closing = -((wx + t * bx) * px + (wy + t * by) * py + (wz + t * bz) * pz) / distance
+        gap = distance - R
+        if gap <= TOUCHING * R and closing > 0.0:
+            return t
+        gap = max(0.0, gap)
+        root = np.sqrt(closing * closing + 2.0 * b * gap)
+        further = 2.0 * gap / (closing + root) if closing > 0.0 else (root - closing) / b
+        if not t + further > t:
+            return t if closing > 0.0 else np.inf
+        t += further
+    return np.inf  # a graze
 
 
 @kernel

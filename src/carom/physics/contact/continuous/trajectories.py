@@ -1,4 +1,9 @@
-"""Trajectories of the bodies through a drift: straight lines that bend at impacts.
+"""Trajectories of the bodies through a drift: straight lines that change their direction at impacts.
+
+Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt it lags behind the
+straight line by ½ g s (dt - s), whatever impacts happened before. Positions are stored on the straight lines, and
+`lag` is added where bodies meet, so that a body in a uniform field meets a plane at the exact time. Contacts at rest
+hold their bodies with one impulse for the whole drift; the path of a held body is straight.
 
 The record of each body has its own time, its next impact, and its reach: how far it may move before it can meet bodies
 that were not found as neighbours.
@@ -42,6 +47,7 @@ TRAJECTORY = np.dtype(
         ("standoff", np.float64),  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
         ("holds", np.int64),  # how often its contacts were held in this drift
         ("strays", np.bool_),  # whether its path leaves that reach
+        ("is_straight", np.bool_),  # whether its path does not bend with the field: it is held or does not move
         ("exhausted", np.bool_),  # whether it has had its largest number of impacts
     ],
     align=True,
@@ -52,6 +58,10 @@ DRIFT = np.dtype(
         ("dt", np.float64),  # s, length of the drift
         ("kick", np.float64),  # s, the kick before it: velocities are those of this time
         ("clock", np.float64),  # s, the present time
+        ("slow", np.float64),  # of the rest speed; slower contacts are left to the end of the step
+        ("field_x", np.float64),  # m/s², the uniform field that bends paths; zeros where no path bends
+        ("field_y", np.float64),
+        ("field_z", np.float64),
         ("bulk_x", np.float64),  # m/s, the velocity that reaches are relative to
         ("bulk_y", np.float64),
         ("bulk_z", np.float64),
@@ -121,8 +131,8 @@ def write_reaches(
 
 
 @kernel
-def begin(T: Trajectories, dt: float, kick: float) -> None:
-    """Begin a drift of dt after a kick, both in s."""
+def begin(T: Trajectories, dt: float, kick: float, bends: bool) -> None:
+    """Begin a drift of dt after a kick, both in s; ``bends`` says whether the field bends the paths of some bodies."""
     drift = T.drift[0]
     drift.dt, drift.kick, drift.clock = dt, kick, 0.0
     drift.queued = drift.strays = drift.exhausted = 0
@@ -131,6 +141,7 @@ def begin(T: Trajectories, dt: float, kick: float) -> None:
         vx, vy, vz = vector(T.v, i)
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
+        body.is_straight = not bends or T.inverse_mass[i] == 0.0
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
 
@@ -141,6 +152,16 @@ def arrive(i: int, T: Trajectories) -> None:
     body = T.body[i]
     body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
     body.standoff, body.holds = TOUCHING * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
+
+
+@kernel
+def straighten(pairs: IntArray, place: IntArray, contacts: Records, body: Records) -> None:
+    """Make the paths straight of bodies that contacts hold: those of the contacts ``contacts[place]`` with impulses."""
+    for c in range(len(place)):
+        if contacts[place[c]].normal_impulse > 0.0:
+            for end in range(2):
+                if pairs[c, end] < len(body):
+                    body[pairs[c, end]].is_straight = True
 
 
 @inner
@@ -154,19 +175,39 @@ def advance(i: int, T: Trajectories) -> None:
 
 
 @inner
+def lag(T: Trajectories) -> float:
+    """Return by how much a unit of the field sets a parabola back from its straight line at the present time, in s²."""
+    drift = T.drift[0]
+    return float(0.5 * drift.clock * (drift.dt - drift.clock))
+
+
+@inner
+def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
+    """Return where a body at the present time is, in m: on its parabola."""
+    x, y, z = vector(T.x, i)
+    if T.body[i].is_straight:
+        return x, y, z
+    drift, behind = T.drift[0], lag(T)
+    return x - behind * drift.field_x, y - behind * drift.field_y, z - behind * drift.field_z
+
+
+@inner
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
     """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
 
     The arm at a plane is the height, which is the radius when a body meets it.
     """
-    x, n = T.x, len(T.x)
+    n = len(T.x)
     if j >= n:
-        height = -T.offset[j - n]
-        for k in range(3):
-            height += T.surface[j - n, k] * x[i, k]
         N = T.surface[j - n]
+        x, y, z = centre(i, T)
+        height = -T.offset[j - n] + N[0] * x + N[1] * y + N[2] * z
         return -N[0], -N[1], -N[2], max(0.0, height), 0.0
-    dx, dy, dz = between(x, i, j)
+    dx, dy, dz = between(T.x, i, j)
+    if T.body[i].is_straight != T.body[j].is_straight:
+        drift = T.drift[0]
+        behind = lag(T) if T.body[i].is_straight else -lag(T)
+        dx, dy, dz = dx - behind * drift.field_x, dy - behind * drift.field_y, dz - behind * drift.field_z
     if T.box[0] > 0.0:
         dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)

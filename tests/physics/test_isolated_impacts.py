@@ -1,0 +1,155 @@
+"""An impact of two bodies before which neither touches anything is exact at default settings, whatever else there is.
+
+No scene here sets a step, an integrator or a timing.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from carom.physics.space import Space
+from carom.scene.schema import Scene
+
+Document = dict[str, Any]
+FloatArray = NDArray[np.float64]
+
+R, MASS = 0.0285, 0.17  # m and kg, a billiard ball
+RESTITUTION, FRICTION = 0.9, 0.1
+EXACT = 1e-9  # the promise; rounding and the balls' own gravity, 10⁻¹⁰ N, leave 4 × 10⁻¹⁰ (measured)
+PULL = 9.81  # m/s²
+
+WALLS = [{"normal": [0, 0, 1], "point": [0, 0, -1.2 * R]}, {"normal": [0, -1, 0], "point": [0, 2.2 * R, 0]}]
+CROWD = {"count": 1000, "radius": {"min": 0.02, "max": 0.04}, "region": {"radius": 1.0, "centre": [0, 0, 3]}}
+NOTHING: Document = {}
+SURROUNDINGS: dict[str, Document] = {
+    "nothing said of gravity": NOTHING,
+    "no gravity": {"gravity": {"constant": 0.0}},
+    "a field": {"gravity": {"uniform": [0.0, 0.0, -PULL]}},
+    "walls near": {"plane": WALLS},
+    "a field and a floor": {"gravity": {"uniform": [0.0, 0.0, -PULL]}, "plane": [{"point": [0, 0, -3.0]}]},
+    "a thousand other bodies": {"group": [CROWD]},
+    "balls that rest on a floor": {
+        "gravity": {"uniform": [0.0, 0.0, -PULL]},
+        "plane": [{"point": [0, 0, -3.0]}],
+        "group": [{"count": 20, "radius": R, "mass": MASS, "region": {"radius": 0.4, "centre": [0, 0, -2.5]}}],
+    },
+}
+
+
+def oblique(x: float, **sections: Any) -> Scene:
+    """A ball that comes from x at 1 m/s and hits another one off centre, by one radius."""
+    balls = [
+        {"position": [x, R, 0.0], "velocity": [1.0, 0.0, 0.0], "radius": R, "mass": MASS},
+        {"position": [0.0, 0.0, 0.0], "radius": R, "mass": MASS},
+    ]
+    contact = {"restitution": RESTITUTION, "static_friction": FRICTION, "kinetic_friction": FRICTION}
+    return Scene.from_dict({"time": {"duration": -1.5 * x}, "contact": contact, "body": balls, **sections})
+
+
+def first_impact(scene: Scene, i: int = 0) -> tuple[Any, Space]:
+    """Run a scene until a body has been struck; return the row of its first impact, and the space."""
+    space = Space(scene, 1, record_contacts=True)
+    for frame in space.run():
+        assert frame.impacts is not None
+        for row in frame.impacts:
+            if row["i"] == i:
+                return row, space
+    raise AssertionError("nothing struck the body")
+
+
+@pytest.mark.parametrize("x", [-0.31, -0.303, -0.2])
+@pytest.mark.parametrize("around", SURROUNDINGS.values(), ids=list(SURROUNDINGS))
+def test_two_billiard_balls_strike_each_other_as_the_closed_form_says(around: Document, x: float) -> None:
+    row, space = first_impact(oblique(x, **around))
+    # the line of centres is at 30° to the path: sin = R / 2 R
+    normal = np.array([math.sqrt(0.75), -0.5, 0.0])
+    approach, slip = math.sqrt(0.75), 0.5
+    impulse = 0.5 * MASS * (1.0 + RESTITUTION) * approach
+    rubbed = FRICTION * impulse  # slides: sticking would take slip / K_t = 0.0121 N s, less than μ J = 0.0140 N s
+    sticks = slip / ((2.0 + 2.0 / 0.4) / MASS)
+    rubbed = min(rubbed, sticks)
+    assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT)
+    assert row["approach_speed"] == pytest.approx(approach, rel=EXACT)
+    assert row["normal_impulse"] == pytest.approx(impulse, rel=EXACT)
+    friction = np.array([row["friction_x"], row["friction_y"], row["friction_z"]])
+    assert np.linalg.norm(friction) == pytest.approx(rubbed, rel=EXACT)
+    lost = 0.25 * MASS * (1.0 - RESTITUTION**2) * approach**2
+    assert row["restitution_loss"] == pytest.approx(lost, rel=EXACT)
+    lost_by_friction = rubbed * (slip - 0.5 * rubbed * 7.0 / MASS)
+    assert row["friction_loss"] == pytest.approx(lost_by_friction, rel=EXACT)
+    assert row["time"] == pytest.approx(-x - 2.0 * R * math.sqrt(0.75), rel=EXACT)
+    if around in (NOTHING, SURROUNDINGS["no gravity"]):
+        spin = np.cross(normal, friction) * R / (0.4 * MASS * R * R)
+        assert np.allclose(space.state.angular_velocity, [-spin, -spin], rtol=0, atol=EXACT / R)
+        velocity = impulse * normal / MASS + friction / MASS
+        assert np.allclose(space.state.velocity[1], velocity, rtol=0, atol=EXACT)
+
+
+def test_the_values_that_a_default_run_once_got_wrong() -> None:
+    row, _ = first_impact(oblique(-0.31))
+    found = (row["approach_speed"], row["normal_impulse"], row["restitution_loss"] + row["friction_loss"])
+    assert [f"{value:.4g}" for value in found] == ["0.866", "0.1399", "0.009092"]
+
+
+def test_drag_leaves_the_impact_the_velocity_that_it_leaves_the_balls() -> None:
+    row, _ = first_impact(oblique(-0.31, drag={"relaxation_time": 0.7}))
+    impulse = 0.5 * MASS * (1.0 + RESTITUTION) * row["approach_speed"]
+    assert np.allclose([row["nx"], row["ny"]], [math.sqrt(0.75), -0.5], rtol=0, atol=EXACT)
+    assert row["normal_impulse"] == pytest.approx(impulse, rel=EXACT)
+
+
+@pytest.mark.parametrize("height", [0.02, 0.1, 1.0, 50.0])
+@pytest.mark.parametrize("others", [0, 60], ids=["alone", "among sixty"])
+def test_a_ball_falls_on_a_plane_at_the_speed_and_time_of_galileo(height: float, others: int) -> None:
+    # with 61 bodies a step is 0.061 of a fall through a radius, and straight paths were off by up to 0.8 %
+    crowd = [{"position": [1.0 + 0.3 * k, 0, 60.0], "radius": 0.1, "mass": 1.0} for k in range(others)]
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.05 * math.sqrt(2.0 * height / PULL)},
+            "gravity": {"uniform": [0.0, 0.0, -PULL]},
+            "contact": {"restitution": 0.8, "static_friction": 0.3},
+            "plane": [{}],
+            "body": [{"position": [0, 0, 0.1 + height], "velocity": [0.2, 0, 0], "radius": 0.1, "mass": 1.0}, *crowd],
+        }
+    )
+    row, space = first_impact(scene)
+    assert row["approach_speed"] == pytest.approx(math.sqrt(2.0 * PULL * height), rel=EXACT)
+    assert row["time"] == pytest.approx(math.sqrt(2.0 * height / PULL), rel=EXACT)
+    assert row["z"] == pytest.approx(0.0, abs=1e-14)  # where it touches the plane
+    since, rebound = space.time - row["time"], 0.8 * math.sqrt(2.0 * PULL * height)
+    if PULL * since < 2.0 * rebound:  # it has not come down again
+        assert space.state.velocity[0, 2] == pytest.approx(rebound - PULL * since, rel=EXACT, abs=EXACT)
+
+
+@pytest.mark.parametrize("speed", [0.3, 2.0])
+@pytest.mark.parametrize("off", [0.0, 0.02, 0.19])
+def test_a_ball_thrown_at_a_fixed_one_meets_it_where_the_parabola_does(speed: float, off: float) -> None:
+    start, throw, reach = np.array([-0.85 * speed, off, 1.0]), np.array([speed, 0.0, 3.0]), 0.2
+    field = np.array([0.0, 0.0, -PULL])
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 2.0},
+            "gravity": {"uniform": field.tolist()},
+            "contact": {"restitution": 0.8, "static_friction": 0.2},
+            "body": [
+                {"position": start.tolist(), "velocity": throw.tolist(), "radius": 0.1, "mass": 1.0},
+                {"position": [0, 0, 0], "radius": 0.1, "mass": 1.0, "fixed": True},
+                *({"position": [1e3 + k, 0, 0], "radius": 0.1, "mass": 1.0} for k in range(60)),
+            ],
+        }
+    )
+    terms = [0.25 * field @ field, field @ throw, throw @ throw + field @ start, 2.0 * start @ throw]
+    roots = np.roots([*terms, start @ start - reach**2])
+    meeting = min(root.real for root in roots if abs(root.imag) < 1e-9 and root.real > 0.0)
+    place, velocity = start + throw * meeting + 0.5 * field * meeting**2, throw + field * meeting
+    row, _ = first_impact(scene)
+    normal = -place / reach
+    graze = 1.0 / abs(velocity @ normal / np.linalg.norm(velocity))  # by which a graze amplifies rounding
+    assert row["time"] == pytest.approx(meeting, rel=EXACT * graze)
+    assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT * graze)
+    assert row["approach_speed"] == pytest.approx(velocity @ normal, rel=EXACT * graze)
