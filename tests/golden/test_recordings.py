@@ -1,4 +1,4 @@
-"""Two recordings of schema 2 that every later version must read, replay with the same bits, and clip.
+"""Two recordings of schema 2 that every later version must read, replay, and clip.
 
 `tray.rrd` has spins, friction, contacts at rest, planes and walls; `cloud.rrd` has gravity and impacts resolved at
 their own times. Never record them again for a change of the format. Where a change of the physics is meant to move
@@ -9,7 +9,9 @@ bits, record them again with a version that writes schema 2, in this folder's `s
         --set time.duration=0.5 --set group.0.count=24
 
 Both were last recorded by commit 509dd12 with the later changes of the physics applied to it, and without the series of
-`ADDED_SINCE`, which recordings of that time lacked.
+`ADDED_SINCE`, which recordings of that time lacked. Since then, impacts in a field happen on parabolas, and slow ones
+in free space at the end of the step. That is in no version that writes schema 2, so both replay with other bits from
+the first impacts on (`SAME`); the fingerprints of this folder watch the bits of the physics.
 """
 
 from __future__ import annotations
@@ -56,6 +58,7 @@ CLIPPED = {  # frames and steps between 0.15 and 0.45 s
 
 
 ADDED_SINCE = ("step/impact_rate",)  # series that these recordings lack
+SAME = False  # whether the physics is still that of the recordings
 
 
 @pytest.fixture
@@ -74,6 +77,15 @@ def told(folder: Path, *arguments: str) -> dict[str, Any]:
     return found
 
 
+def replay(folder: Path, path: str, *options: str) -> dict[str, Any]:
+    """Replay a recording: to its end with the same bits, or up to a difference that is named."""
+    done = carom("replay", path, *options, "--yes", "--json", cwd=folder)
+    replayed: dict[str, Any] = json.loads(done.stdout)
+    assert (done.returncode, replayed["same"], replayed["difference"] is None) == (0 if SAME else 1, SAME, SAME)
+    assert not SAME or replayed["compared"] == replayed["frames"]
+    return replayed
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_a_recording_of_schema_2_is_stored(name: str) -> None:
     assert Recording.open(RECORDINGS / f"{name}.rrd").info["schema_version"] == 2
@@ -89,15 +101,16 @@ def test_a_recording_of_schema_2_inspects_as_on_the_day_it_was_made(name: str, f
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
-    replayed = told(folder, "replay", f"{name}.rrd", "--threads", "2", "--yes")
-    assert replayed["same"] and replayed["compared"] == INSPECTED[name]["frames"]
-    assert replayed["not_compared"] == [f"/{series}, which the recording lacks" for series in ADDED_SINCE]
+def test_a_recording_of_schema_2_replays(name: str, folder: Path) -> None:
+    replayed = replay(folder, f"{name}.rrd", "--threads", "2")
+    assert replayed["frames"] == INSPECTED[name]["frames"]
+    if SAME:
+        assert replayed["not_compared"] == [f"/{series}, which the recording lacks" for series in ADDED_SINCE]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_clip_of_a_recording_of_schema_2_replays_with_the_same_bits(name: str, folder: Path) -> None:
+def test_a_clip_of_a_recording_of_schema_2_replays(name: str, folder: Path) -> None:
     clipped = told(folder, "clip", f"{name}.rrd", "--from", "0.15", "--to", "0.45", "-o", "clip.rrd")
     assert clipped.items() >= CLIPPED[name].items()
-    replayed = told(folder, "replay", "clip.rrd", "--yes")
-    assert replayed["same"] and replayed["compared"] == CLIPPED[name]["frames"]
+    replayed = replay(folder, "clip.rrd")
+    assert replayed["frames"] == CLIPPED[name]["frames"]

@@ -18,7 +18,7 @@ from carom.experiment.ending import accuracy_text, error_text, in_words
 from carom.experiment.run import Outcome, shortfall_text
 from carom.physics.look_ahead.budget import Budget, Watcher
 from carom.physics.status import StepStatus
-from carom.plan.auto import largest_step
+from carom.plan.auto import inexact_impacts, largest_step
 from carom.plan.doubts import doubts
 from carom.scene.command import command
 from carom.scene.counted import counted
@@ -118,7 +118,7 @@ class Progress(LiveLine):
 
 
 def notes_on(scene: Scene) -> list[str]:
-    """Return what a person should know before a run: on data files, on test particles, and on likely mistakes."""
+    """Return what a person should know before a run: on files, test particles, impacts, and likely mistakes."""
     notes = [note for notes in scene.notes for note in notes]
     if count := scene.test_particles:
         are = "is a test particle" if count == 1 else "are test particles"
@@ -126,6 +126,8 @@ def notes_on(scene: Scene) -> list[str]:
             f"{count} of {counted(scene.count, 'body')} {are} (mass 0): attracted, but not attracting; the checks of "
             "energy and momentum do not cover them"
         )
+    if inexact := inexact_impacts(scene):
+        notes.append(inexact)
     return notes + doubts(scene)
 
 

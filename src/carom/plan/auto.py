@@ -9,8 +9,9 @@ from carom.plan import contacts, pulls
 from carom.plan.forced import forced_parts
 from carom.plan.hierarchy import FEWEST_ORBITS, orbits_often
 from carom.plan.spacing import far_apart
-from carom.scene.forces import GRAVITY
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
+from carom.scene.materials import made_of
+from carom.scene.matter import body_mass, mean_mass
 from carom.scene.schema import Scene
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
@@ -34,6 +35,8 @@ SMOOTHING = 0.2  # weight of the new step in the average, where contacts come an
 
 LATE_CFL = 0.5  # fraction of its radius that a body may move in a step, if impacts are resolved at its end
 FREE_CFL = 1.0  # likewise, with times of impact and without forces: shorter steps only cost more (docs/trade.md)
+
+EXACT_IMPACT = 1e-9  # relative error of an approach speed up to which an impact counts as exact
 
 BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all anew at each impact (docs/trade.md)
 
@@ -61,11 +64,10 @@ def uses_tree(scene: Scene) -> bool:
 
 
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
-    """Decide when impacts are resolved: at their own times, unless the bodies' own gravity presses them together.
+    """Decide when impacts are resolved: at their own times, wherever the integrator can locate them.
 
-    Without forces flight is exact, and a run is exact to rounding with steps many times as long. Under a uniform field
-    a falling heap costs a tenth more and overlaps by a sixth as much. Under self-gravity an impact at its own time
-    costs more than it gains (docs/trade.md).
+    At the end of a step, an impact has the direction, friction and spin of spheres that overlap. That does not depend
+    on whether forces press the bodies together, so no force changes the timing (docs/trade.md).
     """
     return "end-of-step" if why_late(scene) else "time-of-impact"
 
@@ -77,12 +79,62 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contacts.contact(scene).modelled:
         return "no contact is possible"
-    if scene.time.accuracy is not None or chosen.ends_steps_at_impacts:
+    if chosen.locates_impacts or scene.time.accuracy is not None:  # with an accuracy, `limits` refuses any other
         return ""
-    if (force := contacts.load(scene)) and not contacts.field_presses(scene):
-        whose = "the bodies' own gravity" if force == GRAVITY.short_name else f"the {force}"
-        return f"{whose} presses contacts together"
-    return "" if chosen.locates_impacts else f"a step of {chosen.name} is more than one drift"
+    return f"a step of {chosen.name} is more than one drift"
+
+
+def inexact_impacts(scene: Scene) -> str:
+    """Say how far an impact of two bodies that touch nothing else is from the exact one; empty if it is not.
+
+    A force that changes along a step gives the bodies another approach than on their true paths. Self-gravity does so
+    by about a dt²/r; that of bodies which are small and fast enough is rounding. The impulse follows exactly from the
+    approach.
+    """
+    chosen = integrator(scene)
+    if not contacts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
+        return ""
+    if why_late(scene):
+        return f"impacts are found up to a step late, at an overlap: {why_late(scene)}"
+    if force := pulls.damping(scene):
+        return f"{force.name} changes along a step: approach speeds of impacts are right to second order in the step"
+    if not pulls.gravity(scene).modelled:
+        return ""
+    error = _error_by_gravity(scene)
+    if error <= EXACT_IMPACT:
+        return ""
+    keeps = "; time.accuracy keeps a smaller error" if scene.count <= BOUNCES_UP_TO else ""
+    return f"self-gravity changes along a step: approach speeds of impacts err by up to {error:.0e} or so{keeps}"
+
+
+def _error_by_gravity(scene: Scene) -> float:
+    """Estimate the relative error of an approach speed by self-gravity in a step.
+
+    The pull a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. The step is at most
+    κ r/v by the velocity limit, and lets a body fall by Δx from rest.
+    """
+    r, slowest = smallest_radius(scene), _relative_speed(scene)
+    a = 2.0 * scene.gravity.constant * _largest_mass(scene) / (r * r)
+    by_fall = 2.0 * (target_dx(scene) or math.inf) / r  # a dt² / r
+    by_speed = (cfl(scene) or math.inf) ** 2 * a * r / slowest**2 if slowest > 0.0 else math.inf
+    step = scene.time.fixed_dt or largest_step(scene)
+    return min(by_fall, by_speed, a * step * step / r)
+
+
+def _relative_speed(scene: Scene) -> float:
+    """Return the largest relative speed of two bodies at the start, roughly, in m/s; 0 if all start alike."""
+    velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
+    for columns in scene.data:
+        velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
+    size = math.hypot(*(max(along) - min(along) for along in zip(*velocities, strict=True)))
+    return max([size, *(group.velocity.dispersion for group in scene.group)])
+
+
+def _largest_mass(scene: Scene) -> float:
+    """Return the largest mass of a body, or of the bodies of a group on average, in kg."""
+    masses = [body_mass(made_of(scene, body)) for body in scene.body]
+    masses += [mean_mass(made_of(scene, group)) for group in scene.group]
+    return max(masses + [float(columns.mass.max()) for columns in scene.data])
 
 
 def integrator(scene: Scene) -> Integrator:

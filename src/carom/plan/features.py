@@ -204,11 +204,10 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
         return contacts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")
+    why = "impacts are resolved at their own times within a step"
     if scene.contact.timing == "time-of-impact":
-        why = 'contact.timing = "time-of-impact"'
-    else:
-        why = "no self-gravity presses contacts together"
-    return contacts.where_bodies_meet(name, contact, f"{why}: impacts are resolved at their own times within a step")
+        why = f'contact.timing = "time-of-impact": {why}'
+    return contacts.where_bodies_meet(name, contact, why)
 
 
 def _spin(scene: Scene, friction: Part) -> Part:

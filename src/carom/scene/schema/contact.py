@@ -49,8 +49,7 @@ class Contact(Section):
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
         description="when impacts are resolved: at the end of their step, or at their own times within it; auto is "
-        "time-of-impact, unless the bodies' own gravity presses contacts together and neither time.accuracy nor "
-        "gauss-radau15 is in use",
+        "time-of-impact, unless a step of the integrator is more than one drift (yoshida4, leapfrog-dkd)",
     )
     search: Literal["grid", "k-d-tree"] = Field(
         "grid", description="broad phase: a hierarchical grid, or a k-d tree with the same result, 2 to 8 times slower"
