@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Page, TimeoutError, sync_playwright
 
-CHROMIUM = "/usr/bin/chromium"  # Debian's; Playwright's own browser is not downloaded
+from needs import BROWSER, CHROMIUM, need
+
 OPTIONS = (
     *("--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync"),
     *("--disable-background-networking", "--disable-component-update"),
@@ -24,6 +25,7 @@ PAINTED = 60_000  # ms
 @contextlib.contextmanager
 def chromium(width: int = 800, height: int = 500) -> Iterator[tuple[Page, list[str]]]:
     """Give an empty page, and the list of what goes wrong in it: errors in the console, and exceptions."""
+    need(BROWSER)
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
         try:

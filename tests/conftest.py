@@ -17,6 +17,7 @@ import pytest
 from hypothesis import settings
 
 from carom.experiment.compiling_process import start_on_a_new_installation
+from needs import need
 from seeds import VARIABLE, chosen_seed, is_random
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)
@@ -31,6 +32,14 @@ for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHU
 
 def pytest_report_header() -> str:
     return f"{VARIABLE}={SEED}"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip a test that needs what this machine does not have, before its fixtures are set up."""
+    for mark in item.iter_markers("needs"):
+        for what in mark.args:
+            need(what)
 
 
 @pytest.hookimpl(wrapper=True)

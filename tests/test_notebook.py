@@ -84,7 +84,7 @@ def test_a_moment_that_is_not_in_the_recording_displays_nothing(recording: Recor
 
 def test_without_the_extra_one_sentence_names_it(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("rerun.notebook.HAS_NOTEBOOK", False)
-    with pytest.raises(RecordingError, match=r'pip install "carom\[notebook\]"'):
+    with pytest.raises(RecordingError, match=r"pip install 'rerun-sdk\[notebook\]"):
         recording.show()
 
 

@@ -16,6 +16,7 @@ from carom.recording.read.recording import Recording
 from carom.scene.bundled import crosscheck_scenes
 from carom.scene.schema import Scene
 from command import carom
+from needs import needed_engine
 
 pytestmark = pytest.mark.slow  # each engine and the reference run once for all of them, some six seconds
 
@@ -55,7 +56,7 @@ max_overlap = 1e-3
 
 @pytest.fixture(scope="module")
 def checked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    pytest.importorskip("mujoco")
+    needed_engine("mujoco")
     folder = tmp_path_factory.mktemp("crosscheck")
     (folder / "pair.toml").write_text(SCENE, encoding="utf-8")
     done = carom("crosscheck", "pair.toml", "--engine", "rebound,mujoco", "--repeats", "1", "-o", "out", cwd=folder)

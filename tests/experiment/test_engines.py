@@ -20,6 +20,7 @@ from carom.experiment.work_precision.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
 from carom.scene.schema import Scene
+from needs import needed_engine
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
 ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses
@@ -141,7 +142,7 @@ class Restarting:
 
 
 def test_mujoco_keeps_the_order_and_the_names_of_bodies_of_which_some_are_fixed(tmp_path: Path) -> None:
-    pytest.importorskip("mujoco")
+    needed_engine("mujoco")
     balls = [{"name": name, "position": [3.0 * k, 0.0, 0.0], "mass": 1.0 + k} for k, name in enumerate("abcd")]
     for k, ball in enumerate(balls):
         ball.update({"fixed": True} if k in (0, 2) else {"velocity": [0.0, float(k), 0.0]})
@@ -165,7 +166,7 @@ def ball_between_planes() -> Scene:
 
 
 def test_mujoco_calls_planes_as_the_scene_does() -> None:
-    pytest.importorskip("mujoco")
+    needed_engine("mujoco")
     found, scene = engine_called("mujoco"), ball_between_planes()
     source = found.begin(scene, found.settings(scene)[0]).source
     assert [plane.name for plane in source.model.planes] == ["floor", "wall"]
@@ -189,7 +190,7 @@ def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path)
 
 
 def test_steps_of_engines_are_named_in_the_units_of_the_scene() -> None:
-    pytest.importorskip("mujoco")
+    needed_engine("mujoco")
     scene = Scene.from_dict(
         {
             "title": "a ball",

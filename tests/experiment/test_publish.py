@@ -22,6 +22,7 @@ from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
 from command import carom
 from merry import Merry
+from needs import PICTURES
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
@@ -254,6 +255,7 @@ def published(tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> None:
     with chromium() as (page, errors):
         page.goto(published)

@@ -27,6 +27,7 @@ from carom.recording.schema import paths
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from command import carom as command
+from needs import needed_engine
 
 FloatArray = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def test_test_particles_do_not_change_what_each_method_makes_of_the_massive_ones
 
 
 def test_test_particles_move_as_those_of_rebound_beyond_n_active() -> None:
-    rebound = pytest.importorskip("rebound")
+    rebound = needed_engine("rebound")
     rng = np.random.default_rng(2)
     simulation = rebound.Simulation()
     simulation.add(m=1.0)

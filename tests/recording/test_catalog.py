@@ -19,6 +19,7 @@ from carom.recording.view import keeper
 from carom.recording.view.catalog import catalog
 from carom.recording.view.viewer import Viewer
 from examples import pair
+from needs import PICTURES
 
 
 def swept(folder: Path, restitution: float) -> Path:
@@ -42,6 +43,7 @@ def test_each_recording_is_a_row_with_what_varies_and_what_came_of_it(tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_a_row_opens_in_the_viewer(tmp_path: Path) -> None:
     with catalog("bounces", [swept(tmp_path, 0.5)]) as address:
         dataset = CatalogClient(address.rpartition("/dataset/")[0]).get_dataset("bounces")

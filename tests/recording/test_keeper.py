@@ -19,6 +19,7 @@ import pytest
 
 from carom.recording.view import keeper
 from carom.recording.view.viewer import Viewer
+from needs import PICTURES
 from other_user import as_root, run_as_nobody
 
 # answers every connection with the number of its user, and leaves a file in the temporary folder
@@ -189,6 +190,7 @@ def test_the_owner_of_a_connection_is_recognised_and_that_of_a_closed_one_is_not
 
 @pytest.mark.slow
 @as_root
+@pytest.mark.needs(PICTURES)
 def test_another_user_cannot_control_the_viewer_of_a_picture() -> None:
     with Viewer("--headless") as viewer:
         port = int(viewer.address.rpartition(":")[2])

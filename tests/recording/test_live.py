@@ -8,6 +8,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.view.viewer import Viewer
 from carom.recording.write.recorder import Recorder
 from merry import Merry
+from needs import PICTURES
 
 
 def test_nobody_listening_is_told_at_once(tmp_path: Path, merry: Merry) -> None:
@@ -26,6 +27,7 @@ def test_an_address_without_a_port_is_explained(tmp_path: Path, merry: Merry) ->
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:the live viewer has gone")
+@pytest.mark.needs(PICTURES)
 def test_a_viewer_that_goes_away_does_not_stop_the_file(tmp_path: Path, merry: Merry) -> None:
     frames = list(merry.frames(400))
     with Viewer("--headless") as viewer:

@@ -14,11 +14,12 @@ from carom.recording.style import impulse_scale
 from carom.recording.view.glyphs import drawable
 from carom.recording.view.picture import _marked, is_picture_of_carom, render
 from carom.recording.view.request import Request
-from carom.recording.view.viewer import broken_off
+from carom.recording.view.viewer import broken_off, reason_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.bundled import bundled_scenes
 from command import carom
 from merry import Merry
+from needs import PICTURES
 from pixels import Pixels, of_colour, of_hue, region, view
 
 SIZE = (1600, 1000)
@@ -58,6 +59,7 @@ def test_a_picture_does_not_replace_what_is_no_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_a_picture_of_another_command_is_not_replaced(tmp_path: Path) -> None:
     # as crosscheck.png, the figure of `carom crosscheck`, beside its crosscheck.rrd
     figure = tmp_path / "crosscheck.png"
@@ -75,6 +77,7 @@ def test_a_picture_of_another_command_is_not_replaced(tmp_path: Path) -> None:
         assert picture.size == (8, 8)
 
 
+@pytest.mark.needs(PICTURES)
 def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
     shown = bodies_view(picture)
     for colour in (palette.SKY, palette.ORANGE, palette.GREEN):
@@ -85,6 +88,7 @@ def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
     shown = graph_view(picture)
     assert of_colour(shown, 0x8A93A6FF, 60) > 1000, "wires"
@@ -95,6 +99,7 @@ def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_plots_show_their_series(picture: Pixels) -> None:
     view = plots(picture)
     for name in ("blue", "red", "purple", "grey"):
@@ -102,11 +107,13 @@ def test_the_plots_show_their_series(picture: Pixels) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_ground_is_dark(picture: Pixels) -> None:
     assert np.median(picture.sum(axis=2)) < 100
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
     merry = Merry(8)
     with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
@@ -118,6 +125,7 @@ def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plots(tmp_path: Path) -> None:
     carom = [sys.executable, "-m", "carom"]
     recording, png = str(tmp_path / "cloud.rrd"), tmp_path / "cloud.png"
@@ -151,18 +159,39 @@ def test_a_viewer_that_breaks_off_is_not_said_to_lack_a_driver(log: str, said: s
     assert broken_off("wgpu adapter backend: Vulkan\n") is None
 
 
+@pytest.mark.parametrize(
+    "log",
+    [
+        "thread 'main' panicked at 'Failed to get render context'",
+        "thread 'main' panicked at 'Library libxkbcommon-x11.so could not be loaded.'",
+        "thread 'main' panicked at 'something that nobody has seen yet'",
+        "rerun: error while loading shared libraries: libX11.so.6: cannot open shared object file",
+        "Xvfb, the virtual screen, did not start",
+        "",
+    ],
+)
+def test_a_viewer_that_draws_nothing_names_the_packages_that_it_may_lack(log: str) -> None:
+    assert "mesa-vulkan-drivers" in reason_of(log)
+
+
 def test_the_bundled_scenes_need_no_virtual_screen() -> None:
     assert all(drawable(text) for name in bundled_scenes() for text in place(Scene.load(name)).name)
     assert drawable("Ω–½ дом µm² →") and not drawable("名") and not drawable("🎱")
 
 
-def test_without_a_driver_the_packages_are_named(tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.skipif(sys.platform != "linux", reason="macOS comes with a driver")
+@pytest.mark.parametrize("hidden", [("LIBGL_DRIVERS_PATH",), (), ("__EGL_VENDOR_LIBRARY_FILENAMES",)])
+def test_without_a_driver_the_packages_are_named(
+    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch, hidden: tuple[str, ...]
+) -> None:
+    """Without Mesa's OpenGL there is no adapter; with it, one that the viewer cannot draw with."""
     with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
         recorder.put(next(merry.frames(1)))
         recorder.finish("completed")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")  # the Vulkan loader then finds no driver
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")
-    monkeypatch.setenv("LIBGL_DRIVERS_PATH", "/nowhere")
-    with pytest.raises(RecordingError, match="apt-get install mesa-vulkan-drivers"):
+    for name in hidden:
+        monkeypatch.setenv(name, "/nowhere")
+    with pytest.raises(RecordingError, match="mesa-vulkan-drivers"):
         render(tmp_path / "run.rrd", Request(0.0), tmp_path / "run.png")
     assert not (tmp_path / "run.png").exists()

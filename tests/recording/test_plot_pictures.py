@@ -19,6 +19,7 @@ from carom.recording.view.picture import render
 from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
 from merry import Merry
+from needs import PICTURES
 
 Pixels = NDArray[np.int64]
 SIZE = (800, 500)
@@ -44,12 +45,14 @@ def of_colour(pixels: Pixels, colour: int, tolerance: int = 30) -> NDArray[np.bo
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_ground_of_a_plot_is_that_which_contrasts_are_measured_on(energy: tuple[str, Path, Pixels]) -> None:
     theme, _, pixels = energy
     assert np.mean(of_colour(pixels, PLOT_GROUNDS[theme], 0)) > 0.5
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_every_curve_is_drawn_in_its_full_colour(energy: tuple[str, Path, Pixels]) -> None:
     _, _, pixels = energy
     for legend, name in LEGENDS.items():
@@ -59,6 +62,7 @@ def test_every_curve_is_drawn_in_its_full_colour(energy: tuple[str, Path, Pixels
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
     _, path, pixels = energy
     curves = recorded_curves(Recording.open(path))

@@ -12,6 +12,7 @@ from carom.recording.style import impulse_scale
 from carom.recording.view.picture import render
 from carom.recording.view.request import Request
 from carom.scene.schema import Scene
+from needs import PICTURES
 from pixels import Pixels, of_colour, of_hue, view
 
 SIZE = (1600, 1000)
@@ -55,6 +56,7 @@ def picture(scene: Scene, folder: Path, *, view: str = "all", theme: str = "dark
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", IMPACTS)
+@pytest.mark.needs(PICTURES)
 def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: str, tmp_path: Path) -> None:
     pixels = picture(Scene.load(name, [f"time.duration={IMPACTS[name]}"]), tmp_path)
     bodies, graph, close = (view(pixels, number, SHARES) for number in range(3))
@@ -67,6 +69,7 @@ def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: s
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) -> None:
     pixels = picture(Scene.load("kepler-orbits"), tmp_path, theme="light")
     shown = view(pixels, 0, (1.0,))
@@ -76,6 +79,7 @@ def test_orbits_are_seen_as_trails_in_the_light_theme_as_well(tmp_path: Path) ->
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_bodies_whose_names_the_viewers_font_lacks_have_a_dark_picture_like_others(tmp_path: Path) -> None:
     scene = Scene.load("two-spheres", ["body.0.name=左", "body.1.name=🎱"])
     pixels = picture(scene, tmp_path)
@@ -84,6 +88,7 @@ def test_bodies_whose_names_the_viewers_font_lacks_have_a_dark_picture_like_othe
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_no_box_of_the_mouse_pointer_covers_a_close_up_in_the_light_theme(tmp_path: Path) -> None:
     pixels = picture(Scene.load("rack-break", ["time.duration=0.06"]), tmp_path, view="close-up", theme="light")
     white = np.mean(pixels.min(axis=2) > 250)
@@ -109,6 +114,7 @@ position = [5e-4, 0, 7e-3]
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_grains_of_a_millimetre_are_framed_like_large_bodies(tmp_path: Path) -> None:
     file = tmp_path / "grains.toml"
     file.write_text(GRAINS)
@@ -136,6 +142,7 @@ velocity = [-15e8, 0, 0]
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_edges_and_arrows_are_seen_between_bodies_larger_than_planets(tmp_path: Path) -> None:
     file = tmp_path / "planets.toml"
     file.write_text(PLANETS)
@@ -147,6 +154,7 @@ def test_edges_and_arrows_are_seen_between_bodies_larger_than_planets(tmp_path: 
 
 
 @pytest.mark.slow
+@pytest.mark.needs(PICTURES)
 def test_bodies_far_smaller_than_a_pixel_are_seen_as_dots(tmp_path: Path) -> None:
     file = tmp_path / "sun.toml"
     turns = [(1, 0), (0, 1), (-1, 0), (0, -1)]

@@ -13,8 +13,9 @@ import pytest
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from needs import needed_engine
 
-rebound = pytest.importorskip("rebound")
+rebound = needed_engine("rebound")
 
 APART = "contact.enabled = false\n"
 

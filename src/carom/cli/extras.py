@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator
 
 from carom.experiment.error import ExperimentError
+from carom.install import install_extra
 
 
 @contextlib.contextmanager
@@ -16,4 +17,4 @@ def needing(extra: str, command: str, *packages: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] not in packages:
             raise
-        raise ExperimentError(f'{command} needs {packages[0]}; install it with: pip install "carom[{extra}]"') from None
+        raise ExperimentError(f"{command} needs {packages[0]}: {install_extra(extra)}") from None

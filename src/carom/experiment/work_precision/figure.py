@@ -11,6 +11,7 @@ import numpy as np
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision.pareto_front import pareto_front
 from carom.experiment.work_precision.settings_grid import AS_WRITTEN
+from carom.install import install_extra
 from carom.recording.write.whole_file import whole_file
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -56,7 +57,7 @@ def styled(size: float) -> AbstractContextManager[None]:
     try:
         import matplotlib as mpl  # noqa: PLC0415 - an extra
     except ImportError:
-        raise ExperimentError('a figure needs matplotlib: install carom with its extra "plot"') from None
+        raise ExperimentError(f"a figure needs matplotlib: {install_extra('plot')}") from None
     return mpl.rc_context({"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK})
 
 

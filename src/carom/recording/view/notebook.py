@@ -6,6 +6,7 @@ import numpy as np
 from rerun.error_utils import RerunMissingDependencyError
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
+from carom.install import install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -27,9 +28,7 @@ def show(recording: Recording, request: Request, height: int) -> None:
     try:
         viewer = Viewer(width="auto", height=height, use_global_recording=False)
     except RerunMissingDependencyError:
-        raise RecordingError(
-            'a notebook needs rerun-notebook; install it with: pip install "carom[notebook]"'
-        ) from None
+        raise RecordingError(f"a notebook needs rerun-notebook: {install_extra('notebook')}") from None
     shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
     waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer ignores times until it knows the timeline
 

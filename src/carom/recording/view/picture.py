@@ -24,7 +24,7 @@ from carom.recording.view.glyphs import has_all_glyphs
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
 from carom.recording.view.shown_step import Watcher
-from carom.recording.view.viewer import Viewer
+from carom.recording.view.viewer import Viewer, virtual_screen
 from carom.recording.write.whole_file import whole_file
 
 _ALIKE = 3  # equal pictures in a row, after which everything is loaded
@@ -169,7 +169,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
         what, other = "with these names", "write names of bodies and files in Latin, Greek or Cyrillic letters"
         if theme == "light":
             what, other = "in the light theme", "take the dark theme"
-        raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: apt-get install xvfb; or {other}")
+        raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: {virtual_screen()}; or {other}")
     folder = Path(tempfile.mkdtemp(dir=private_folder()))
     settings = folder / "rerun" / "app.ron"
     settings.parent.mkdir()

@@ -19,6 +19,7 @@ from typing import Self, TypeVar
 import numpy as np
 from rerun.experimental import ViewerClient
 
+from carom.install import install_packages
 from carom.private_folder import private_folder
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -35,10 +36,8 @@ _POLL = 0.1  # s
 _DYING = 2.0  # s in which a viewer that stopped answering may end
 _GRACE = 15.0  # s between asking the process to end and ending it; it gives its own children 5 s each
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
-_VULKAN = (
-    "it needs a Vulkan driver; without a graphics card: "
-    "apt-get install mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
-)
+_DRIVER_WORDS = ("wgpu", "vulkan", "graphics", "adapter", "render context", "xkbcommon", "librar", "egl")
+_DREW = "wgpu adapter backend"  # in the log of a viewer that has found a driver
 _GLYPH = re.compile(r'No glyph for "(.+?)" \(')
 _PANIC = re.compile(r"panicked at '([^\n]+?)'?$", re.MULTILINE)
 
@@ -180,9 +179,7 @@ class Viewer:
         if self._process.poll() is None:
             return
         self._log.seek(0)
-        said = self._log.read()
-        broken = broken_off(said)
-        raise RecordingError(f"the viewer could not start: {_reason(said)}" if broken is None else broken)
+        raise RecordingError(reason_of(self._log.read()))
 
     def _end(self) -> None:
         self._process.terminate()
@@ -219,22 +216,43 @@ def broken_off(said: str) -> str | None:
             "it in its name, or look at the recording with `carom view`"
         )
     found = _PANIC.search(said)
-    return f"the viewer broke off: {found[1]}" if found and not _lacks_driver(found[1]) else None
+    if found is None or _lacks_driver(found[1]):
+        return None
+    remedy = "" if _DREW in said else f"; {drawing()}"
+    return f"the viewer broke off: {found[1]}{remedy}"
+
+
+def drawing() -> str:
+    """Say what a viewer needs that draws without a screen, and how to install it."""
+    debian = "mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
+    fedora = "mesa-vulkan-drivers vulkan-loader libxkbcommon libxkbcommon-x11"
+    return f"it needs a Vulkan driver; without a graphics card: {install_packages(debian, fedora)}"
+
+
+def virtual_screen() -> str:
+    """Return the command that installs Xvfb."""
+    return install_packages("xvfb", "xorg-x11-server-Xvfb")
 
 
 def _lacks_driver(said: str) -> bool:
-    """Tell whether a text says that there is no graphics card or driver."""
-    return any(word in said.lower() for word in ("wgpu", "vulkan", "graphics", "adapter"))
+    """Tell whether a text says that there is no graphics card or driver, or no library that they need."""
+    return any(word in said.lower() for word in _DRIVER_WORDS)
+
+
+def reason_of(said: str) -> str:
+    """Return what the log of a viewer that ended says of the reason, with a remedy."""
+    return broken_off(said) or f"the viewer could not start: {_reason(said)}"
 
 
 def _reason(said: str) -> str:
-    """Return an explanation, with a remedy, of the log of a viewer that ended."""
+    if "xvfb" in said.lower():
+        return f"{said.strip().splitlines()[-1]}: {virtual_screen()}; {drawing()}"
     if _lacks_driver(said):
-        return _VULKAN
+        return drawing()
     lowered = said.lower()
     if "display" in lowered or "winit" in lowered or "wayland" in lowered:
         return _NO_SCREEN
-    return said.strip().splitlines()[-1] if said.strip() else "it ended without a word"
+    return f"{said.strip().splitlines()[-1] if said.strip() else 'it ended without a word'}; {drawing()}"
 
 
 def binary() -> str:

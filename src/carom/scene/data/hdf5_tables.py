@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.install import install_extra
 from carom.scene.data.table import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.error import SceneError
 
@@ -20,7 +21,7 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
     try:
         import h5py  # noqa: PLC0415 - an extra
     except ModuleNotFoundError:
-        raise SceneError(f'{called}: HDF5 needs h5py; install it with: pip install "carom[hdf5]"') from None
+        raise SceneError(f"{called}: HDF5 needs h5py: {install_extra('hdf5')}") from None
     with h5py.File(path, "r") as file:
         names = list[str]()
 

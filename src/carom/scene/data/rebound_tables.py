@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.install import install_extra
 from carom.scene.counted import counted
 from carom.scene.data.mapping import printable
 from carom.scene.data.table import Arrays, Law, Raw, Table, refuse_many_rows
@@ -26,9 +27,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
     try:
         import rebound  # noqa: PLC0415 - an extra
     except ModuleNotFoundError:
-        raise SceneError(
-            f'{called}: a Simulationarchive needs rebound; install it with: pip install "carom[rebound]"'
-        ) from None
+        raise SceneError(f"{called}: a Simulationarchive needs rebound: {install_extra('rebound')}") from None
     with warnings.catch_warnings(record=True) as given:
         warnings.simplefilter("always")
         archive = rebound.Simulationarchive(str(path))
