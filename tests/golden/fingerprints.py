@@ -58,6 +58,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "golden/bounces": 200,
     "golden/orbits": 120,
     "extremes/collapse-3": 80,
+    "extremes/heavy-on-top-dropped": 60,
     "extremes/dense-gas": 25,
     "extremes/elastic-chain": 20,
     "extremes/far-origin": 430,
