@@ -153,6 +153,34 @@ def test_a_row_that_is_missing_from_a_whole_recording_is_a_difference(entity: st
 
 
 @pytest.mark.parametrize(
+    ("entity", "component"),
+    [("energy/total", "Scalars:scalars"), ("state/momentum", "momentum"), ("state/checkpoint", "velocity")],
+)
+def test_a_component_that_is_missing_from_a_whole_recording_is_a_difference(
+    entity: str, component: str, whole: Path, tmp_path: Path
+) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", entity, partial(without_column, name=component), every=False)
+    result = replay(Recording.open(altered))
+    assert result.difference is not None and result.difference.quantity == f"{component} of /{entity}"
+
+
+@pytest.mark.parametrize("entity", ["phase", "step/limit"])
+def test_states_that_are_missing_from_a_whole_recording_are_a_difference(
+    entity: str, whole: Path, tmp_path: Path
+) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", entity, lambda batch: batch.slice(0, 0))
+    result = replay(Recording.open(altered))
+    assert result.difference is not None and result.difference.quantity == f"/{entity}"
+
+
+@pytest.mark.parametrize("component", ["TextLog:text", "TextLog:level"])
+def test_altered_events_of_the_end_are_found(component: str, whole: Path, tmp_path: Path) -> None:
+    altered = changed(whole, tmp_path / "altered.rrd", "events", mapped(component, nudged), every=False)
+    result = replay(Recording.open(altered))
+    assert result.difference is not None and result.difference.quantity == "/events at the end"
+
+
+@pytest.mark.parametrize(
     "name",
     ["outcome", "contacts.total", "energy.max_error", "moments.impact.between", "frames", "contacts.impacts_counted"],
 )

@@ -26,6 +26,8 @@ from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 
+Told = tuple[int, str, str, str]  # step, level, text and kind of an event
+
 # compared together: encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
@@ -39,6 +41,7 @@ _BEFORE = {
     *(paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION),
     *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
 }
+_DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
 _ADDED = {series.path for series in SERIES}  # some of which a recording of an earlier version may lack
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
 
@@ -86,6 +89,7 @@ class FrameCheck:
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
         # a series has a style from the start; those that were added later have none in an older recording
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+        self._is_clip = bool(recording.clip)
         if header.records_contacts:
             whole = all_frames and begin == 0 and self._same_words and is_whole(recording)
             self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
@@ -95,7 +99,9 @@ class FrameCheck:
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
         }
         events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
-        self._events = [(row[STEP], row["level"], row["text"]) for row in events if row["kind"] not in CLOSING]
+        logged = [(row[STEP], row["level"], row["text"], row["kind"]) for row in events]
+        self._events = [event for event in logged if event[-1] not in CLOSING]
+        self.closing = sorted(event for event in logged if event[-1] in CLOSING)
         self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
@@ -204,6 +210,8 @@ class FrameCheck:
         if times[0] != times[1]:
             return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
         for name in compared:
+            if name not in recorded.components and self._complete and name != _DIGEST:
+                return Mismatch(step, f"{name} of /{path}", 0, 1)
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is not there"] = None
             elif off := different(step, path, name, recorded.batch[name], replayed[name]):
@@ -214,6 +222,8 @@ class FrameCheck:
     def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
         for path, state in ((paths.PHASE, frame.phase), (paths.DT_LIMIT, frame.dt_limit)):
             recorded = self._states[path].at(frame.step)
+            if recorded is None and self._complete and not self._is_clip:
+                return [Mismatch(frame.step, f"/{path}", "nothing", state)]
             if recorded is None or (first and path == paths.DT_LIMIT):
                 self.skipped[_LED] = None
             elif recorded != state:
@@ -227,10 +237,10 @@ class FrameCheck:
             return []
         before = self._steps[np.searchsorted(self._steps, frame.step) - 1] if frame.step > self._steps[0] else -1
         recorded = sorted(event for event in self._events if before < event[0] <= frame.step)
-        replayed = sorted((event.step, event.level, event.text) for event in frame.events)
-        words = 3 if self._same_words else 2
+        replayed = sorted((event.step, event.level, event.text, event.kind) for event in frame.events)
+        words = 4 if self._same_words else 2
         if [event[:words] for event in recorded] != [event[:words] for event in replayed]:
-            return [Mismatch(frame.step, "/events", _told(recorded, replayed), _told(replayed, recorded))]
+            return [Mismatch(frame.step, "/events", told(recorded, replayed), told(replayed, recorded))]
         return []
 
 
@@ -267,7 +277,7 @@ class _States:
         return self.name[place] if place >= 0 else None
 
 
-def _told(events: list[tuple[int, str, str]], others: list[tuple[int, str, str]]) -> str:
+def told(events: list[Told], others: list[Told]) -> str:
     """Name the event that the others lack."""
     only = [event for event in events if event not in others]
     return f"{only[0][1]} at step {only[0][0]}: {only[0][2]}" if only else "nothing else"

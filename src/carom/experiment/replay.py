@@ -14,7 +14,7 @@ import numpy as np
 
 from carom.experiment.environment import versions
 from carom.experiment.expectation import judge
-from carom.experiment.frame_check import FrameCheck, is_whole
+from carom.experiment.frame_check import FrameCheck, is_whole, told
 from carom.experiment.mismatch import Mismatch, Value
 from carom.experiment.output import claimed_output, refuse_itself, refuse_output
 from carom.experiment.run import Watcher, closing_summary, ending_of, header_of, outcome_text
@@ -262,6 +262,14 @@ class _Comparison:
             if not name.startswith("profile.") and not _alike(recorded, value):
                 one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
                 return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
+        level = "INFO" if recording.outcome == "completed" else "WARN"
+        ending = (self.last, level, f"end: {recording.outcome}", "end")
+        extremes_at = [(each.step, each.kind) for each in space.highlights()]  # versions word them differently
+        found = self.check.closing
+        recorded_at = sorted((step, kind) for step, _, _, kind in found if kind != ending[-1])
+        if [each for each in found if each[-1] == ending[-1]] != [ending] or recorded_at != sorted(extremes_at):
+            texts = told(found, [ending]), told([ending], found)
+            return Difference(self.last, self._times[self.last], "/events at the end", None, *texts)
         return None
 
     def _other(self, found: Mismatch) -> Difference:
