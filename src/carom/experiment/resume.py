@@ -184,8 +184,9 @@ def _refuse_altered(run: ResumableRun, threads: int) -> None:
     if found.difference:
         units = run.scene.unit_system
         raise RecordingError(
-            f"{run.recording.path} cannot be resumed: run again, it differs at {found.difference.text(units)}; "
-            "it was altered, or recorded by another version"
+            f"{run.recording.path} cannot be resumed: run again, it differs at {found.difference.text(units)}. "
+            "It was altered, or recorded by a version with other physics, of which "
+            f"`{command('fork', run.recording.path)}` can go on from a state"
         )
 
 
