@@ -126,6 +126,7 @@ class _LookAhead:
     ) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
         self._budget = Budget(scene.time.duration, watch)
+        self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
         self._scale = Scale.of(scene, start)
         self._last_bit = EPS * max(1.0, float(np.abs(start.position).max()) / self._scale.size)
@@ -277,7 +278,12 @@ class _LookAhead:
         twin = self._run(best.run.refinement, self._twin, share=budget.left / budget.total, longer=longer)
         twins = self._part(best.run, twin)
         self._cover(self._times, min(best.known, twin.known))
-        return self._promise(best.refinement, MARGIN * best.error + self._rounding * twins.apart, twins.exponent)
+        error = MARGIN * best.error + self._rounding * twins.apart
+        over = np.flatnonzero(~(error <= self._accuracy))
+        last = int(over[0]) - 1 if len(over) else len(error) - 1
+        # what ends the promise may happen at once, and at any time after the last one at which it is kept
+        self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
+        return self._promise(best.refinement, error, twins.exponent)
 
     def _coarsest(self) -> TrialRun:
         """Return the coarsest run ahead, which covers as much of the run as finer ones can within the budget.
@@ -358,7 +364,7 @@ class _LookAhead:
         until, covered = self._scene.time.duration, min(self._scene.time.duration, self._budget.covered)
         error = np.where(np.isfinite(error), np.minimum(error, LARGEST_ERROR), LARGEST_ERROR)
         known = self._times <= covered
-        kept = min(kept_until(self._times, error, self._accuracy), covered)
+        kept = min(kept_until(self._times, error, self._accuracy), covered, self._kept_at_most)
         if covered < until and kept == 0.0:
             self._refuse(covered, error[known])
         grid = covered * (np.arange(1, SAMPLES + 1) / SAMPLES)
