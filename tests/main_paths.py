@@ -43,7 +43,7 @@ PATHS: dict[str, list[tuple[int, str, str]]] = {  # by command: exit code, what 
         (0, "2 forks", "run.rrd --at 0.1 --perturb 1ulp --seeds 2 -o forks.rrd"),
     ],
     "shrink": [(0, "", "two-spheres --while 'contacts.total > 0' --workers 2 -o small.toml")],
-    "tradeoff": [(0, "no figure: a figure needs matplotlib", "two-spheres --set time.duration=0.2 -o trade")],
+    "tradeoff": [(0, "no figure: ", "two-spheres --set time.duration=0.2 -o trade")],
     "tune": [(0, "", "two-spheres --set time.duration=0.2 --error position=1e-3 -o tuned.toml")],
     "stress": [(0, "", "never-meet -o stress")],
     "hunt": [(0, "", "--budget 5s -o hunt")],
