@@ -119,7 +119,7 @@ def test_the_commands_that_inspect_names_take_the_zip_of_a_report(
         assert "is not a recording" not in done.stderr
         assert "99 s is not in it" in done.stderr if "99" in options else done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "x-clip.rrd").frames > 1
-    assert "x.zip is not a recording (it is a zip: unpack it" in carom("diff", "x.zip", "x.rrd", cwd=tmp_path).stderr
+    assert carom("diff", "x.zip", "x.rrd", cwd=tmp_path).returncode == 0
     assert carom("contacts", "x.zip", "--at", "99", cwd=tmp_path).stderr.startswith("carom: x.zip goes from ")
 
 

@@ -94,7 +94,7 @@ def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) ->
 @pytest.mark.parametrize("name", ["tradeoff.png", "tradeoff.rrd", "reference.npz"])
 def test_a_file_in_the_folder_that_no_study_made_is_not_replaced(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"mine")
-    with pytest.raises(ExperimentError, match=rf"{name}: exists, and no study of carom in .* made it"):
+    with pytest.raises(ExperimentError, match=rf"{name}: exists, and no study in .* made it"):
         Study(eight(), tmp_path)
     assert (tmp_path / name).read_bytes() == b"mine"
 

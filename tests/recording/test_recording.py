@@ -59,7 +59,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 @pytest.mark.parametrize("content", [b"", b"title = 'a scene'\n" * 100, b"RRF2" + bytes(500)])
 def test_a_file_that_is_not_a_recording_is_refused_in_one_sentence(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "scene.toml").write_bytes(content)
-    with pytest.raises(RecordingError, match=r"scene\.toml (is not a recording|holds no recording)"):
+    with pytest.raises(RecordingError, match=r"scene\.toml (is a scene, not a recording|is not a recording)"):
         Recording.open(tmp_path / "scene.toml")
 
 

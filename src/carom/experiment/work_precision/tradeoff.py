@@ -112,7 +112,7 @@ class Study:
             self._load()
         elif kept := next((folder / name for name in files if (folder / name).exists()), None):
             raise ExperimentError(
-                f"{kept}: exists, and no study of carom in {folder} made it; choose another folder with -o, or give "
+                f"{kept}: exists, and no study in {folder} made it; choose another folder with -o, or give "
                 "--force to replace it"
             )
 

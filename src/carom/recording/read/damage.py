@@ -41,8 +41,8 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _damaged(path: Path, reason: str) -> str:
-    if path.suffix == ".toml":
-        return f"{path} is a scene, not a recording; `{command('run', path)}` records it"
     if not looks_recorded(path):
+        if path.suffix == ".toml":
+            return f"{path} is a scene, not a recording; `{command('run', path)}` records it"
         return f"{path} is not a recording ({reason})"
     return f"{path} is not a recording, or is damaged ({reason}); `{command('repair', path)}` saves what can be read"
