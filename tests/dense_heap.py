@@ -6,7 +6,7 @@ python dense_heap.py COUNT OUTPUT
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ import numpy as np
 from carom.__main__ import main
 from carom.physics.placement import initial_state
 from carom.scene.schema import Group
-from carom.scene.start import Start
 
 SCENE = """
 time = {{ duration = 0.01, fixed_dt = 1e-3 }}
@@ -29,8 +28,6 @@ radius = 0.5
 region = {{ shape = "box", size = [{side}, {side}, {side}] }}
 """
 
-_PLACE_ONE = initial_state._group
-
 
 def lattice(count: int) -> np.ndarray:
     """Return centres (n, 3) m of spheres of radius 0.5 m in a face-centred cubic lattice about the origin."""
@@ -42,19 +39,15 @@ def lattice(count: int) -> np.ndarray:
     return np.asarray(position - position.mean(axis=0))
 
 
-def placed(index: int, group: Group, *others: Any) -> Start:
-    """Place a group's bodies on the lattice, all like the first one."""
-    one = _PLACE_ONE(index, group.model_copy(update={"count": 1}), *others)
-    names = ("group", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
-    columns = {name: np.repeat(getattr(one, name), group.count, axis=0) for name in names}
-    name = [f"body {k}" for k in range(group.count)]
-    return replace(one, name=name, position=lattice(group.count), **columns)
+def arranged(mixture: Mapping[int, Group], *_: Any) -> np.ndarray:
+    """Return the centres of a group on the lattice."""
+    return lattice(sum(group.count for group in mixture.values()))
 
 
 if __name__ == "__main__":
     count, output = int(sys.argv[1]), Path(sys.argv[2])
     scene = output.with_suffix(".toml")
     scene.write_text(SCENE.format(count=count, side=1.8 * count ** (1 / 3) + 2.0), encoding="utf-8")
-    initial_state._group = placed  # type: ignore[assignment]
+    initial_state._arranged = arranged  # type: ignore[assignment]
     sys.argv = ["carom", "run", str(scene), "-o", str(output)]
     main()

@@ -42,7 +42,8 @@ _AT_INSTANT = (  # sent for an instant within a step: what the impact changed
     paths.CONTACTS,
     paths.FORCE_NORMAL,
     paths.FORCE_FRICTION,
-    "step/contacts",
+    paths.TORQUE,
+    paths.ANGULAR_ACCELERATION,
     "energy/total",
     "energy/ledger/restitution",
     "energy/ledger/friction",
@@ -156,7 +157,8 @@ def presentation(
     camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
-    instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment)
+    clock = Clock(float(recording.info["time_scale"]))
+    instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
     paused = instant if instant is not None and within_step else step
     close = None
@@ -184,7 +186,6 @@ def presentation(
         rows += colour_rows(recording, header, colour_by, step)
     added = Additions(close, trails is not None, recoloured, plots)
     layout = blueprint(header, camera, _curves(recording, repeated), canvas, only, added)
-    clock = Clock(float(recording.info["time_scale"]))
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
 
 

@@ -19,6 +19,7 @@ from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
 from carom.recording.read.window import Window
+from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.recording.view.pair import Pair
@@ -99,7 +100,9 @@ def shown_step(
     return drawn if row is not None else replace(drawn, missing=missing)
 
 
-def at_impact(step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float) -> ShownStep | None:
+def at_impact(
+    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: Clock
+) -> ShownStep | None:
     """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
 
     Its frame has the positions, contacts and the total energy right after the impacts of the instant, and no spins
@@ -115,6 +118,8 @@ def at_impact(step: ShownStep, pair: Pair, header: Header, origin: FloatArray, n
         Of the recording; origin (3,) m.
     near
         s.
+    clock
+        Of the recording. An impact at the nanosecond at which the step ends is shown at its end.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
@@ -123,7 +128,8 @@ def at_impact(step: ShownStep, pair: Pair, header: Header, origin: FloatArray, n
     before, impacts = earlier[-1], frame.impacts
     j = pair.j if pair.j is not None else None if pair.plane is None else n + pair.plane
     partner = impacts["j"] >= n if j is None else impacts["j"] == j
-    own = np.flatnonzero((impacts["i"] == pair.i) & partner & (impacts["time"] < frame.time))
+    is_within = clock.nanoseconds(impacts["time"]) < clock.nanoseconds([frame.time])
+    own = np.flatnonzero((impacts["i"] == pair.i) & partner & is_within)
     if not len(own):
         return None
     off = np.abs(impacts["time"][own] - near)
