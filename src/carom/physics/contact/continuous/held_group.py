@@ -22,6 +22,7 @@ the drift, so that others pass through it.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -95,10 +96,17 @@ def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Rec
         np.zeros(MOST_CONTACTS),
     )
     bodies, contacts = _gather(i, j, neighbours, T, group)
-    fastest = 0.0
+    fastest, largest = 0.0, 0.0
+    for k in range(bodies):
+        largest = max(largest, T.inverse_mass[group.body[k]])
+    unit = math.ldexp(1.0, math.frexp(largest)[1])  # 1/kg, a power of two: roots of masses in other units of that kind
+    for k in range(bodies):  # are then the same bits
+        group.root[k] = np.sqrt(T.inverse_mass[group.body[k]] / unit)
     for k in range(bodies):
         fastest = max(fastest, abs(group.v[k, 0]) + abs(group.v[k, 1]) + abs(group.v[k, 2]))
     find_impulses(bodies, contacts, SPEED_ROUNDING * fastest, group)
+    for c in range(contacts):
+        group.impulse[c] /= unit
     changed, count = np.empty(bodies, np.int64), 0
     for k in range(bodies):
         b = group.body[k]
@@ -194,7 +202,7 @@ def _join(i: int, bodies: int, T: Trajectories, group: Group) -> int:
     if T.inverse_mass[i] == 0.0:
         return bodies
     advance(i, T)
-    group.body[bodies], group.root[bodies] = i, np.sqrt(T.inverse_mass[i])
+    group.body[bodies] = i
     group.v[bodies, 0], group.v[bodies, 1], group.v[bodies, 2] = vector(T.v, i)
     return bodies + 1
 
