@@ -55,13 +55,13 @@ class Group(NamedTuple):
 
     body: IntArray  # (MOST_BODIES,) the bodies that move
     v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift
-    root: FloatArray  # (MOST_BODIES,) 1/√kg, of the inverse mass
+    root: FloatArray  # (MOST_BODIES,) of the inverse mass, in the unit of the group
     ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
     place: IntArray  # (MOST_CONTACTS, 2) of the ends in `body`; -1 of one that does not move
     normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
     before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before
     allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows
-    impulse: FloatArray  # (MOST_CONTACTS,) N s
+    impulse: FloatArray  # (MOST_CONTACTS,) N s, once divided by that unit
 
 
 @inner
@@ -98,12 +98,11 @@ def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Rec
     bodies, contacts = _gather(i, j, neighbours, T, group)
     fastest, largest = 0.0, 0.0
     for k in range(bodies):
-        largest = max(largest, T.inverse_mass[group.body[k]])
-    unit = math.ldexp(1.0, math.frexp(largest)[1])  # 1/kg, a power of two: roots of masses in other units of that kind
-    for k in range(bodies):  # are then the same bits
-        group.root[k] = np.sqrt(T.inverse_mass[group.body[k]] / unit)
-    for k in range(bodies):
         fastest = max(fastest, abs(group.v[k, 0]) + abs(group.v[k, 1]) + abs(group.v[k, 2]))
+        largest = max(largest, T.inverse_mass[group.body[k]])
+    unit = math.ldexp(1.0, math.frexp(largest)[1])  # 1/kg; roots have the same bits in units that are powers of two
+    for k in range(bodies):
+        group.root[k] = np.sqrt(T.inverse_mass[group.body[k]] / unit)
     find_impulses(bodies, contacts, SPEED_ROUNDING * fastest, group)
     for c in range(contacts):
         group.impulse[c] /= unit
