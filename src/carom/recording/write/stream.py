@@ -68,9 +68,8 @@ class Stream:
         self._header = header
         self._indexed: Index | None = None
         self._index: list[rr.TimeColumn] = []
-        self._waiting: dict[object, list[Rows]] = {}  # rows of batches to be joined, by kind
+        self._waiting: dict[tuple[object, Clock], list[Rows]] = {}  # rows of batches to be joined, by kind
         self._waiting_bytes = 0
-        self._waiting_clock: Clock | None = None
         self._batches = 0
         self._opened = self._written = monotonic()
         self._application = application_id(header)
@@ -94,9 +93,8 @@ class Stream:
         if self._batches < PROMPT_BATCHES:
             self._send(rows, clock, self._streams())
             return
-        self._waiting.setdefault(kind_of(rows), []).append(rows)
+        self._waiting.setdefault((kind_of(rows), clock), []).append(rows)
         self._waiting_bytes += rows.bytes
-        self._waiting_clock = clock
         if self._live is not None:
             self._send(rows, clock, tuple(self._live.streams()))
 
@@ -121,10 +119,8 @@ class Stream:
 
     def _send_waiting(self) -> None:
         """Send the rows that wait, those of one kind joined."""
-        clock, self._waiting_clock = self._waiting_clock, None
         waiting, self._waiting, self._waiting_bytes = self._waiting, {}, 0
-        for rows in waiting.values():
-            assert clock is not None, "rows wait with their clock"
+        for (_, clock), rows in waiting.items():
             self._send(joined(rows), clock, (self._stream,))
 
     def send_continued(self, continued: Continuation) -> None:
