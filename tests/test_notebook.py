@@ -8,12 +8,12 @@ from typing import Any
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view import notebook
 from carom.recording.write.recorder import Recorder
-from merry import Merry
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "notebook.ipynb"
 LARGEST = 20_000  # bytes
@@ -60,9 +60,9 @@ def viewers(monkeypatch: pytest.MonkeyPatch) -> list[SpyViewer]:
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Recording:
-    path, merry = tmp_path / "run.rrd", Merry(5)
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(5):
+    path, scripted = tmp_path / "run.rrd", ScriptedRun(5)
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(5):
             recorder.put(frame)
         recorder.finish("completed")
     return Recording.open(path)

@@ -6,18 +6,18 @@ import shutil
 from pathlib import Path
 
 import pytest
+from scripted_run import ScriptedRun
+from small_scenes import pair
 
 import carom as library
 from carom.recording.write.recorder import Recorder
-from examples import pair
-from merry import Merry
 
 
 @pytest.fixture(scope="session")
 def _recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path, merry = tmp_path_factory.mktemp("recorded") / "run.rrd", Merry(20)
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(100):
+    path, scripted = tmp_path_factory.mktemp("recorded") / "run.rrd", ScriptedRun(20)
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(100):
             recorder.put(frame)
         recorder.finish("completed", {"contacts.total": 1234})
     return path

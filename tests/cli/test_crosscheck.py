@@ -8,6 +8,8 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
+from carom_command import carom
+from needs import needed_engine
 
 from carom.experiment.crosscheck.crosscheck import Crosscheck
 from carom.experiment.crosscheck.runs import Followed, Runs, Task
@@ -15,8 +17,6 @@ from carom.experiment.engines.engine import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.bundled import crosscheck_scenes
 from carom.scene.schema import Scene
-from command import carom
-from needs import needed_engine
 
 pytestmark = pytest.mark.slow  # each engine and the reference run once for all of them, some six seconds
 

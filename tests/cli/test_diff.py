@@ -4,22 +4,22 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from carom_command import carom
+from scripted_run import ScriptedRun
+from small_scenes import pair
 
 from carom import record
 from carom.experiment.run import run
 from carom.recording.edit import bundle
 from carom.recording.write.recorder import Recorder
-from command import carom
-from examples import pair
-from merry import Merry
 
 
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     """The recording `run.rrd` once more, with other numbers behind its bits and in its scene."""
-    merry = Merry(20, scene_toml='title = "A merry-go-round"\nseed = 3\n')
-    with Recorder(tmp_path / "other.rrd", merry.header) as recorder:
-        for frame in merry.frames(100):
+    scripted = ScriptedRun(20, scene_toml='title = "A scripted-go-round"\nseed = 3\n')
+    with Recorder(tmp_path / "other.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(100):
             moved = frame.position + (1e-3 if frame.step >= 40 else 0.0)
             recorder.put(replace(frame, position=moved))
         recorder.finish("completed")

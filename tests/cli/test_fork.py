@@ -7,10 +7,10 @@ import signal
 from pathlib import Path
 
 import pytest
+from carom_command import carom, carom_process
 
 from carom.experiment.fork import fork as forking
 from carom.experiment.run import simulate
-from command import carom, carom_process
 
 SEEDED = ("--at", "0.5", "--perturb", "1ulp", "--seeds", "2")
 

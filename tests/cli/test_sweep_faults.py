@@ -12,10 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-from carom.experiment.interrupts import SAME_PRESS
-from command import carom_process
-from sweeps import (
+from carom_command import carom_process
+from sweep_runs import (
     SLOW,
     DaskCluster,
     assert_whole,
@@ -27,6 +25,8 @@ from sweeps import (
     until,
     write_scene,
 )
+
+from carom.experiment.interrupts import SAME_PRESS
 
 VARY = ("--vary", "contact.restitution=0.1:0.9:3", "--seeds", "4")
 RUNS = 12

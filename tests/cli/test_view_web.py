@@ -8,11 +8,11 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
+from carom_command import carom
+from scripted_run import ScriptedRun
 
 from carom.recording.view.web import site
 from carom.recording.write.recorder import Recorder
-from command import carom
-from merry import Merry
 
 
 @pytest.fixture
@@ -22,9 +22,9 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def interrupt(seconds: float) -> None:
         raise KeyboardInterrupt
 
-    path, merry = tmp_path / "run.rrd", Merry(3)
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(3):
+    path, scripted = tmp_path / "run.rrd", ScriptedRun(3)
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(3):
             recorder.put(frame)
         recorder.finish("completed")
     monkeypatch.setattr(site, "write_viewer", lambda recording, folder: None)

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 
 import pytest
+from small_scenes import cloud
 
 from carom.experiment.work_precision.coordinate_descent import excess
 from carom.experiment.work_precision.result import Result
@@ -14,7 +15,6 @@ from carom.experiment.work_precision.tradeoff import Study
 from carom.experiment.work_precision.tune import Tuning, tuned
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene
-from examples import cloud
 
 PRICES = {  # of a step; costs are computed from them, so that a search is the same each time
     "time.integrator=yoshida4": 3.0,

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from small_scenes import scene_of
 
 from carom.experiment.crosscheck.parting import NumberedImpacts, parting_of
 from carom.experiment.run import recording_space, simulate
@@ -13,7 +14,6 @@ from carom.experiment.work_precision.reference import Reference, make_reference
 from carom.recording.read.recording import Recording
 from carom.recording.view.named_event import named_event
 from carom.scene.names import Names
-from examples import scene_of
 
 NAMES = Names(["wall", "ball", "end"], [])
 

@@ -6,6 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from edited_recordings import changed, without_column
+from scripted_run import ScriptedRun
+from small_scenes import scene_of
 
 from carom.cli.diff import _short
 from carom.experiment.diff.diff import Diff, diff, differing, overlay
@@ -16,9 +19,6 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.scene.schema import Scene
-from crafted import changed, without_column
-from examples import scene_of
-from merry import Merry
 
 Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)
 
@@ -28,9 +28,9 @@ RMS = float(np.sqrt(np.mean(np.sum(PATTERN**2, axis=1))))
 
 
 def record(path: Path, change: Change = lambda t: 0.0, dt: float = 0.05, frames: int = 200, **header: Any) -> Recording:
-    merry = Merry(BODIES, **header)
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(frames, dt):
+    scripted = ScriptedRun(BODIES, **header)
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(frames, dt):
             moved = change(frame.time)
             if moved:
                 position = frame.position + moved * PATTERN

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carom_command import carom as command
+from needs import needed_engine
 
 import carom
 from carom.experiment.overview import overview
@@ -19,8 +21,6 @@ from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.adapters.pybullet import calls_per_frame
 from carom.recording.source.snapshot import Snapshot
-from command import carom as command
-from needs import needed_engine
 
 FAULT = 100  # the step from which each fault is planted
 MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then

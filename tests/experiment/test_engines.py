@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import needed_engine
 
 from carom.experiment.engines.engine import engine_called
 from carom.experiment.engines.rebound import shortest_period
@@ -20,7 +21,6 @@ from carom.experiment.work_precision.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
 from carom.scene.schema import Scene
-from needs import needed_engine
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
 ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses

@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from rerun.chunk import RrdReader
+from small_scenes import cloud, pair, scene_of
 
 import carom
 from carom.experiment.estimate import MARKS, Estimate, estimate, flight_seconds
@@ -21,7 +22,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.inventory import contents
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
-from examples import cloud, pair, scene_of
 
 SMOOTH = {"static_friction": 0}
 FALLING = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}

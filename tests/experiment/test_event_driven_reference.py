@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import pair, scene_of
 
 from carom.experiment.work_precision.event_driven_reference import solve, why_not
 from carom.experiment.work_precision.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import pair, scene_of
 from published.test_two_body_bounce import AT_REST, BOUNCES
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import cloud, two_planets
 
 import carom
 from carom.experiment.error import ExperimentError
@@ -22,7 +23,6 @@ from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.recording.view.forecast import shades
 from carom.scene.schema import Scene
-from examples import cloud, two_planets
 
 
 def box_of_balls(duration: float) -> Scene:

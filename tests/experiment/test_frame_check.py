@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
+from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
+from small_scenes import cloud
 
 import carom
 from carom.experiment.replay import replay
@@ -18,8 +20,6 @@ from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
-from crafted import assembled, changed, is_of, mapped, messages_of, without_column
-from examples import cloud
 
 WHERE_IT_CHANGES = ("phase", "step/limit")
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carom_command import carom
 
 from carom.experiment.hunt.hunt import Hunt, Miss
 from carom.experiment.hunt.laws import LAWS, laws_of
@@ -17,7 +18,6 @@ from carom.experiment.shrink.budget import OutOfTime
 from carom.physics.diagnostics.audit import Audit
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
-from command import carom
 
 
 def test_most_drawn_scenes_are_valid_and_each_law_applies_to_some() -> None:

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
+from small_scenes import scene_of
 
 from carom.experiment.work_precision.event_driven_reference import solve
 from carom.experiment.work_precision.trajectory import follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import scene_of
 from published.test_two_body_bounce import BOUNCES
 
 END = 16.0  # s

@@ -13,30 +13,30 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from PIL import Image
-
 from browser import chromium, settled, wait_until_loaded
+from carom_command import carom
+from needs import PICTURES
+from PIL import Image
+from scripted_run import ScriptedRun
+
 from carom.experiment import publish as publishing
 from carom.recording.errors import RecordingError
 from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
-from command import carom
-from merry import Merry
-from needs import PICTURES
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
 
 
 def record(path: Path, title: str = TITLE) -> Path:
-    merry = Merry(8, title=title)
+    scripted = ScriptedRun(8, title=title)
     impact: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2", "between": BETWEEN}
     most: dict[str, float | str] = {"value": 7.0, "step": 40, "time": 2.0}
     error: dict[str, float | str] = {"value": 1e-6, "step": 20, "time": 1.0}
     moments = {"impact": impact, "contacts": most, "energy_error": error}
     named = {f"moments.{name}.{key}": value for name, moment in moments.items() for key, value in moment.items()}
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(60):
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed", named)
     return path

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carom_command import carom as carom_command
 
 import carom
 from carom.experiment.diff.diff import diff
@@ -29,7 +30,6 @@ from carom.recording.read.restore import recorded_scene
 from carom.recording.schema import paths
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from command import carom as carom_command
 
 SCENE = """
 title = "From a file"

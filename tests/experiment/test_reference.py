@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import cloud, pair, scene_of
 
 from carom.experiment.work_precision import event_driven_reference as exact
 from carom.experiment.work_precision.event_driven_reference import solve
@@ -17,7 +18,6 @@ from carom.experiment.work_precision.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from examples import cloud, pair, scene_of
 
 
 def test_a_few_bodies_have_an_exact_reference() -> None:

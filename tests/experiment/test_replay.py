@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from edited_recordings import changed, mapped
+from small_scenes import cloud
 
 import carom
 from carom.experiment.mismatch import different
@@ -29,8 +31,6 @@ from carom.recording.schema import checkpoint, paths
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
-from crafted import changed, mapped
-from examples import cloud
 
 # parts of their durations
 SHORT = {

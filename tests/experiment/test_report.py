@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edited_recordings import changed, mapped
 from markdown_it import MarkdownIt
+from small_scenes import cloud
 
 import carom
 from carom.experiment import report as reports
@@ -20,8 +22,6 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.names import escaped
 from carom.scene.schema import Scene
-from crafted import changed, mapped
-from examples import cloud
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
+from small_scenes import cloud, two_planets
 
 import carom
 from carom.experiment.resume import claimed_target, resumable_run, resume
@@ -24,7 +25,6 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
-from examples import cloud, two_planets
 
 LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # a tenth says as much
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import cloud, pair
 
 import carom
 from carom.experiment.expectation import judge
@@ -29,7 +30,6 @@ from carom.recording.schema.header import SweepMember
 from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from examples import cloud, pair
 
 
 def test_the_public_run_returns_the_recording(tmp_path: Path) -> None:

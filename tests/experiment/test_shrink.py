@@ -10,6 +10,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from carom_command import carom
 
 from carom.cli.shrink import _print
 from carom.experiment.error import ExperimentError
@@ -32,7 +33,6 @@ from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from command import carom
 
 GAS: dict[str, Any] = {  # a dozen spheres that meet within a second
     "title": "Twelve spheres",

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import cloud
 
 from carom.experiment.expectation import judge
 from carom.experiment.stress import attempt, extremes
@@ -16,7 +17,6 @@ from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import cloud
 
 SLOW = (
     "coincident",

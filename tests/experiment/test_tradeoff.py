@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import cloud, pair
 
 from carom.experiment.error import ExperimentError
 from carom.experiment.work_precision import tradeoff, trajectory
@@ -20,7 +21,6 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import cloud, pair
 
 
 def eight() -> Scene:

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scene_strategies import scene_from
+from small_scenes import cloud, pair, scene_of
 
 from carom.experiment.work_precision.error_measures import Scale, compare
 from carom.experiment.work_precision.reference import make_reference, refined
@@ -16,8 +18,6 @@ from carom.experiment.work_precision.settings_grid import vary
 from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from examples import cloud, pair, scene_of
-from scenes import scene_from
 
 
 def test_following_a_run_changes_no_bit() -> None:

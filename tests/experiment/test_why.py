@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_scenes import cloud, pair, scene_of
 
 import carom
 from carom.experiment.why.answer import Answer
@@ -23,7 +24,6 @@ from carom.recording.view import causes
 from carom.recording.view.causes import CauseEdge
 from carom.scene.schema import Scene
 from carom.scene.start import Start
-from examples import cloud, pair, scene_of
 
 FloatArray = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_scenes import scene_of
 
 from carom.experiment.run import kept_accuracy
 from carom.experiment.work_precision.event_driven_reference import solve
@@ -27,7 +28,6 @@ from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from examples import scene_of
 
 FloatArray = NDArray[np.float64]
 

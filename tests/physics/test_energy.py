@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import pair, random_bodies, scene_of
 
 from carom.experiment.expectation import judge
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
@@ -20,7 +21,6 @@ from carom.physics.space import Space
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.names import Names
 from carom.scene.schema import Expect
-from examples import pair, random_bodies, scene_of
 
 SPARSE = {"every": 1e9, "check_every": 1_000_000}  # one frame at the start, one at the end
 

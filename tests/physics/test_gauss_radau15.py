@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from small_scenes import scene_of
 
 import carom
 from carom.experiment.replay import replay
@@ -21,7 +22,6 @@ from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import scene_of
 
 RADAU = "gauss-radau15"
 PYTHAGOREAN: list[dict[str, Any]] = [  # Burrau (1913): at rest at the corners of a triangle of sides 3, 4 and 5

@@ -9,9 +9,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
+import hostile_scenes
 import pytest
 
-import hostile_scenes
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -47,7 +47,7 @@ def judged(seed: int, count: int) -> list[dict[str, Any]]:
 
 def explained(seed: int, answer: dict[str, Any]) -> str:
     """Tell what is wrong with a scene, how to judge it again, and what it is."""
-    again = f"python tests/{Path(hostile_scenes.__file__).name} {seed} {answer['index']} 1"
+    again = f"python tests/support/{Path(hostile_scenes.__file__).name} {seed} {answer['index']} 1"
     return f"{answer}\n{again}\n{json.dumps(hostile_scenes.drawn(seed, answer['index']))}"
 
 

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from small_scenes import cloud, pair, random_bodies, scene_of, solver_of
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT
@@ -18,7 +19,6 @@ from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
-from examples import cloud, pair, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import scene_of
 
 from carom.experiment.run import shortfall_text
 from carom.physics.look_ahead.budget import Budget
@@ -15,7 +16,6 @@ from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import scene_of
 
 LEAST = "carom.physics.look_ahead.budget.LEAST"
 

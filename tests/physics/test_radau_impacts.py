@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_scenes import scene_of
 
 import carom
 from carom.experiment.replay import replay
@@ -23,7 +24,6 @@ from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import scene_of
 
 FloatArray = NDArray[np.float64]
 

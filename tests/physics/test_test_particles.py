@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carom_command import carom as command
+from needs import needed_engine
 from numpy.typing import NDArray
 
 import carom
@@ -26,8 +28,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from command import carom as command
-from needs import needed_engine
 
 FloatArray = NDArray[np.float64]
 

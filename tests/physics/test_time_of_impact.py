@@ -6,20 +6,20 @@ import itertools
 import math
 from typing import Any
 
+import event_driven_oracle
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from small_scenes import cloud, scene_of
 
-import impacts
 from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
-from examples import cloud, scene_of
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]
@@ -213,7 +213,7 @@ def test_a_step_is_that_of_the_oracle(integrator: str, seed: int) -> None:
     state, other = space.state, Space(space.scene)
     kick = 1.5 if integrator == "euler" else 0.75
     other.state.velocity[:] += other.state.acceleration * kick
-    expected = impacts.drift(other.state, other, kick, 1.5)
+    expected = event_driven_oracle.drift(other.state, other, kick, 1.5)
     other.state.velocity[:] += other.state.acceleration * (1.5 - kick)
     found = struck(space)
     if space.box is not None:

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
+from small_scenes import kinetic_energy_of, random_bodies
 
 from carom.physics.batch_step import BatchStepper
 from carom.physics.error import PhysicsError
@@ -18,7 +19,6 @@ from carom.physics.step_rule import BODIES_PER_BLOCK
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
-from examples import kinetic_energy_of, random_bodies
 
 NO_FIELD = np.zeros(3)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from small_scenes import scene_of
 
 import carom
 from carom.experiment.replay import replay
@@ -19,7 +20,6 @@ from carom.plan.features import require
 from carom.recording.read.recording import Recording
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
-from examples import scene_of
 
 FloatArray = NDArray[np.float64]
 Bodies = list[dict[str, Any]]

@@ -15,9 +15,8 @@ from math import sqrt
 
 import numpy as np
 import pytest
-
-from boltzmann import rough_gas
-from gases import cooling, rough_ratio
+from monte_carlo_gas import rough_gas
+from periodic_gas import cooling, rough_ratio
 
 
 def stick_ratio(restitution: float) -> float:

@@ -12,8 +12,7 @@ which keep it to a few tenths of a per cent.
 from __future__ import annotations
 
 import pytest
-
-from gases import carnahan_starling, enskog_rate, measure_equilibrium
+from periodic_gas import carnahan_starling, enskog_rate, measure_equilibrium
 
 
 @pytest.mark.slow

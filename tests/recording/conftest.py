@@ -6,25 +6,25 @@ import shutil
 from pathlib import Path
 
 import pytest
+from scripted_run import ScriptedRun
 
 from carom.recording.write.recorder import Recorder
-from merry import Merry
 
 IMPACT: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2"}
 
 
 @pytest.fixture
-def merry() -> Merry:
-    return Merry()
+def scripted() -> ScriptedRun:
+    return ScriptedRun()
 
 
 @pytest.fixture(scope="session")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run of 60 bodies and 100 frames, 0.05 s apart: not to be written to."""
-    path, merry = tmp_path_factory.mktemp("recorded") / "run.rrd", Merry()
+    path, scripted = tmp_path_factory.mktemp("recorded") / "run.rrd", ScriptedRun()
     moments = {f"moments.impact.{key}": value for key, value in IMPACT.items()}
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(100):
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(100):
             recorder.put(frame)
         recorder.finish("completed", {"contacts.total": 1234, "profile.gravity": 0.5, **moments})
     return path

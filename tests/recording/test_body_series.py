@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import scene_of
 
 from carom.experiment.run import simulate
 from carom.physics.space import Space
@@ -14,7 +15,6 @@ from carom.recording.layout.canvas import Area
 from carom.recording.read.body_series import QUANTITIES, asked_quantities, body_series, needs_replay
 from carom.recording.read.recording import Recording
 from carom.recording.view.body_plots import BodyPlots
-from examples import scene_of
 
 BODIES = [
     {"name": "top", "position": [0, 0, 5], "velocity": [3, 0, 4], "angular_velocity": [0, 3, 4], "radius": 0.1},

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scripted_run import ScriptedRun
 
 from carom.recording.layout import camera
 from carom.recording.layout.camera import CameraFit, View, corners_of
-from merry import Merry
 
 FloatArray = NDArray[np.float64]
 SLOPE = np.tan(np.radians(55 / 2))  # Rerun's eye opens 55° from top to bottom
@@ -39,11 +39,11 @@ def test_bodies_of_any_shape_fill_half_of_the_shorter_side_and_stay_inside(
     assert np.all(places <= [aspect, 1.0])
 
 
-def test_bodies_that_fly_off_do_not_shrink_the_rest(merry: Merry) -> None:
-    frames = list(merry.frames(3))
+def test_bodies_that_fly_off_do_not_shrink_the_rest(scripted: ScriptedRun) -> None:
+    frames = list(scripted.frames(3))
     away = frames[2].position.copy()
     away[0] = [1e9, 0, 0]
-    extent = CameraFit(merry.header.radius, frames[0].position)
+    extent = CameraFit(scripted.header.radius, frames[0].position)
     extent.see([frames[1]], np.zeros(3))
     before = extent.view().distance
     extent.see([replace(frames[2], position=away)], np.zeros(3))
@@ -52,11 +52,11 @@ def test_bodies_that_fly_off_do_not_shrink_the_rest(merry: Merry) -> None:
 
 @pytest.mark.parametrize("bodies", [8, 60])
 def test_a_moment_is_framed_without_the_body_that_escapes(bodies: int) -> None:
-    merry = Merry(bodies)
-    position = next(merry.frames(1)).position
-    whole = CameraFit(merry.header.radius, position).view()
+    scripted = ScriptedRun(bodies)
+    position = next(scripted.frames(1)).position
+    whole = CameraFit(scripted.header.radius, position).view()
     position[0] = [1e6, 0, 0]
-    assert CameraFit(merry.header.radius, position).view().distance < 1.2 * whole.distance
+    assert CameraFit(scripted.header.radius, position).view().distance < 1.2 * whole.distance
 
 
 def test_the_one_large_body_among_many_small_ones_is_seen_whole() -> None:
@@ -67,9 +67,9 @@ def test_the_one_large_body_among_many_small_ones_is_seen_whole() -> None:
     assert view.height() > 2 * 20.0
 
 
-def test_an_explosion_leaves_the_start_visible(merry: Merry) -> None:
-    frame = next(merry.frames(1))
-    extent = CameraFit(merry.header.radius, frame.position)
+def test_an_explosion_leaves_the_start_visible(scripted: ScriptedRun) -> None:
+    frame = next(scripted.frames(1))
+    extent = CameraFit(scripted.header.radius, frame.position)
     first = extent.view().distance
     extent.see([replace(frame, position=1000 * frame.position)], np.zeros(3))
     view = extent.view()
@@ -88,19 +88,19 @@ def test_an_orbit_is_seen_whole_where_all_bodies_are_near_its_pericentre(aspect:
     assert np.all(places <= [aspect, 1.0])
 
 
-def test_walls_are_in_view_as_a_whole(merry: Merry) -> None:
-    header = replace(merry.header, walls=np.array([500.0, 300.0, 900.0]))
+def test_walls_are_in_view_as_a_whole(scripted: ScriptedRun) -> None:
+    header = replace(scripted.header, walls=np.array([500.0, 300.0, 900.0]))
     corners = corners_of(header, np.array([10.0, 0.0, 0.0]))
     assert corners is not None
-    position = next(merry.frames(1)).position
+    position = next(scripted.frames(1)).position
     for aspect in (0.7, 1.9):
         view = CameraFit(header.radius, position, corners).view(aspect)
         assert np.all(np.abs(on_screen(view, corners, aspect)) * min(1.0, aspect) <= [aspect, 1.0])
 
 
-def test_bodies_that_leave_as_a_whole_are_followed(merry: Merry) -> None:
-    frame = next(merry.frames(1))
-    extent = CameraFit(merry.header.radius, frame.position)
+def test_bodies_that_leave_as_a_whole_are_followed(scripted: ScriptedRun) -> None:
+    frame = next(scripted.frames(1))
+    extent = CameraFit(scripted.header.radius, frame.position)
     first = extent.view()
     extent.see([replace(frame, position=frame.position + np.array([1e6, 0, 0]))], np.zeros(3))
     assert not first.follows
@@ -108,13 +108,13 @@ def test_bodies_that_leave_as_a_whole_are_followed(merry: Merry) -> None:
     assert extent.view().distance < 1.1 * first.distance
 
 
-def test_a_run_that_ended_in_nan_can_still_be_framed(merry: Merry) -> None:
-    frame = next(merry.frames(1))
+def test_a_run_that_ended_in_nan_can_still_be_framed(scripted: ScriptedRun) -> None:
+    frame = next(scripted.frames(1))
     nowhere = np.full_like(frame.position, np.nan)
-    extent = CameraFit(merry.header.radius, frame.position)
+    extent = CameraFit(scripted.header.radius, frame.position)
     extent.see([replace(frame, position=nowhere)], np.zeros(3))
     assert np.isfinite(extent.view().distance)
-    assert np.isfinite(CameraFit(merry.header.radius, nowhere).view().distance)
+    assert np.isfinite(CameraFit(scripted.header.radius, nowhere).view().distance)
 
 
 def test_a_part_of_very_many_bodies_frames_them_all(monkeypatch: pytest.MonkeyPatch) -> None:

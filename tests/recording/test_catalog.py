@@ -9,7 +9,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from needs import PICTURES
 from rerun.catalog import CatalogClient
+from small_scenes import pair
 
 from carom.experiment.run import simulate
 from carom.physics.space import Space
@@ -18,8 +20,6 @@ from carom.recording.schema.header import SweepMember
 from carom.recording.view import keeper
 from carom.recording.view.catalog import catalog
 from carom.recording.view.viewer import Viewer
-from examples import pair
-from needs import PICTURES
 
 
 def swept(folder: Path, restitution: float) -> Path:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scripted_run import ScriptedRun
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
@@ -12,11 +13,10 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint import encode, size
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.recorder import Recorder
-from merry import Merry
 
 
-def record(path: Path, merry: Merry, frames: list[Frame]) -> Recording:
-    with Recorder(path, merry.header) as recorder:
+def record(path: Path, scripted: ScriptedRun, frames: list[Frame]) -> Recording:
+    with Recorder(path, scripted.header) as recorder:
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")
@@ -43,29 +43,29 @@ def assert_same_bits(stored: Checkpoint, frame: Frame) -> None:
 
 @pytest.mark.parametrize("spins", [True, False])
 def test_a_checkpoint_comes_back_bit_for_bit(tmp_path: Path, spins: bool) -> None:
-    merry = Merry(20, spins=spins)
-    frames = list(merry.frames(120))
-    recording = record(tmp_path / "run.rrd", merry, frames)
+    scripted = ScriptedRun(20, spins=spins)
+    frames = list(scripted.frames(120))
+    recording = record(tmp_path / "run.rrd", scripted, frames)
     for state in recording.checkpoints():
         assert_same_bits(state, frames[state.step])
 
 
 def test_a_single_state_is_encoded_without_copies_of_its_arrays() -> None:
-    frame = next(iter(Merry(20).frames(1)))
+    frame = next(iter(ScriptedRun(20).frames(1)))
     columns = encode([frame.checkpoint])
     for name in ("position", "velocity", "acceleration", "orientation", "angular_velocity"):
         assert np.shares_memory(np.asarray(columns[name][0]), getattr(frame, name)), name
 
 
 def test_the_first_and_the_last_frame_and_those_before_warnings_have_one(tmp_path: Path) -> None:
-    merry = Merry(20)
-    steps = record(tmp_path / "run.rrd", merry, list(merry.frames(117))).checkpoint_steps
+    scripted = ScriptedRun(20)
+    steps = record(tmp_path / "run.rrd", scripted, list(scripted.frames(117))).checkpoint_steps
     assert {0, 29, 69, 109, 116} <= set(steps), "a warning's is that of the frame before it"
     assert len(steps) == len(set(steps))
 
 
 def test_checkpoints_take_about_a_tenth() -> None:
-    frames = [f for f in Merry(20).frames(600) if not f.events]
+    frames = [f for f in ScriptedRun(20).frames(600) if not f.events]
     kept = CheckpointPlan().chosen(frames)
     drawn = sum(28 * 20 + 28 * len(frame.contacts) + 480 for frame in frames)
     taken = sum(size(frame) for frame in kept)
@@ -75,7 +75,7 @@ def test_checkpoints_take_about_a_tenth() -> None:
 
 
 def test_the_plan_does_not_depend_on_how_frames_come_in_batches() -> None:
-    frames = list(Merry(20).frames(400))
+    frames = list(ScriptedRun(20).frames(400))
     whole = [frame.step for frame in CheckpointPlan().chosen(frames)]
     plan, parts = CheckpointPlan(), []
     for k in range(0, len(frames), 7):
@@ -84,8 +84,8 @@ def test_the_plan_does_not_depend_on_how_frames_come_in_batches() -> None:
 
 
 def test_a_run_that_warns_at_every_step_does_not_fill_the_file_with_checkpoints() -> None:
-    merry = Merry(20)
-    warning = next(f for f in merry.frames(40) if any(e.level == "WARN" for e in f.events))
+    scripted = ScriptedRun(20)
+    warning = next(f for f in scripted.frames(40) if any(e.level == "WARN" for e in f.events))
     frames = [replace(warning, step=step) for step in range(600)]
     kept = CheckpointPlan().chosen(frames)
     assert len(kept) > 4
@@ -93,17 +93,17 @@ def test_a_run_that_warns_at_every_step_does_not_fill_the_file_with_checkpoints(
 
 
 def test_asking_for_a_step_without_a_checkpoint_says_so(tmp_path: Path) -> None:
-    merry = Merry(5)
-    recording = record(tmp_path / "run.rrd", merry, list(merry.frames(10)))
+    scripted = ScriptedRun(5)
+    recording = record(tmp_path / "run.rrd", scripted, list(scripted.frames(10)))
     with pytest.raises(RecordingError, match="no checkpoint at step 12345"):
         recording.checkpoint(12345)
 
 
 @pytest.mark.parametrize("step", ["a", 1.5, None, True])
 def test_a_step_that_is_not_a_number_is_refused_without_blaming_the_file(
-    step: Any, tmp_path: Path, merry: Merry
+    step: Any, tmp_path: Path, scripted: ScriptedRun
 ) -> None:
-    recording = record(tmp_path / "run.rrd", merry, list(merry.frames(20)))
+    recording = record(tmp_path / "run.rrd", scripted, list(scripted.frames(20)))
     with pytest.raises(RecordingError, match=r"^checkpoint .*: give one of checkpoint_steps") as refused:
         recording.checkpoint(step)
     assert "damaged" not in str(refused.value)

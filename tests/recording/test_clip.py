@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scripted_run import ScriptedRun
 
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import clip
@@ -13,7 +14,6 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import Recorder
-from merry import Merry
 
 FIRST, LAST = 45, 73  # steps of the clip that most tests make: frame 45 lies inside a phase, and at no checkpoint
 START, END = 45 * 0.05, 73 * 0.05  # s
@@ -116,15 +116,15 @@ def test_a_clip_of_a_clip_is_a_clip_of_the_run(recorded: Path, cut: Path, tmp_pa
     assert static(again, paths.START) == static(direct, paths.START)
 
 
-def frames_of(merry: Merry) -> dict[int, Frame]:
-    return {frame.step: frame for frame in merry.frames(100)}
+def frames_of(scripted: ScriptedRun) -> dict[int, Frame]:
+    return {frame.step: frame for frame in scripted.frames(100)}
 
 
 @pytest.mark.parametrize("box", [None, np.full(3, 11.0)])
 def test_a_clip_of_a_few_bodies_shows_them_and_the_contacts_among_them(tmp_path: Path, box: Any) -> None:
-    merry, kept = Merry(60, box=box), list(range(0, 60, 2))
-    frames = frames_of(merry)
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+    scripted, kept = ScriptedRun(60, box=box), list(range(0, 60, 2))
+    frames = frames_of(scripted)
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames.values():
             recorder.put(frame)
         recorder.finish("completed")
@@ -135,7 +135,7 @@ def test_a_clip_of_a_few_bodies_shows_them_and_the_contacts_among_them(tmp_path:
     for step, row in rows(few, paths.BODIES).items():
         for name, values in row.items():
             assert values == [whole[step][name][body] for body in kept]
-    assert static(few, paths.BODIES)["Ellipsoids3D:labels"] == [merry.header.names[body] for body in kept]
+    assert static(few, paths.BODIES)["Ellipsoids3D:labels"] == [scripted.header.names[body] for body in kept]
     assert len(static(few, paths.BODIES)["Ellipsoids3D:fill_mode"]) == 1
     edges = rows(few, paths.CONTACTS)
     for step in range(FIRST, LAST + 1):
@@ -151,7 +151,7 @@ def test_a_clip_of_a_few_bodies_shows_them_and_the_contacts_among_them(tmp_path:
 
 
 def test_contacts_with_planes_are_those_of_the_body(tmp_path: Path) -> None:
-    merry = Merry(20)
+    scripted = ScriptedRun(20)
 
     def touching_a_plane(frame: Frame) -> Frame:
         graph = frame.contacts
@@ -160,8 +160,8 @@ def test_contacts_with_planes_are_those_of_the_body(tmp_path: Path) -> None:
         overlaps, colours = np.append(graph.overlaps, [0.01, 0.01]), np.append(graph.colours, [0, 0])
         return replace(frame, contacts=replace(graph, pairs=pairs, normals=normals, overlaps=overlaps, colours=colours))
 
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(10):  # so early nobody touches another
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(10):  # so early nobody touches another
             recorder.put(touching_a_plane(frame))
         recorder.finish("completed")
     clip(tmp_path / "run.rrd", tmp_path / "few.rrd", bodies=[3, 7])
@@ -224,9 +224,9 @@ def test_a_run_that_was_killed_can_be_clipped(run_file: Path, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_a_clip_of_one_per_cent_of_400_mb_takes_less_than_300_mb_of_memory(tmp_path: Path) -> None:
-    merry = Merry(2000)
-    some = list(merry.frames(24))
-    with Recorder(tmp_path / "long.rrd", merry.header) as recorder:
+    scripted = ScriptedRun(2000)
+    some = list(scripted.frames(24))
+    with Recorder(tmp_path / "long.rrd", scripted.header) as recorder:
         for step in range(7200):
             recorder.put(replace(some[step % 24], step=step, time=0.05 * step, events=()))
         recorder.finish("completed")

@@ -2,6 +2,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_scenes import cloud
 
 import carom
 from carom.experiment.replay import replay
@@ -15,7 +16,6 @@ from carom.recording.style import colouring
 from carom.recording.view import trails
 from carom.recording.view.presentation import presentation
 from carom.scene.schema import Scene
-from examples import cloud
 
 PAIRS = np.array([[0, 1], [1, 2], [3, 4], [5, 7]])  # of 7 bodies: 7 is a plane
 

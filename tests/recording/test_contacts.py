@@ -11,7 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
+from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from numpy.typing import NDArray
+from scripted_run import ScriptedRun
+from small_scenes import pair, scene_of
 
 import carom
 from carom.experiment.impact_check import LEFT_OUT
@@ -32,9 +35,6 @@ from carom.recording.write.impact_plan import ImpactPlan
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
-from crafted import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
-from examples import pair, scene_of
-from merry import Merry
 
 SINGLE = 1e-6  # relative, of a few roundings to float32
 NUMBERS = ("x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
@@ -345,7 +345,7 @@ def test_a_question_about_missing_contacts_is_refused_in_one_sentence(
 def frames_with_impacts(count: int, each: int) -> list[Frame]:
     """Frames that have impacts of rising impulses, made up."""
     frames = []
-    for frame in Merry(20).frames(count):
+    for frame in ScriptedRun(20).frames(count):
         rows = np.zeros(each, CONTACT_ROW)
         rows["step"], rows["time"], rows["j"] = frame.step, frame.time, 1
         rows["normal_impulse"] = np.random.default_rng(frame.step).permutation(each) + 1.0

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
+from scripted_run import ScriptedRun
 
 from carom.physics.event import Event
 from carom.recording.read.continuation import Continuation
@@ -17,16 +18,15 @@ from carom.recording.schema import paths
 from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, Rows
-from merry import Merry
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
 FRAMES = 20
 
 
-def recorded(path: Path, merry: Merry, event: Event) -> Recording:
+def recorded(path: Path, scripted: ScriptedRun, event: Event) -> Recording:
     """Record a run with one event on its way, one extreme, and an end."""
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(FRAMES):
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(FRAMES):
             recorder.put(replace(frame, events=(event,) if frame.step == event.step else ()))
         recorder.finish("interrupted: stopped by the user", {}, (LARGEST,))
     return Recording.open(path)
@@ -39,14 +39,14 @@ def texts_carried_over(recording: Recording) -> list[str]:
 
 @pytest.mark.parametrize("text", ["end: of a long fall", "This is 9 times the pace of the run: it crawls."])
 def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
-    text: str, tmp_path: Path, merry: Merry
+    text: str, tmp_path: Path, scripted: ScriptedRun
 ) -> None:
     event = Event(5, 0.25, "WARN", text, "pace")
-    assert texts_carried_over(recorded(tmp_path / "run.rrd", merry, event)) == [text]
+    assert texts_carried_over(recorded(tmp_path / "run.rrd", scripted, event)) == [text]
 
 
 def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
-    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
@@ -57,7 +57,7 @@ def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
     monkeypatch.setattr(encoder, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
     event = Event(5, 0.25, "WARN", "Energy rose by 2e-3 of the energy scale.", "energy-rise")
-    recording = recorded(tmp_path / "old.rrd", merry, event)
+    recording = recorded(tmp_path / "old.rrd", scripted, event)
     assert [(event.kind, event.text) for event in recording.warnings()] == [("energy-rise", event.text)]
     assert recording.events()["kind"].to_pylist() == ["energy-rise", "extreme", "end"]
     assert texts_carried_over(recording) == [event.text]

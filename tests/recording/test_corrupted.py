@@ -3,6 +3,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import damage_bytes
+import damage_rows
 import pytest
 
 import carom
@@ -43,7 +45,7 @@ def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_giga
     part: int, count: int, seed: int, recorded: Path, tmp_path: Path
 ) -> None:
     seed += part
-    program = Path(__file__).with_name("corrupted.py")
+    program = Path(damage_bytes.__file__)
     command = [sys.executable, str(program), str(recorded), str(tmp_path), str(seed), str(count)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     *told, end = done.stdout.splitlines()
@@ -57,9 +59,9 @@ def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_giga
 def test_rows_of_another_kind_are_refused_or_shown_without_a_traceback_a_hang_or_a_gigabyte(
     count: int, seed: int, recorded: Path, tmp_path: Path
 ) -> None:
-    program = Path(__file__).with_name("mutants.py")
+    program = Path(damage_rows.__file__)
     command = [sys.executable, str(program), str(recorded), str(tmp_path), str(seed), str(count)]
-    environment = {**os.environ, "PYTHONPATH": str(program.parent.parent)}
+    environment = {**os.environ, "PYTHONPATH": str(program.parent)}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     end = (done.stdout.splitlines() or ["nothing"])[-1]
     assert done.returncode == 0 and end.startswith("end"), f"seed {seed}, {end}: {done.stderr}"

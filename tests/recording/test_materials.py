@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from carom_command import carom as command
+from small_scenes import scene_of
 
 import carom
 from carom.experiment.replay import replay
@@ -20,8 +22,6 @@ from carom.recording.schema.materials import ShownMaterials
 from carom.recording.view.presentation import presentation
 from carom.scene.schema import Scene
 from carom.scene.schema.material import COLOURS
-from command import carom as command
-from examples import scene_of
 
 SKY, SAND, GREY = palette.SKY, 0xB08968FF, palette.GREY
 

@@ -16,17 +16,17 @@ import imageio_ffmpeg
 import numpy as np
 import psutil
 import pytest
+from carom_command import carom
+from needs import PICTURES
 from numpy.typing import NDArray
 from PIL import Image
+from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.movie import frame_times
 from carom.recording.view.movie_file import delays_of, require_encoder, write_movie
 from carom.recording.write.recorder import Recorder
-from command import carom
-from merry import Merry
-from needs import PICTURES
 
 SIZE = (64, 48)
 COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]
@@ -138,9 +138,9 @@ def test_a_picture_shows_the_last_recorded_frame_before_its_time(recorded: Path)
 @pytest.mark.slow
 @pytest.mark.needs(PICTURES)
 def test_the_command_makes_a_movie_in_which_the_bodies_move(tmp_path: Path) -> None:
-    merry = Merry(12)
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(60):
+    scripted = ScriptedRun(12)
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed")
     asked = ["--seconds", "0.5", "--fps", "10", "--size", "480x300", "--to", "2"]

@@ -4,7 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from carom_command import carom
+from needs import PICTURES
+from picture_pixels import Pixels, of_colour, of_hue, region, view
 from PIL import Image
+from scripted_run import ScriptedRun
 
 from carom import Scene, run
 from carom.physics.placement.initial_state import place
@@ -17,10 +21,6 @@ from carom.recording.view.request import Request
 from carom.recording.view.viewer import broken_off, reason_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.bundled import bundled_scenes
-from command import carom
-from merry import Merry
-from needs import PICTURES
-from pixels import Pixels, of_colour, of_hue, region, view
 
 SIZE = (1600, 1000)
 
@@ -28,9 +28,9 @@ SIZE = (1600, 1000)
 @pytest.fixture(scope="module")
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
     folder = tmp_path_factory.mktemp("picture")
-    merry = Merry(60)
-    with Recorder(folder / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(150):
+    scripted = ScriptedRun(60)
+    with Recorder(folder / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(150):
             recorder.put(frame)
         recorder.finish("completed")
     assert render(folder / "run.rrd", Request(3.0), folder / "run.png", SIZE).time == 3.0
@@ -115,9 +115,9 @@ def test_the_ground_is_dark(picture: Pixels) -> None:
 @pytest.mark.slow
 @pytest.mark.needs(PICTURES)
 def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
-    merry = Merry(8)
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(60):
+    scripted = ScriptedRun(8)
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed", {"moments.impact.time": 1.25})
     assert render(tmp_path / "run.rrd", Request(), tmp_path / "run.png", (800, 600)).time == 1.25
@@ -182,11 +182,11 @@ def test_the_bundled_scenes_need_no_virtual_screen() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="macOS comes with a driver")
 @pytest.mark.parametrize("hidden", [("LIBGL_DRIVERS_PATH",), (), ("__EGL_VENDOR_LIBRARY_FILENAMES",)])
 def test_without_a_driver_the_packages_are_named(
-    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch, hidden: tuple[str, ...]
+    tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch, hidden: tuple[str, ...]
 ) -> None:
     """Without Mesa's OpenGL there is no adapter; with it, one that the viewer cannot draw with."""
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        recorder.put(next(merry.frames(1)))
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        recorder.put(next(scripted.frames(1)))
         recorder.finish("completed")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")  # the Vulkan loader then finds no driver
     monkeypatch.setenv("VK_ICD_FILENAMES", "/nowhere.json")

@@ -6,8 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from needs import PICTURES
 from numpy.typing import NDArray
 from PIL import Image
+from scripted_run import ScriptedRun
 
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.legend import place_legend
@@ -18,8 +20,6 @@ from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.view.picture import render
 from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
-from merry import Merry
-from needs import PICTURES
 
 Pixels = NDArray[np.int64]
 SIZE = (800, 500)
@@ -31,8 +31,8 @@ DOT = 80  # px, of a dot in the legend, with its soft edge
 def energy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Pixels]:
     """The theme, a recording, and the picture of its energies."""
     folder, theme = tmp_path_factory.mktemp("plots"), str(request.param)
-    with Recorder(folder / "run.rrd", Merry(20).header) as recorder:
-        for frame in Merry(20).frames(150):
+    with Recorder(folder / "run.rrd", ScriptedRun(20).header) as recorder:
+        for frame in ScriptedRun(20).frames(150):
             recorder.put(frame)
         recorder.finish("completed")
     render(folder / "run.rrd", Request(7.4), folder / "energy.png", SIZE, view="energy", theme=theme)
@@ -83,6 +83,6 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
 
 
 def test_energies_that_fill_a_picture_have_their_unit_in_the_legend() -> None:
-    view = energy_view(Merry(20).header, None, Area(*SIZE))
+    view = energy_view(ScriptedRun(20).header, None, Area(*SIZE))
     names = {path: str(overridden) for path, overridden in view.visualizer_overrides.items()}
     assert "total (J)" in names["energy/total"] and "translational (J)" in names["energy/translational"]

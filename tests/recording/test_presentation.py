@@ -6,6 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from small_scenes import pair, scene_of
 
 import carom
 from carom.physics.contact.contact_table import CONTACT_ROW
@@ -24,7 +25,6 @@ from carom.recording.view.request import Request
 from carom.recording.view.trails import Trails
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
-from examples import pair, scene_of
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
+import scripted_run
 from rerun.chunk import RrdReader
+from scripted_run import ScriptedRun
 
 from carom.experiment.run import header_of
 from carom.physics.space import Space
@@ -24,14 +26,13 @@ from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, frame_rows
 from carom.recording.write.stream import Stream
 from carom.scene.schema import Scene
-from merry import Merry
 
-TESTS = Path(__file__).parents[1]  # where merry.py is
+SUPPORT = str(Path(scripted_run.__file__).parent)
 
 
-def record(path: Path, merry: Merry, frames: int, outcome: str = "completed") -> Recorder:
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(frames):
+def record(path: Path, scripted: ScriptedRun, frames: int, outcome: str = "completed") -> Recorder:
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(frames):
             recorder.put(frame)
         recorder.finish(outcome, {"contacts.total": 1234, "expect.energy_error": True})
     return recorder
@@ -41,18 +42,18 @@ def entities(path: Path) -> set[str]:
     return {chunk.entity_path for chunk in RrdReader(path).store().stream()}
 
 
-def test_a_recording_holds_the_header_and_the_frames_that_were_put(tmp_path: Path, merry: Merry) -> None:
-    frames = list(merry.frames(150))
-    record(tmp_path / "run.rrd", merry, 150)
+def test_a_recording_holds_the_header_and_the_frames_that_were_put(tmp_path: Path, scripted: ScriptedRun) -> None:
+    frames = list(scripted.frames(150))
+    record(tmp_path / "run.rrd", scripted, 150)
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.frames == 150
-    assert recording.title == merry.header.title
-    assert recording.scene_toml == merry.header.scene_toml
-    assert recording.properties == merry.header.properties
+    assert recording.title == scripted.header.title
+    assert recording.scene_toml == scripted.header.scene_toml
+    assert recording.properties == scripted.header.properties
     assert recording.outcome == "completed"
     bodies = recording.bodies
-    assert bodies.name == merry.header.names
-    assert bodies.mass.tobytes() == merry.header.mass.tobytes()
+    assert bodies.name == scripted.header.names
+    assert bodies.mass.tobytes() == scripted.header.mass.tobytes()
     prints = recording.fingerprints()
     assert prints["fingerprint"].to_pylist() == [frame.fingerprint for frame in frames]
     assert prints["time"].to_pylist() == [frame.time for frame in frames]
@@ -67,26 +68,26 @@ def test_a_recording_holds_the_header_and_the_frames_that_were_put(tmp_path: Pat
     assert texts == [event.text for frame in frames for event in frame.events] + ["end: completed"]
 
 
-def test_phases_have_rows_only_where_they_change(tmp_path: Path, merry: Merry) -> None:
-    record(tmp_path / "run.rrd", merry, 150)
+def test_phases_have_rows_only_where_they_change(tmp_path: Path, scripted: ScriptedRun) -> None:
+    record(tmp_path / "run.rrd", scripted, 150)
     phases = Recording.open(tmp_path / "run.rrd").phases()
     assert phases["step"].to_pylist() == [0, 20, 80, 100]
     assert phases["state"].to_pylist() == ["free", "colliding", "free", "colliding"]
 
 
-def test_a_frame_without_contacts_clears_the_lines_of_the_one_before(tmp_path: Path, merry: Merry) -> None:
-    record(tmp_path / "run.rrd", merry, 120)
+def test_a_frame_without_contacts_clears_the_lines_of_the_one_before(tmp_path: Path, scripted: ScriptedRun) -> None:
+    record(tmp_path / "run.rrd", scripted, 120)
     rows: dict[int, int] = {}
     for chunk in RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/contacts", is_static=False):
         batch = chunk.to_record_batch()
         rows |= dict(zip(batch["step"].to_pylist(), map(len, batch["LineStrips3D:strips"]), strict=True))
-    assert rows == {frame.step: len(frame.contacts.pairs) for frame in merry.frames(120)}
+    assert rows == {frame.step: len(frame.contacts.pairs) for frame in scripted.frames(120)}
     assert 0 in rows.values()
 
 
 def test_across_a_periodic_boundary_lines_take_the_short_way(tmp_path: Path) -> None:
-    merry = Merry(30, box=np.full(3, 4.0))
-    record(tmp_path / "run.rrd", merry, 60)
+    scripted = ScriptedRun(30, box=np.full(3, 4.0))
+    record(tmp_path / "run.rrd", scripted, 60)
     for chunk in RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/contacts", is_static=False):
         for row in chunk.to_record_batch()["LineStrips3D:strips"].to_pylist():
             lines = np.array(row).reshape(-1, 2, 3)
@@ -94,8 +95,8 @@ def test_across_a_periodic_boundary_lines_take_the_short_way(tmp_path: Path) -> 
 
 
 def test_a_part_that_a_scene_does_not_require_has_no_entity(tmp_path: Path) -> None:
-    record(tmp_path / "all.rrd", Merry(5), 30)
-    record(tmp_path / "few.rrd", Merry(5, spins=False, collides=False, forces=frozenset()), 30)
+    record(tmp_path / "all.rrd", ScriptedRun(5), 30)
+    record(tmp_path / "few.rrd", ScriptedRun(5, spins=False, collides=False, forces=frozenset()), 30)
     missing = entities(tmp_path / "all.rrd") - entities(tmp_path / "few.rrd")
     assert missing >= {
         "/world/torque",
@@ -109,7 +110,7 @@ def test_a_part_that_a_scene_does_not_require_has_no_entity(tmp_path: Path) -> N
         "/step/contacts",
     }
     assert not any(path.startswith("/energy/field") for path in entities(tmp_path / "all.rrd"))
-    record(tmp_path / "none.rrd", Merry(5, stabilises=False), 30)
+    record(tmp_path / "none.rrd", ScriptedRun(5, stabilises=False), 30)
     assert entities(tmp_path / "all.rrd") - entities(tmp_path / "none.rrd") == {"/energy/ledger/stabilisation"}
 
 
@@ -117,15 +118,15 @@ def test_a_part_that_a_scene_does_not_require_has_no_entity(tmp_path: Path) -> N
 def test_many_bodies_are_drawn_as_what_a_viewer_can_afford(
     tmp_path: Path, bodies: int, spins: bool, expected: str
 ) -> None:
-    record(tmp_path / "run.rrd", Merry(bodies, spins=spins), 3)
+    record(tmp_path / "run.rrd", ScriptedRun(bodies, spins=spins), 3)
     stream = RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/bodies", is_static=False)
     for chunk in stream:
         assert any(name.startswith(expected) for name in chunk.to_record_batch().schema.names)
 
 
 def test_body_colours_follow_the_graph_where_the_scene_colours_bodies(tmp_path: Path) -> None:
-    merry = Merry(30, body_colouring=True)
-    record(tmp_path / "run.rrd", merry, 60)
+    scripted = ScriptedRun(30, body_colouring=True)
+    record(tmp_path / "run.rrd", scripted, 60)
     stream = RrdReader(tmp_path / "run.rrd").store().stream().filter(content="/world/bodies", is_static=False)
     colours = [row for chunk in stream for row in chunk.to_record_batch()["Ellipsoids3D:colors"].to_pylist()]
     assert len(set(colours[0])) == 1
@@ -133,14 +134,14 @@ def test_body_colours_follow_the_graph_where_the_scene_colours_bodies(tmp_path: 
 
 
 def test_the_file_is_at_most_a_fifth_larger_than_what_is_in_it(tmp_path: Path) -> None:
-    recorder = record(tmp_path / "run.rrd", Merry(300), 300)
+    recorder = record(tmp_path / "run.rrd", ScriptedRun(300), 300)
     assert (tmp_path / "run.rrd").stat().st_size <= 1.2 * recorder.payload_bytes
 
 
 def test_a_scene_of_billions_of_years_says_how_time_is_scaled(tmp_path: Path) -> None:
-    merry = Merry(5, duration=1e17)
-    frames = [replace(frame, time=frame.time * 2e16) for frame in merry.frames(20)]
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+    scripted = ScriptedRun(5, duration=1e17)
+    frames = [replace(frame, time=frame.time * 2e16) for frame in scripted.frames(20)]
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames:
             recorder.put(replace(frame, events=()))
         recorder.finish("completed")
@@ -149,9 +150,9 @@ def test_a_scene_of_billions_of_years_says_how_time_is_scaled(tmp_path: Path) ->
     assert recording.fingerprints()["time"].to_pylist() == [frame.time for frame in frames]
 
 
-def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, merry: Merry) -> None:
-    with pytest.raises(ZeroDivisionError), Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(10):
+def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with pytest.raises(ZeroDivisionError), Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(10):
             recorder.put(frame)
         raise ZeroDivisionError("the physics fell over")
     recording = Recording.open(tmp_path / "run.rrd")
@@ -159,23 +160,23 @@ def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, merry: Merry
     assert recording.outcome == "interrupted: ZeroDivisionError: the physics fell over"
 
 
-def test_a_run_without_a_frame_is_still_a_recording(tmp_path: Path, merry: Merry) -> None:
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+def test_a_run_without_a_frame_is_still_a_recording(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.finish("failed before the first step")
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.frames == 0
     assert recording.outcome == "failed before the first step"
 
 
-def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path, merry: Merry) -> None:
+def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path, scripted: ScriptedRun) -> None:
     with pytest.raises(RecordingError, match=r"cannot write .*No such file"):
-        Recorder(tmp_path / "missing" / "run.rrd", merry.header)
+        Recorder(tmp_path / "missing" / "run.rrd", scripted.header)
 
 
-def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, merry: Merry) -> None:
-    frames = list(merry.frames(3))
+def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, scripted: ScriptedRun) -> None:
+    frames = list(scripted.frames(3))
     bad = replace(frames[2], time=float("nan"))
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.put(frames[0])
         recorder.put(frames[1])
         recorder.put(bad)
@@ -186,9 +187,9 @@ def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, mer
     assert "does not fit the timeline" in Recording.open(tmp_path / "run.rrd").outcome
 
 
-def test_a_full_queue_holds_the_physics_and_drops_nothing(tmp_path: Path, merry: Merry) -> None:
-    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=1) as recorder:
-        producers = [threading.Thread(target=recorder.put, args=(frame,)) for frame in merry.frames(40)]
+def test_a_full_queue_holds_the_physics_and_drops_nothing(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=1) as recorder:
+        producers = [threading.Thread(target=recorder.put, args=(frame,)) for frame in scripted.frames(40)]
         for producer in producers:
             producer.start()
         for producer in producers:
@@ -228,12 +229,12 @@ def test_joined_batches_hold_what_separate_ones_do(tmp_path: Path, monkeypatch: 
     def chunks(path: Path) -> int:
         return sum(entry.rows > 0 and not entry.is_static for entry in Recording.open(path).store.entries)
 
-    merry = Merry(20)
+    scripted = ScriptedRun(20)
     for name, prompt in {"joined": 2, "separate": 1000}.items():
         monkeypatch.setattr(stream, "PROMPT_BATCHES", prompt)
         monkeypatch.setattr(stream, "OF_TIME", 1e9)  # all that waits is written at the end
-        with Recorder(tmp_path / f"{name}.rrd", merry.header, queue_size=10) as recorder:  # 5 frames a batch
-            for frame in merry.frames(120):
+        with Recorder(tmp_path / f"{name}.rrd", scripted.header, queue_size=10) as recorder:  # 5 frames a batch
+            for frame in scripted.frames(120):
                 recorder.put(frame)
             recorder.finish("completed")
     assert rows(tmp_path / "joined.rrd") == rows(tmp_path / "separate.rrd")
@@ -241,9 +242,9 @@ def test_joined_batches_hold_what_separate_ones_do(tmp_path: Path, monkeypatch: 
 
 
 def test_batches_grow_in_number_with_the_logarithm_of_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, merry, clock = 0, Merry(3), Clock()
+    now, scripted, clock = 0, ScriptedRun(3), Clock()
     monkeypatch.setattr(stream, "monotonic", lambda: float(now))
-    record = Stream(tmp_path / "run.rrd", merry.header, batch_bytes=1000, live=None)
+    record = Stream(tmp_path / "run.rrd", scripted.header, batch_bytes=1000, live=None)
     for now in range(3000):  # s
         values = plain_column(rr.Scalars.descriptor_scalars(), np.array([float(now)]))
         record.send(frame_rows("energy/total", Index(np.array([now]), np.array([float(now)])), [values], 8), clock)
@@ -257,12 +258,12 @@ def test_batches_grow_in_number_with_the_logarithm_of_time(tmp_path: Path, monke
 
 
 def test_rows_that_wait_are_written_though_no_frame_follows(
-    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(stream, "PROMPT_BATCHES", 0)
     monkeypatch.setattr(stream, "OF_TIME", 0.5)
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        recorder.put(next(iter(merry.frames(1))))
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        recorder.put(next(iter(scripted.frames(1))))
         deadline = time.monotonic() + 30.0
         while not (frames := _frames_so_far(tmp_path / "run.rrd")) and time.monotonic() < deadline:
             time.sleep(0.1)
@@ -277,13 +278,13 @@ def _frames_so_far(path: Path) -> int:
         return 0
 
 
-def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, merry: Merry) -> None:
+def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, scripted: ScriptedRun) -> None:
     path = tmp_path / "run.rrd"
-    record(path, merry, 5)
+    record(path, scripted, 5)
     path.chmod(0o600)
     before = path.read_bytes()
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(9):
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(9):
             recorder.put(frame)
         assert path.read_bytes() == before
         recorder.finish("completed")
@@ -292,24 +293,26 @@ def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, m
     assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
 
 
-def test_a_run_that_is_killed_leaves_the_recording_that_it_would_have_replaced(tmp_path: Path, merry: Merry) -> None:
+def test_a_run_that_is_killed_leaves_the_recording_that_it_would_have_replaced(
+    tmp_path: Path, scripted: ScriptedRun
+) -> None:
     path = tmp_path / "run.rrd"
-    record(path, merry, 5)
+    record(path, scripted, 5)
     before = path.read_bytes()
     killed = child(path, each="if recorder.frames >= 400: time.sleep(1.0); os.kill(os.getpid(), 9)")
     assert killed.returncode == -signal.SIGKILL
     assert path.read_bytes() == before
     assert Recording.open(tmp_path / ".run.new.rrd").frames >= 100
-    record(path, merry, 6)
+    record(path, scripted, 6)
     assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
 
 
-def test_a_link_keeps_pointing_at_the_recording_that_was_replaced(tmp_path: Path, merry: Merry) -> None:
+def test_a_link_keeps_pointing_at_the_recording_that_was_replaced(tmp_path: Path, scripted: ScriptedRun) -> None:
     (tmp_path / "disk").mkdir()
     path, link = tmp_path / "disk" / "run.rrd", tmp_path / "link.rrd"
-    record(path, merry, 5)
+    record(path, scripted, 5)
     link.symlink_to(path)
-    record(link, merry, 7)
+    record(link, scripted, 7)
     assert link.is_symlink() and Recording.open(path).frames == 7
 
 
@@ -317,14 +320,14 @@ FORKED = """
 import os, sys
 from pathlib import Path
 sys.path.insert(0, {tests!r})
-from merry import Merry
+from scripted_run import ScriptedRun
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 
 def record(path):
-    merry = Merry(5)
-    with Recorder(path, merry.header) as recorder:
-        for frame in merry.frames(50):
+    scripted = ScriptedRun(5)
+    with Recorder(path, scripted.header) as recorder:
+        for frame in scripted.frames(50):
             recorder.put(frame)
         recorder.finish("completed")
 
@@ -338,7 +341,7 @@ sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
 
 
 def test_a_program_that_forks_after_a_recording_records_in_the_child(tmp_path: Path) -> None:
-    script = FORKED.format(tests=str(TESTS), folder=str(tmp_path))
+    script = FORKED.format(tests=SUPPORT, folder=str(tmp_path))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "child.rrd").frames == 50
@@ -348,15 +351,15 @@ CHILD = """
 import os, sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
-from merry import Merry
+from scripted_run import ScriptedRun
 from carom.recording.write.recorder import Recorder
 from carom.recording.errors import RecordingError
-merry = Merry(200)
+scripted = ScriptedRun(200)
 path = Path({path!r})
 {before}
-recorder = Recorder(path, merry.header)
+recorder = Recorder(path, scripted.header)
 try:
-    for frame in merry.frames(2000):
+    for frame in scripted.frames(2000):
         recorder.put(frame)
         {each}
 except RecordingError as error:
@@ -369,7 +372,7 @@ except RecordingError as error:
 
 
 def child(path: Path, before: str = "", each: str = "pass") -> "subprocess.CompletedProcess[str]":
-    script = textwrap.dedent(CHILD).format(tests=str(TESTS), path=str(path), before=before, each=each)
+    script = textwrap.dedent(CHILD).format(tests=SUPPORT, path=str(path), before=before, each=each)
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
 
 
@@ -435,11 +438,11 @@ durable_sink.os.write = fails
     assert Recording.open(path).frames > 10
 
 
-def test_recordings_that_are_closed_keep_no_threads(tmp_path: Path, merry: Merry) -> None:
+def test_recordings_that_are_closed_keep_no_threads(tmp_path: Path, scripted: ScriptedRun) -> None:
     if not Path("/proc/self/task").exists():
         pytest.skip("threads that are not Python's are counted in /proc")
     counts = []
     for number in range(6):
-        record(tmp_path / f"{number}.rrd", merry, 20)
+        record(tmp_path / f"{number}.rrd", scripted, 20)
         counts.append(len(list(Path("/proc/self/task").iterdir())))
     assert counts[-1] == counts[1]  # the streams of the one before may still be there

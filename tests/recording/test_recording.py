@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
+from scripted_run import ScriptedRun
 
 from carom.physics.event import Event
 from carom.recording.errors import RecordingError
@@ -13,16 +14,15 @@ from carom.recording.schema import paths
 from carom.recording.write import encoder as entities
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, Rows
-from merry import Merry
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
 HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}
 
 
 @pytest.fixture
-def path(tmp_path: Path, merry: Merry) -> Path:
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(100):
+def path(tmp_path: Path, scripted: ScriptedRun) -> Path:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(100):
             recorder.put(frame)
         recorder.finish(
             "completed",
@@ -37,9 +37,9 @@ def path(tmp_path: Path, merry: Merry) -> Path:
     return tmp_path / "run.rrd"
 
 
-def test_a_recording_without_a_title_is_untitled(tmp_path: Path, merry: Merry) -> None:
-    with Recorder(tmp_path / "run.rrd", replace(merry.header, title="")) as recorder:  # Rerun drops empty texts
-        recorder.put(next(iter(merry.frames(1))))
+def test_a_recording_without_a_title_is_untitled(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with Recorder(tmp_path / "run.rrd", replace(scripted.header, title="")) as recorder:  # Rerun drops empty texts
+        recorder.put(next(iter(scripted.frames(1))))
         recorder.finish("completed")
     assert Recording.open(tmp_path / "run.rrd").title == "Untitled scene"
 
@@ -79,10 +79,10 @@ def test_a_file_torn_by_a_power_cut_is_refused_and_says_that_it_is_damaged(path:
         Recording.open(path)
 
 
-def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry) -> None:
-    frames = list(merry.frames(100))
+def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, scripted: ScriptedRun) -> None:
+    frames = list(scripted.frames(100))
     summary = Recording.open(path).summary()
-    assert summary["scene"]["title"] == merry.header.title
+    assert summary["scene"]["title"] == scripted.header.title
     assert (summary["bodies"], summary["frames"], summary["steps"]) == (60, 100, 99)
     assert summary["sim_time"] == frames[-1].time
     assert summary["outcome"] == "completed"
@@ -93,7 +93,7 @@ def test_the_summary_has_the_keys_that_scripts_rely_on(path: Path, merry: Merry)
     assert summary["momentum"]["max_error"] == max(f.momentum_error or 0.0 for f in frames) > 0
     assert summary["angular_momentum"]["max_error"] is None, "a frame that does not know it makes it unknown"
     deepest = max(
-        overlap / merry.header.radius[pair].min()
+        overlap / scripted.header.radius[pair].min()
         for f in frames
         for overlap, pair in zip(f.contacts.overlaps, f.contacts.pairs, strict=True)
     )
@@ -111,18 +111,18 @@ def test_counts_of_the_run_take_precedence_over_the_recorded_frames(path: Path) 
     }
 
 
-def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, merry: Merry) -> None:
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.finish("failed: no room for the bodies")
     with pytest.raises(RecordingError, match="holds no frame: failed: no room"):
         Recording.open(tmp_path / "run.rrd").moment()
 
 
-def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, merry: Merry) -> None:
-    frames = list(merry.frames(60))
+def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, scripted: ScriptedRun) -> None:
+    frames = list(scripted.frames(60))
     hit = frames[33].energy
     harder = replace(hit, ledger=replace(hit.ledger, restitution=hit.ledger.restitution + 1e6))
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames:
             recorder.put(replace(frame, energy=harder) if frame.step == 33 else frame)
         recorder.finish("completed")
@@ -130,7 +130,7 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, merry
 
 
 def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
-    tmp_path: Path, merry: Merry, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def without_kinds(events: Sequence[Event]) -> Rows:
         columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
@@ -140,8 +140,8 @@ def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
 
     monkeypatch.setattr(entities, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
-    with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
-        for frame in merry.frames(50):
+    with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(50):
             recorder.put(frame)
         recorder.finish("failed: the end is a warning, too")
     recording = Recording.open(tmp_path / "old.rrd")
@@ -149,19 +149,21 @@ def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
     assert recording.warnings() == [Event(30, 1.5, "WARN", "something at step 30")]
 
 
-def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(tmp_path: Path, merry: Merry) -> None:
-    n = len(merry.header.mass)
-    with Recorder(tmp_path / "old.rrd", merry.header) as recorder:
-        recorder.put(next(iter(merry.frames(1))))
+def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(
+    tmp_path: Path, scripted: ScriptedRun
+) -> None:
+    n = len(scripted.header.mass)
+    with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
+        recorder.put(next(iter(scripted.frames(1))))
         impact = {f"moments.impact.{key}": value for key, value in HIT.items()}
         recorder.finish("completed", impact | {"moments.impact.bodies": f"3,{n + 1}"})
     found = Recording.open(tmp_path / "old.rrd").summary()["moments"]["impact"]
     assert found == {**HIT, "bodies": [3], "planes": [1], "between": 'body 3 "body-3" and plane 1'}
 
 
-def test_a_series_that_no_recording_has_is_refused_with_those_there_are(tmp_path: Path, merry: Merry) -> None:
-    with Recorder(tmp_path / "run.rrd", merry.header) as recorder:
-        for frame in merry.frames(3):
+def test_a_series_that_no_recording_has_is_refused_with_those_there_are(tmp_path: Path, scripted: ScriptedRun) -> None:
+    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+        for frame in scripted.frames(3):
             recorder.put(frame)
         recorder.finish("completed")
     recording = Recording.open(tmp_path / "run.rrd")

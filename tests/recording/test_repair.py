@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edited_recordings import changed, mapped
+from scripted_run import ScriptedRun
 
 from carom.experiment.replay import replay
 from carom.recording.edit.repair import repair
@@ -18,8 +20,6 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.stream import Stream
-from crafted import changed, mapped
-from merry import Merry
 
 
 def without_footer(path: Path) -> int:
@@ -132,9 +132,9 @@ def test_messages_after_a_wrong_length_are_found_again(run_file: Path, tmp_path:
 
 
 def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_misplaced(tmp_path: Path) -> None:
-    merry = Merry(5)
-    frames = list(merry.frames(9))
-    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=6) as recorder:  # 3 frames a batch
+    scripted = ScriptedRun(5)
+    frames = list(scripted.frames(9))
+    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=6) as recorder:  # 3 frames a batch
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")
@@ -153,9 +153,9 @@ def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_mispl
 @pytest.fixture
 def batches(tmp_path: Path) -> Path:
     """A run of 5 bodies and 9 frames, 3 frames a batch."""
-    merry, path = Merry(5), tmp_path / "run.rrd"
-    with Recorder(path, merry.header, queue_size=6) as recorder:
-        for frame in merry.frames(9):
+    scripted, path = ScriptedRun(5), tmp_path / "run.rrd"
+    with Recorder(path, scripted.header, queue_size=6) as recorder:
+        for frame in scripted.frames(9):
             recorder.put(frame)
         recorder.finish("completed")
     return path
@@ -188,7 +188,7 @@ def test_a_run_killed_before_its_first_frame_is_refused_or_repaired_into_what_ca
     begun: bool, tmp_path: Path
 ) -> None:
     torn, fixed = tmp_path / "torn.rrd", tmp_path / "fixed.rrd"
-    stream = Stream(tmp_path / "run.rrd", Merry(5).header, batch_bytes=1000, live=None)
+    stream = Stream(tmp_path / "run.rrd", ScriptedRun(5).header, batch_bytes=1000, live=None)
     if begun:
         stream.send_statics(Clock(), np.zeros(3), 1.0)
     stream.flush()

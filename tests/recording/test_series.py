@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scripted_run import ScriptedRun
 
 from carom.recording.layout.curve import Curve
 from carom.recording.layout.plot_views import shown_series
@@ -14,7 +15,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import Recorder
-from merry import Merry
 
 DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
 
@@ -61,7 +61,7 @@ def test_the_curves_of_a_plot_have_different_colours() -> None:
 
 
 def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() -> None:
-    header, time, losses = Merry(20).header, np.arange(3.0), PLOTS[1][0]
+    header, time, losses = ScriptedRun(20).header, np.arange(3.0), PLOTS[1][0]
     known = {series.path: Curve.of(time, np.zeros(3)) for series in recorded(header)}
     known["energy/total"] = Curve.of(time, np.array([0.5, 0.5, 0.4]))
     for size, shown in ((1e-16, []), (0.1, ["restitution"])):
@@ -70,24 +70,27 @@ def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() ->
 
 
 def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:
-    for name, merry in (("all", Merry(5)), ("few", Merry(5, spins=False, collides=False, forces=frozenset()))):
-        with Recorder(tmp_path / f"{name}.rrd", merry.header) as recorder:
-            for frame in merry.frames(30):
+    for name, scripted in (
+        ("all", ScriptedRun(5)),
+        ("few", ScriptedRun(5, spins=False, collides=False, forces=frozenset())),
+    ):
+        with Recorder(tmp_path / f"{name}.rrd", scripted.header) as recorder:
+            for frame in scripted.frames(30):
                 recorder.put(frame)
             recorder.finish("completed")
         entries = Recording.open(tmp_path / f"{name}.rrd").store.entries
         found = {entry.entity_path for entry in entries if not entry.is_static}
-        assert found & {series.path for series in SERIES} == {series.path for series in recorded(merry.header)}
+        assert found & {series.path for series in SERIES} == {series.path for series in recorded(scripted.header)}
 
 
 def test_the_impact_rate_is_impacts_since_the_last_frame_over_the_time_between(tmp_path: Path) -> None:
-    merry = Merry(5)
+    scripted = ScriptedRun(5)
     counts = np.array([0, 0, 2, 2, 5, 11, 11, 12])
     frames = [
         replace(frame, books=replace(frame.books, moments=replace(frame.books.moments, impacts=int(impacts))))
-        for frame, impacts in zip(merry.frames(len(counts)), counts, strict=True)
+        for frame, impacts in zip(scripted.frames(len(counts)), counts, strict=True)
     ]
-    with Recorder(tmp_path / "run.rrd", merry.header, queue_size=3) as recorder:  # several batches
+    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=3) as recorder:  # several batches
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from small_scenes import scene_of
 
 import carom
 from carom.physics.frame import Frame
@@ -14,7 +15,6 @@ from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
-from examples import scene_of
 
 FLOAT32 = 2.0**-23  # rounding of a float32, relative
 

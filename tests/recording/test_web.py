@@ -19,10 +19,11 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
+from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
+from other_user import as_root, run_as_nobody
 from playwright.sync_api import Page
 
 import carom
-from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.view.keeper import free_port
@@ -31,7 +32,6 @@ from carom.recording.view.viewer import binary
 from carom.recording.view.web import server, site
 from carom.recording.view.web.server import Hosted, hosted
 from carom.scene.schema import Scene
-from other_user import as_root, run_as_nobody
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_the_page_comes_with_the_recording_its_layout_and_all_of_the_viewer(link
     assert answer(link, site.RECORDING) == (200, recorded.read_bytes())
     assert answer(link, "moment.rbl")[1].startswith(b"RRF") and answer(link, "moment.rrd")[1].startswith(b"RRF")
     assert gzip.decompress(answer(link, "re_viewer.wasm.gz")[1]).startswith(b"\0asm")
-    assert b"<title>A merry-go-round</title>" in answer(link, site.PAGE)[1]
+    assert b"<title>A scripted-go-round</title>" in answer(link, site.PAGE)[1]
     for name in site.FILES:
         assert answer(link, name)[0] == 200
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from small_scenes import cloud, pair, scene_of
 
 from carom.experiment.engines.rebound import _refuse as refuse_for_rebound
 from carom.experiment.engines.translation import problem_of
@@ -32,7 +33,6 @@ from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
 from carom.scene.schema import Promise, Scene
-from examples import cloud, pair, scene_of
 
 MOVING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
 RESTING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]}]

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from sweep_runs import write_scene
 
 from carom.experiment.interrupts import Interrupts
 from carom.experiment.sweep.conductor import GONE, INTERRUPTED, Conductor
@@ -13,7 +14,6 @@ from carom.experiment.sweep.folder import Folder
 from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest
 from carom.experiment.sweep.plan import plan
 from carom.experiment.workers import Ended, TaskDroppedError, WorkerDiedError
-from sweeps import write_scene
 
 
 class Processes:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sweep_runs import write_scene
 
 from carom.experiment.environment import versions
 from carom.experiment.sweep import task as made
@@ -13,7 +14,6 @@ from carom.experiment.sweep.folder import Folder, put
 from carom.experiment.sweep.plan import plan
 from carom.experiment.sweep.task import Task, execute
 from carom.recording.read.recording import Recording
-from sweeps import write_scene
 
 
 def task_in(folder: Path, *overrides: str) -> tuple[Task, Folder]:

@@ -1,4 +1,4 @@
-"""The main path of every command. ``python tests/main_paths.py`` tries them in an environment without extras.
+"""The main path of every command. ``python tests/support/main_paths.py`` tries them in an environment without extras.
 
 A command may need an extra or a screen; then it says so in one sentence, with the line that installs it.
 """

@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-
-from gases import DIAMETER, INERTIA, MASS
+from periodic_gas import DIAMETER, INERTIA, MASS
 
 FASTEST = 7.0  # thermal speeds; the approach of a pair is Gaussian with √2 of them, so 5 standard deviations
 DRAWN = 0.4  # of the spheres in each round; about a tenth of them collides

@@ -1,6 +1,6 @@
 """Damages a recording in one way after the other, and does to each what the commands do: run as a program.
 
-    python corrupted.py RECORDING FOLDER SEED COUNT
+    python damage_bytes.py RECORDING FOLDER SEED COUNT
 
 Says which file it is at, so that one that ends the process is known; ends with the peak of its memory in MB.
 """

@@ -1,6 +1,6 @@
 """Changes the rows of a recording in one way after the other, and does to each what the commands do: run as a program.
 
-    python mutants.py RECORDING FOLDER SEED COUNT
+    python damage_rows.py RECORDING FOLDER SEED COUNT
 
 What bytes that were changed at random hardly ever get to: chunks that can be decoded, and hold something else.
 """
@@ -18,6 +18,8 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
+from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 
 from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
@@ -35,8 +37,6 @@ from carom.recording.rrd.messages import RECORDING, decode
 from carom.recording.view.movie import _layout, frame_times
 from carom.recording.view.presentation import asked
 from carom.recording.view.request import Request
-from crafted import assembled, messages_of, repacked, stream, with_column, without_column
-from recording.corrupted import SLOWEST, attempt, mended, peak, read_all, tell
 
 LONG = 3_000_000  # values of a bomb
 TEXTS = ["", "[/red]", "\x1b[2J", "x" * 100_000, "[" * 100_000, "a." * 50_000, "[[" * 3000, "1,2,", "end: ", "nan"]

@@ -21,8 +21,8 @@ from carom.recording.schema.header import Header
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 
 
-class Merry:
-    """A merry-go-round of bodies: a frame for every step, deterministic, cheap."""
+class ScriptedRun:
+    """A scripted-go-round of bodies: a frame for every step, deterministic, cheap."""
 
     def __init__(self, bodies: int = 60, *, spins: bool = True, collides: bool = True, seed: int = 1, **header: Any):
         random = np.random.default_rng(seed)
@@ -35,9 +35,9 @@ class Merry:
         self.spin = random.normal(0, 1.0, (bodies, 3)) if spins else None
         self.collides = collides
         values: dict[str, Any] = {
-            "title": "A merry-go-round",
+            "title": "A scripted-go-round",
             "description": "Bodies on circles that pass through each other.",
-            "scene_toml": 'title = "A merry-go-round"\n',
+            "scene_toml": 'title = "A scripted-go-round"\n',
             "seed": seed,
             "run_id": RUN_ID,
             "names": [f"body-{k}" for k in range(bodies)],
@@ -58,7 +58,7 @@ class Merry:
             "properties": {
                 "version.carom": "0.1.0",
                 "version.rerun": "0.41.0",
-                "command": "carom run merry.toml",
+                "command": "carom run scripted.toml",
                 "threads": 2,
             },
         }
