@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.experiment.work_precision.settings_grid import Point, knobs
+from carom.lab.tradeoff.settings_grid import Point, knobs
 from carom.physics.error import PhysicsError
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.periodic_box import minimum_images

@@ -11,16 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.experiment.fork.branch import Branch, start_of
-from carom.experiment.fork.ensemble import ensemble
-from carom.experiment.fork.fork import fork
-from carom.experiment.fork.perturbed import results_of
-from carom.experiment.run import run
-from carom.experiment.why.question import question_of
-from carom.experiment.why.why import why
-from carom.experiment.workers import LocalWorkers
+from carom.lab.fork.branch import Branch, start_of
+from carom.lab.fork.ensemble import ensemble
+from carom.lab.fork.fork import fork
+from carom.lab.fork.perturbed import results_of
+from carom.lab.why.question import question_of
+from carom.lab.why.why import why
 from carom.physics.parallel.cores import cores
 from carom.recording.read.recording import Recording
+from carom.runs.run import run
+from carom.runs.workers import LocalWorkers
 from carom.scene.load import load_scene
 
 SPHERES = Path(__file__).parent / "scenes" / "thousand-spheres.toml"

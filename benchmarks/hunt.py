@@ -16,9 +16,9 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from carom.experiment.hunt.hunt import Hunt
-from carom.experiment.interrupts import Interrupts
-from carom.experiment.shrink.budget import Budget
+from carom.lab.hunt.hunt import Hunt
+from carom.lab.shrink.budget import Budget
+from carom.runs.interrupts import Interrupts
 from planted_faults import FAULTS, Fault
 
 RESULTS = Path(__file__).parent / "results" / "hunt.json"

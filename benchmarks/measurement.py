@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from carom.experiment.environment import environment
 from carom.physics.parallel.cores import cores
+from carom.runs.environment import environment
 
 RESULTS = Path(__file__).parent / "results"
 

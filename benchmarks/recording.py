@@ -25,14 +25,14 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from carom.experiment.memory import keep_freed_memory
+from carom.runs.memory import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
-from carom.experiment import run as experiment  # noqa: E402
-from carom.experiment.run import Outcome, recording_space, simulate  # noqa: E402
 from carom.physics.space import Space  # noqa: E402
 from carom.recording.write.recorder import Recorder  # noqa: E402
+from carom.runs import run as experiment  # noqa: E402
+from carom.runs.run import Outcome, recording_space, simulate  # noqa: E402
 from carom.scene.schema import Scene  # noqa: E402
 from measurement import save  # noqa: E402
 

@@ -12,10 +12,10 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from carom.experiment.error import ExperimentError
-from carom.experiment.shrink.condition import condition_from
-from carom.experiment.shrink.reducer import Reducer
-from carom.experiment.shrink.text import commented
+from carom.lab.shrink.condition import condition_from
+from carom.lab.shrink.reducer import Reducer
+from carom.lab.shrink.text import commented
+from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from planted_faults import FAULTS, Fault
 

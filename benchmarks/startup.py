@@ -15,7 +15,7 @@ from pathlib import Path
 FIRST_STEP = """
 import time; began = time.perf_counter()
 from carom.scene.schema import Scene
-from carom.experiment.run import simulate
+from carom.runs.run import simulate
 from carom.physics.space import Space
 space = Space(Scene.load("cloud-collapse"))
 space.compute_dynamics(1)

@@ -16,9 +16,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from carom.experiment.sweep.manifest import Run
-from carom.experiment.sweep.plan import plan
-from carom.experiment.sweep.sweep import sweep
+from carom.lab.sweep.manifest import Run
+from carom.lab.sweep.plan import plan
+from carom.lab.sweep.sweep import sweep
 from measurement import save
 
 ROUNDS = 3

@@ -18,7 +18,7 @@ from hypothesis import settings
 from needs import need
 from seeds import VARIABLE, chosen_seed, is_random
 
-from carom.experiment.compiling_process import start_on_a_new_installation
+from carom.runs.compiling_process import start_on_a_new_installation
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)
 settings.register_profile("new", deadline=None, print_blob=True)

@@ -12,8 +12,8 @@ from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view import notebook
 from carom.recording.write.recorder import Recorder
+from carom.show import notebook
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "notebook.ipynb"
 LARGEST = 20_000  # bytes

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from carom import errors as errors
     from carom import record as record
-    from carom.experiment.run import run as run
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
+    from carom.runs.run import run as run
     from carom.scene.schema import Scene as Scene
 
     __version__: str
@@ -28,7 +28,7 @@ _HOMES = {
     "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.schema",
     "Space": "carom.physics.space",
-    "run": "carom.experiment.run",
+    "run": "carom.runs.run",
 }
 
 

@@ -11,7 +11,7 @@ Any object with a `Model` and a method ``state`` that returns a `State` is a `So
 
 from __future__ import annotations
 
-from carom.experiment.engine_recorder import Recorder
+from carom.lab.engines.engine_recorder import Recorder
 from carom.recording.source.adapters.box3d import box3d
 from carom.recording.source.adapters.mujoco import mujoco
 from carom.recording.source.adapters.newton import newton

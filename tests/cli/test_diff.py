@@ -9,9 +9,9 @@ from scripted_run import ScriptedRun
 from small_scenes import pair
 
 from carom import record
-from carom.experiment.run import run
 from carom.recording.edit import bundle
 from carom.recording.write.recorder import Recorder
+from carom.runs.run import run
 
 
 @pytest.fixture

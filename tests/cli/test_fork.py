@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from carom_command import carom, carom_process
 
-from carom.experiment.fork import fork as forking
-from carom.experiment.run import simulate
+from carom.lab.fork import fork as forking
+from carom.runs.run import simulate
 
 SEEDED = ("--at", "0.5", "--perturb", "1ulp", "--seeds", "2")
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from carom_command import carom
 
-from carom.experiment.json_numbers import finite
+from carom.runs.json_numbers import finite
 
 UNBOUNDED = """
 title = "A promise of what a periodic box does not conserve"

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from carom_command import carom
 
 from carom.recording.read.recording import Recording
-from carom.recording.view.presentation import presentation
+from carom.show.presentation import presentation
 
 FALLS = """
 title = "Names"
@@ -117,7 +117,7 @@ def test_inspect_names_what_touched_and_says_which_energy_that_is(collided: tupl
 
 def test_a_report_names_what_touched(collided: tuple[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
     path, pair = collided
-    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not now")
+    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not now")
     made = carom("report", str(path), "-o", "report.zip", "--force", cwd=path.parent)
     assert made.returncode == 0, made.stderr
     with zipfile.ZipFile(path.parent / "report.zip") as bundle:

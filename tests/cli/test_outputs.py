@@ -136,7 +136,7 @@ def test_a_space_that_cannot_be_built_is_one_sentence(
         raise PhysicsError("the state is not finite at its start")
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("carom.experiment.run.Space", space)
+    monkeypatch.setattr("carom.runs.run.Space", space)
     monkeypatch.setattr("sys.argv", ["carom", *QUICK, "-o", "x.rrd"])
     with pytest.raises(SystemExit) as ended:
         main()

@@ -9,9 +9,9 @@ from carom_command import carom
 from small_scenes import pair
 
 import carom as library
-from carom.experiment.overview import overview
-from carom.experiment.report import worst_moment
 from carom.recording.read.recording import Recording
+from carom.runs.overview import overview
+from carom.runs.report import worst_moment
 from carom.scene.error import SceneError
 
 TIMINGS = {"exact": "time-of-impact", "late": "end-of-step"}  # of an impact in the middle of a step

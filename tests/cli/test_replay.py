@@ -41,7 +41,7 @@ def test_a_replay_that_fails_tells_a_script_why(folder: Path, monkeypatch: pytes
     def fails(*_: object, **__: object) -> None:
         raise PhysicsError("the state is no longer finite")
 
-    monkeypatch.setattr("carom.experiment.replay.replay", fails)
+    monkeypatch.setattr("carom.runs.replay.replay", fails)
     done = carom("replay", "ts.rrd", "--json", cwd=folder)
     assert done.returncode == 1 and "the replay failed: the state is no longer finite" in done.stderr
     assert json.loads(done.stdout) == {"same": False, "ended": "the state is no longer finite"}

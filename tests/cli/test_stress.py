@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 from carom_command import carom
 
-from carom.experiment.stress import extremes
 from carom.recording.read.recording import Recording
+from carom.runs.stress import extremes
 
 # at their own moments impacts overlap by nothing
 TOO_DEEP = ("--set", "contact.timing=end-of-step", "--set", "expect.max_overlap=1e-9")

@@ -15,9 +15,9 @@ from carom_command import carom, carom_process
 from sweep_runs import fingerprints, manifest, write_scene
 
 from carom.cli.main import main
-from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
+from carom.runs.run import simulate
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

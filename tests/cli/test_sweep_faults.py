@@ -26,7 +26,7 @@ from sweep_runs import (
     write_scene,
 )
 
-from carom.experiment.interrupts import SAME_PRESS
+from carom.runs.interrupts import SAME_PRESS
 
 VARY = ("--vary", "contact.restitution=0.1:0.9:3", "--seeds", "4")
 RUNS = 12
@@ -176,7 +176,7 @@ def children_of(process: int) -> list[int]:
     """Find the workers of a sweep among what it has started."""
     lists = [path.read_text(encoding="utf-8") for path in Path(f"/proc/{process}/task").glob("*/children")]
     children = [int(child) for listed in lists for child in listed.split()]
-    return [child for child in children if b"carom.experiment.workers" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    return [child for child in children if b"carom.runs.workers" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
 def is_running(process: int) -> bool:

@@ -104,7 +104,7 @@ def test_an_interrupted_search_tells_a_script_what_is_left_of_it(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("carom.experiment.work_precision.tune.tuned", interrupted)
+    monkeypatch.setattr("carom.lab.tradeoff.tune.tuned", interrupted)
     done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, "--json", cwd=tmp_path)
     told = json.loads(done.stdout)
     assert done.returncode == 1 and "stopped; what is measured is kept" in done.stderr

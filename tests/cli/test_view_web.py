@@ -11,8 +11,8 @@ import pytest
 from carom_command import carom
 from scripted_run import ScriptedRun
 
-from carom.recording.view.web import site
 from carom.recording.write.recorder import Recorder
+from carom.show.web import site
 
 
 @pytest.fixture

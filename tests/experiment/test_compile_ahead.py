@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from carom.experiment import compiling_process
-from carom.experiment.warmup import SCENES
 from carom.physics import parallel
 from carom.physics.parallel.cores import cores
 from carom.physics.space import Space
+from carom.runs import compiling_process
+from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene
 
 PILE = {"title": "a pile", **SCENES["a pile, recorded"]}
@@ -44,7 +44,7 @@ print(json.dumps([space.fingerprint(), listener.compiled]))
 """
 START = """
 import sys
-from carom.experiment.compiling_process import start_compiling
+from carom.runs.compiling_process import start_compiling
 print(start_compiling().pid, flush=True)
 sys.stdin.read()
 """
@@ -96,7 +96,7 @@ def test_on_a_new_installation_the_second_process_starts_at_once(
 @pytest.mark.slow
 def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tmp_path: Path) -> None:
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    ahead = [sys.executable, "-m", "carom.experiment.compile_ahead"]
+    ahead = [sys.executable, "-m", "carom.runs.compile_ahead"]
     with subprocess.Popen(ahead, stdin=subprocess.PIPE, env=environment) as second:
         assert second.wait() == 0
     taken = {path.name.split("-")[0].rpartition(".")[2] for path in tmp_path.rglob("*.nbc")}

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from small_scenes import cloud
 
-from carom.experiment.work_precision.coordinate_descent import excess
-from carom.experiment.work_precision.result import Result
-from carom.experiment.work_precision.settings_grid import Point, default_points, knobs, vary
-from carom.experiment.work_precision.tradeoff import Study
-from carom.experiment.work_precision.tune import Tuning, tuned
+from carom.lab.tradeoff.coordinate_descent import excess
+from carom.lab.tradeoff.result import Result
+from carom.lab.tradeoff.settings_grid import Point, default_points, knobs, vary
+from carom.lab.tradeoff.tradeoff import Study
+from carom.lab.tradeoff.tune import Tuning, tuned
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene
 

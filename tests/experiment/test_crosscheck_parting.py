@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from small_scenes import scene_of
 
-from carom.experiment.crosscheck.parting import NumberedImpacts, parting_of
-from carom.experiment.run import recording_space, simulate
-from carom.experiment.work_precision.reference import Reference, make_reference
+from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
+from carom.lab.tradeoff.reference import Reference, make_reference
 from carom.recording.read.recording import Recording
-from carom.recording.view.named_event import named_event
+from carom.runs.run import recording_space, simulate
 from carom.scene.names import Names
+from carom.show.named_event import named_event
 
 NAMES = Names(["wall", "ball", "end"], [])
 

@@ -11,13 +11,13 @@ from scripted_run import ScriptedRun
 from small_scenes import scene_of
 
 from carom.cli.diff import _short
-from carom.experiment.diff.diff import Diff, diff, differing, overlay
-from carom.experiment.diff.impact_divergence import _nearest_in_order, impact_divergence
-from carom.experiment.run import run
+from carom.lab.diff.diff import Diff, diff, differing, overlay
+from carom.lab.diff.impact_divergence import _nearest_in_order, impact_divergence
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
+from carom.runs.run import run
 from carom.scene.schema import Scene
 
 Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)

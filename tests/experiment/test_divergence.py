@@ -4,7 +4,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.experiment.diff.divergence import Curve, divergence_of, verdict
+from carom.lab.diff.divergence import Curve, divergence_of, verdict
 
 SIZE, REACH = 10.0, 15.0  # m
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from carom.experiment.ending import in_words
+from carom.runs.ending import in_words
 
 
 @pytest.mark.parametrize(

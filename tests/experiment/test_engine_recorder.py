@@ -13,7 +13,6 @@ from carom_command import carom as command
 from needs import needed_engine
 
 import carom
-from carom.experiment.overview import overview
 from carom.recording.errors import RecordingError
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
@@ -21,6 +20,7 @@ from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.adapters.pybullet import calls_per_frame
 from carom.recording.source.snapshot import Snapshot
+from carom.runs.overview import overview
 
 FAULT = 100  # the step from which each fault is planted
 MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from needs import needed_engine
 
-from carom.experiment.engines.engine import engine_called
-from carom.experiment.engines.rebound import shortest_period
-from carom.experiment.engines.stepped import Simulation
-from carom.experiment.engines.translation import problem_of
-from carom.experiment.engines.watched import watch
-from carom.experiment.error import ExperimentError
-from carom.experiment.work_precision.tradeoff import Study
-from carom.experiment.work_precision.trajectory import sample_times
+from carom.lab.engines.engine import engine_called
+from carom.lab.engines.rebound import shortest_period
+from carom.lab.engines.stepped import Simulation
+from carom.lab.engines.translation import problem_of
+from carom.lab.engines.watched import watch
+from carom.lab.tradeoff.tradeoff import Study
+from carom.lab.tradeoff.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
+from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}

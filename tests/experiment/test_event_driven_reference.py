@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from small_scenes import pair, scene_of
 
-from carom.experiment.work_precision.event_driven_reference import solve, why_not
-from carom.experiment.work_precision.trajectory import sample_times
+from carom.lab.tradeoff.event_driven_reference import solve, why_not
+from carom.lab.tradeoff.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import AT_REST, BOUNCES
@@ -83,7 +83,7 @@ def test_the_exact_course_asks_the_law_how_a_contact_rebounds(monkeypatch: pytes
         return float(material.restitution / (1.0 + approach))
 
     law = SimpleNamespace(restitution=fading)
-    monkeypatch.setattr("carom.experiment.work_precision.event_driven_reference.LAW", law)
+    monkeypatch.setattr("carom.lab.tradeoff.event_driven_reference.LAW", law)
     bodies = [{"position": [x, 0, 0], "velocity": [-0.2 * x, 0, 0], "radius": 1.0, "mass": 1.0} for x in (-5.0, 5.0)]
     scene = scene_of(bodies, gravity={"constant": 0.0}, contact={"restitution": 0.9}, time={"duration": 8.0})
     rebound = course(scene).trajectory.velocity[-1, 1, 0]

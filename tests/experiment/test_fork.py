@@ -11,18 +11,18 @@ import pytest
 from small_scenes import cloud, two_planets
 
 import carom
-from carom.experiment.error import ExperimentError
-from carom.experiment.fork.branch import Branch, start_of
-from carom.experiment.fork.chance import Chance, chances
-from carom.experiment.fork.ensemble import Ensemble, ensemble
-from carom.experiment.fork.fork import fork, text_of, write_ensemble
-from carom.experiment.fork.inevitable import inevitable, judge
-from carom.experiment.fork.path import outcome_of
-from carom.experiment.fork.perturbed import Result, Task, by_seed, execute
+from carom.lab.fork.branch import Branch, start_of
+from carom.lab.fork.chance import Chance, chances
+from carom.lab.fork.ensemble import Ensemble, ensemble
+from carom.lab.fork.fork import fork, text_of, write_ensemble
+from carom.lab.fork.inevitable import inevitable, judge
+from carom.lab.fork.path import outcome_of
+from carom.lab.fork.perturbed import Result, Task, by_seed, execute
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
-from carom.recording.view.forecast import shades
+from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
+from carom.show.forecast import shades
 
 
 def box_of_balls(duration: float) -> Scene:
@@ -178,7 +178,7 @@ def test_the_growth_of_forks_is_the_growth_that_diff_finds(gas: Path, tmp_path: 
 def test_an_unknown_name_in_an_outcome_is_refused_before_a_branch_is_run(
     gas: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.experiment.fork.ensemble.path_of", None)
+    monkeypatch.setattr("carom.lab.fork.ensemble.path_of", None)
     with pytest.raises(ExperimentError, match=r'--outcome contacts\.impact > 1: .* did you mean "contacts\.impacts"'):
         many(gas, 7.8, 1, "contacts.impact > 1")
 

@@ -14,12 +14,12 @@ from edited_recordings import assembled, changed, is_of, mapped, messages_of, wi
 from small_scenes import cloud
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 
 WHERE_IT_CHANGES = ("phase", "step/limit")
 

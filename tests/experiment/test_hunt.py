@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from carom_command import carom
 
-from carom.experiment.hunt.hunt import Hunt, Miss
-from carom.experiment.hunt.laws import LAWS, laws_of
-from carom.experiment.hunt.scenes import Drawn, drawn
-from carom.experiment.shrink.budget import OutOfTime
+from carom.lab.hunt.hunt import Hunt, Miss
+from carom.lab.hunt.laws import LAWS, laws_of
+from carom.lab.hunt.scenes import Drawn, drawn
+from carom.lab.shrink.budget import OutOfTime
 from carom.physics.diagnostics.audit import Audit
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
@@ -36,7 +36,7 @@ def test_the_same_seed_draws_the_same_scene() -> None:
 
 @pytest.mark.slow
 def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.experiment.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))
+    monkeypatch.setattr("carom.lab.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))
     book = Audit.book
     monkeypatch.setattr(Audit, "book", lambda audit, work: book(audit, np.asarray(work) * [0.0, 1.0, 1.0]))
     made = carom("hunt", "--seed", "7", "--scenes", "2", "-o", "found", "--json", cwd=tmp_path)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from small_scenes import scene_of
 
-from carom.experiment.work_precision.event_driven_reference import solve
-from carom.experiment.work_precision.trajectory import follow, sample_times
+from carom.lab.tradeoff.event_driven_reference import solve
+from carom.lab.tradeoff.trajectory import follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import BOUNCES

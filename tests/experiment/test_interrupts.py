@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from carom.experiment import interrupts
-from carom.experiment.interrupts import Interrupts
 from carom.recording.read.recording import Recording
+from carom.runs import interrupts
+from carom.runs.interrupts import Interrupts
 
 
 def test_an_interrupt_that_an_imported_library_caught_ends_the_run_before_it_begins(
@@ -60,7 +60,7 @@ def test_a_signal_ends_a_script_of_several_runs_and_leaves_a_complete_recording(
 
 CALLBACK = """
 import ctypes, signal, time
-from carom.experiment.interrupts import raise_signals
+from carom.runs.interrupts import raise_signals
 
 raise_signals()
 try:

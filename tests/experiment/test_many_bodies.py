@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.report import report
-from carom.experiment.resume import resumable_run, resume
 from carom.recording.read.restore import recorded_scene
+from carom.runs.replay import replay
+from carom.runs.report import report
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -33,7 +33,7 @@ def assert_read_by_all(recording: carom.Recording, folder: Path, monkeypatch: py
     assert replay(recording).same
     run = resumable_run(recording, until=0.004)
     assert resume(run, run.space(), folder / "longer.rrd").status == "completed"
-    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
     assert "same bits" in report(recording, folder / "x.zip").replayed
 
 

@@ -19,10 +19,10 @@ from needs import PICTURES
 from PIL import Image
 from scripted_run import ScriptedRun
 
-from carom.experiment import publish as publishing
 from carom.recording.errors import RecordingError
-from carom.recording.view.web import index_page, site
 from carom.recording.write.recorder import Recorder
+from carom.runs import publish as publishing
+from carom.show.web import index_page, site
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
@@ -49,7 +49,7 @@ def draw(path: object, request: object, png: Path, size: tuple[int, int]) -> Non
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording, with pictures and a viewer that cost nothing."""
-    monkeypatch.setattr("carom.recording.view.picture.render", draw)
+    monkeypatch.setattr("carom.show.picture.render", draw)
     monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
     return record(tmp_path / "my run.rrd")
 
@@ -219,7 +219,7 @@ def test_without_a_driver_the_page_has_no_pictures_and_the_command_says_why(
     def fail(*_: object) -> None:
         raise RecordingError("it needs a Vulkan driver")
 
-    monkeypatch.setattr("carom.recording.view.picture.render", fail)
+    monkeypatch.setattr("carom.show.picture.render", fail)
     done = carom("publish", run.name, "-o", "out", "--json", cwd=run.parent)
     assert done.returncode == 0 and json.loads(done.stdout)["picture"] == "it needs a Vulkan driver"
     page = Texts((run.parent / "out" / "index.html").read_text(encoding="utf-8"))

@@ -11,15 +11,11 @@ import pytest
 from carom_command import carom as carom_command
 
 import carom
-from carom.experiment.diff.diff import diff
-from carom.experiment.environment import versions
-from carom.experiment.replay import replay
-from carom.experiment.report import report
-from carom.experiment.resume import resumable_run, resume
-from carom.experiment.sweep.folder import Folder
-from carom.experiment.sweep.manifest import Manifest
-from carom.experiment.sweep.plan import plan
-from carom.experiment.sweep.task import Task, execute
+from carom.lab.diff.diff import diff
+from carom.lab.sweep.folder import Folder
+from carom.lab.sweep.manifest import Manifest
+from carom.lab.sweep.plan import plan
+from carom.lab.sweep.task import Task, execute
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
@@ -28,6 +24,10 @@ from carom.recording.export.snapshot import snapshots
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene
 from carom.recording.schema import paths
+from carom.runs.environment import versions
+from carom.runs.replay import replay
+from carom.runs.report import report
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -87,7 +87,7 @@ def recording(tmp_path: Path) -> Recording:
 def test_a_recording_replays_resumes_clips_and_reports_without_the_data_files(
     recording: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
     assert replay(recording).same
     clip(recording.path, tmp_path / "clip.rrd", 0.01, 0.02, bodies=[0, 8])
     assert replay(Recording.open(tmp_path / "clip.rrd")).same
@@ -224,8 +224,8 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
         time={"duration": 0.02, "fixed_dt": 0.01},
     )
     recording = carom.run(scene, tmp_path / "run.rrd")
-    monkeypatch.setattr("carom.experiment.report.try_to_render", lambda *_: "not of interest here")
-    monkeypatch.setattr("carom.experiment.report.ROOM", 450_000)
+    monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
+    monkeypatch.setattr("carom.runs.report.ROOM", 450_000)
     made = report(recording, tmp_path / "x.zip")
     assert not made.replays
     assert "of 3000 bodies, those nearest" in made.replayed

@@ -16,9 +16,6 @@ from edited_recordings import changed, mapped
 from small_scenes import cloud
 
 import carom
-from carom.experiment.mismatch import different
-from carom.experiment.replay import Difference, replay
-from carom.experiment.run import simulate
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
@@ -28,6 +25,9 @@ from carom.plan.auto import frame_interval
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint, paths
+from carom.runs.mismatch import different
+from carom.runs.replay import Difference, replay
+from carom.runs.run import simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
@@ -180,7 +180,7 @@ def test_a_window_outside_the_recording_is_not_replayed(begin: float, end: float
 
 
 def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.experiment.replay.TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("carom.runs.replay.TRIAL_SECONDS", 0.0)
     recording = carom.run(cloud(), tmp_path / "cloud.rrd")
     asked = []
 
@@ -196,7 +196,7 @@ def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 def test_what_the_first_step_of_a_replay_compiles_is_no_part_of_the_time_that_it_asks_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.experiment.replay.TRIAL_SECONDS", 0.0)
+    monkeypatch.setattr("carom.runs.replay.TRIAL_SECONDS", 0.0)
     recording, asked, compiling = carom.run(cloud(), tmp_path / "cloud.rrd"), list[float](), 0.5  # s
 
     def compile_at_first(status: StepStatus) -> None:

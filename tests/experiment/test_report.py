@@ -13,13 +13,13 @@ from markdown_it import MarkdownIt
 from small_scenes import cloud
 
 import carom
-from carom.experiment import report as reports
-from carom.experiment.replay import replay
-from carom.experiment.report import Report, report, worst_moment
 from carom.physics.event import Event
 from carom.recording.edit import bundle
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.runs import report as reports
+from carom.runs.replay import replay
+from carom.runs.report import Report, report, worst_moment
 from carom.scene.names import escaped
 from carom.scene.schema import Scene
 

@@ -15,14 +15,14 @@ import pytest
 from small_scenes import cloud, two_planets
 
 import carom
-from carom.experiment.resume import claimed_target, resumable_run, resume
-from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.runs.resume import claimed_target, resumable_run, resume
+from carom.runs.run import simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 

@@ -17,9 +17,6 @@ import pytest
 from small_scenes import cloud, pair
 
 import carom
-from carom.experiment.expectation import judge
-from carom.experiment.resume import resumable_run
-from carom.experiment.run import Outcome, simulate
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.frame import Frame
 from carom.physics.space import Space
@@ -27,6 +24,9 @@ from carom.physics.status import StepStatus
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
+from carom.runs.expectation import judge
+from carom.runs.resume import resumable_run
+from carom.runs.run import Outcome, simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
@@ -137,7 +137,7 @@ def test_a_run_that_is_watched_without_a_pause_records_what_one_alone_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     alone = carom.run(cloud(), tmp_path / "alone.rrd")
-    monkeypatch.setattr("carom.experiment.run.POLL", 0.0)
+    monkeypatch.setattr("carom.runs.run.POLL", 0.0)
     seen: list[StepStatus] = []
     outcome = simulate(Space(cloud()), tmp_path / "watched.rrd", watch=seen.append)
     watched = Recording.open(outcome.path)

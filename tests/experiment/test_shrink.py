@@ -13,24 +13,24 @@ import pytest
 from carom_command import carom
 
 from carom.cli.shrink import _print
-from carom.experiment.error import ExperimentError
-from carom.experiment.shrink.bodies import cones
-from carom.experiment.shrink.budget import OutOfTime
-from carom.experiment.shrink.condition import condition_from
-from carom.experiment.shrink.delta_debugging import fewest
-from carom.experiment.shrink.expression import Expression, UnknownNameError
-from carom.experiment.shrink.invariance import IMAGES, INVARIANCES, FloatArray, Image, Varies
-from carom.experiment.shrink.judges import Judges, Task
-from carom.experiment.shrink.literal import Document
-from carom.experiment.shrink.numbers import digits_of, rounded
-from carom.experiment.shrink.observation import Observation, Touches
-from carom.experiment.shrink.reducer import Reducer, Reduction
-from carom.experiment.shrink.text import commented
-from carom.experiment.shrink.trials import Trials
-from carom.experiment.shrink.whole_run import CommandShows
-from carom.experiment.workers import Ended
+from carom.lab.shrink.bodies import cones
+from carom.lab.shrink.budget import OutOfTime
+from carom.lab.shrink.condition import condition_from
+from carom.lab.shrink.delta_debugging import fewest
+from carom.lab.shrink.expression import Expression, UnknownNameError
+from carom.lab.shrink.invariance import IMAGES, INVARIANCES, FloatArray, Image, Varies
+from carom.lab.shrink.judges import Judges, Task
+from carom.lab.shrink.literal import Document
+from carom.lab.shrink.numbers import digits_of, rounded
+from carom.lab.shrink.observation import Observation, Touches
+from carom.lab.shrink.reducer import Reducer, Reduction
+from carom.lab.shrink.text import commented
+from carom.lab.shrink.trials import Trials
+from carom.lab.shrink.whole_run import CommandShows
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
+from carom.runs.error import ExperimentError
+from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 
@@ -311,8 +311,8 @@ def test_a_spent_budget_ends_the_wait_for_a_worker() -> None:
 
 @pytest.mark.slow
 def test_several_processes_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.experiment.shrink.judges.START", -1.0)
-    monkeypatch.setattr("carom.experiment.shrink.judges.MIN_SECONDS_TO_SEND", -1.0)
+    monkeypatch.setattr("carom.lab.shrink.judges.START", -1.0)
+    monkeypatch.setattr("carom.lab.shrink.judges.MIN_SECONDS_TO_SEND", -1.0)
     asked: list[int] = []
     first = Judges.first
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from small_scenes import cloud
 
-from carom.experiment.expectation import judge
-from carom.experiment.stress import attempt, extremes
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
+from carom.runs.expectation import judge
+from carom.runs.stress import attempt, extremes
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
@@ -170,7 +170,7 @@ def test_a_run_that_stops_being_finite_points_to_its_end(tmp_path: Path, monkeyp
         spaces.append(Space(*arguments, **options))
         return spaces[0]
 
-    monkeypatch.setattr("carom.experiment.run.Space", keep)
+    monkeypatch.setattr("carom.runs.run.Space", keep)
 
     def break_it(status: StepStatus) -> None:
         spaces[0].state.velocity[3] = np.nan

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from small_scenes import cloud, pair
 
-from carom.experiment.error import ExperimentError
-from carom.experiment.work_precision import tradeoff, trajectory
-from carom.experiment.work_precision.figure import draw
-from carom.experiment.work_precision.overlay import record
-from carom.experiment.work_precision.settings_grid import default_settings, vary
-from carom.experiment.work_precision.tradeoff import Study
+from carom.lab.tradeoff import tradeoff, trajectory
+from carom.lab.tradeoff.figure import draw
+from carom.lab.tradeoff.overlay import record
+from carom.lab.tradeoff.settings_grid import default_settings, vary
+from carom.lab.tradeoff.tradeoff import Study
 from carom.physics.error import PhysicsError
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.runs.error import ExperimentError
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

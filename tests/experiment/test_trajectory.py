@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scene_strategies import scene_from
 from small_scenes import cloud, pair, scene_of
 
-from carom.experiment.work_precision.error_measures import Scale, compare
-from carom.experiment.work_precision.reference import make_reference, refined
-from carom.experiment.work_precision.settings_grid import vary
-from carom.experiment.work_precision.trajectory import Trajectory, follow, sample_times
+from carom.lab.tradeoff.error_measures import Scale, compare
+from carom.lab.tradeoff.reference import make_reference, refined
+from carom.lab.tradeoff.settings_grid import vary
+from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 

@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 from small_scenes import cloud, pair, scene_of
 
 import carom
-from carom.experiment.why.answer import Answer
-from carom.experiment.why.history import History
-from carom.experiment.why.question import Question, question_of
-from carom.experiment.why.why import answer_from, why
+from carom.lab.why.answer import Answer
+from carom.lab.why.history import History
+from carom.lab.why.question import Question, question_of
+from carom.lab.why.why import answer_from, why
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
-from carom.recording.view import causes
-from carom.recording.view.causes import CauseEdge
 from carom.scene.schema import Scene
 from carom.scene.start import Start
+from carom.show import causes
+from carom.show.causes import CauseEdge
 
 FloatArray = NDArray[np.float64]
 

@@ -15,13 +15,13 @@ from typing import Any
 import psutil
 import pytest
 
-from carom.experiment.error import ExperimentError
-from carom.experiment.workers import Ended, LocalWorkers, WorkerDiedError
+from carom.runs.error import ExperimentError
+from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
 
 NOBODY = 65534
 HOLD = """
 import signal, sys, time
-from carom.experiment.workers import LocalWorkers
+from carom.runs.workers import LocalWorkers
 with LocalWorkers(2) as workers:
     workers.send(time.sleep, {key: 600.0 for key in range(3)})
     print("started", flush=True)
@@ -72,7 +72,7 @@ def test_what_waits_can_be_dropped_and_nobody_hears_of_what_was_dropped_under_wa
 
 
 def test_workers_that_cannot_start_end_the_wait_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.experiment.workers._START", "import os; os._exit(9)")
+    monkeypatch.setattr("carom.runs.workers._START", "import os; os._exit(9)")
     with LocalWorkers(1) as workers, pytest.raises(ExperimentError, match="end as they start, with exit code 9"):
         results(workers, abs, {"never": 1})
 

@@ -13,8 +13,7 @@ import pytest
 from numpy.typing import NDArray
 from small_scenes import scene_of
 
-from carom.experiment.run import kept_accuracy
-from carom.experiment.work_precision.event_driven_reference import solve
+from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.integrators.radau_twin import part
@@ -25,6 +24,7 @@ from carom.physics.placement import place
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
+from carom.runs.run import kept_accuracy
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from small_scenes import pair, random_bodies, scene_of
 
-from carom.experiment.expectation import judge
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
 from carom.physics.diagnostics.extremes import Extremes
@@ -18,6 +17,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.space import Space
+from carom.runs.expectation import judge
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.names import Names
 from carom.scene.schema import Expect

@@ -13,13 +13,13 @@ from scipy.integrate import solve_ivp
 from small_scenes import scene_of
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
 from carom.physics.error import PhysicsError
 from carom.physics.integrators.radau_nodes import NODES
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

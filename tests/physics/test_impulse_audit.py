@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from scene_strategies import documents, scene_from
 from small_scenes import cloud
 
-from carom.experiment.hunt.documents import Document
+from carom.lab.hunt.documents import Document
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scene_strategies import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
 from scipy.spatial.transform import Rotation
 
-from carom.experiment.hunt.documents import Document
-from carom.experiment.shrink.invariance import Image
+from carom.lab.hunt.documents import Document
+from carom.lab.shrink.invariance import Image
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 

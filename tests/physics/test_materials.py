@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_scenes import random_bodies, scene_of, solver_of
 
-from carom.experiment.work_precision.event_driven_reference import solve
+from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.contact.contact_table import SLIDING, STICKING
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy, CollisionContext

@@ -8,7 +8,6 @@ import numba
 import numpy as np
 import pytest
 
-from carom.experiment.warmup import SCENES
 from carom.physics.contact.constraints import PREPARE, ConstraintSystem
 from carom.physics.contact.solver import contact_solver, phase_code
 from carom.physics.contact.solver.contact_solver import ContactSolver
@@ -16,6 +15,7 @@ from carom.physics.contact.solver.phase_code import PHASES
 from carom.physics.parallel.lanes import WIDTH
 from carom.physics.parallel.task import code_for
 from carom.physics.space import Space
+from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene
 
 PILE = {"title": "a pile", **SCENES["a pile, recorded"]}

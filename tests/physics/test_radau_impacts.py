@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from small_scenes import scene_of
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
-from carom.experiment.work_precision.event_driven_reference import solve
-from carom.experiment.work_precision.trajectory import follow
+from carom.lab.tradeoff.event_driven_reference import solve
+from carom.lab.tradeoff.trajectory import follow
 from carom.physics.contact.contact_table import IMPACT_MODE
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.radau_impacts import Solids
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from scene_strategies import documents, scene_from
 from small_scenes import cloud, pair, scene_of
 
-from carom.experiment.hunt.documents import Document
+from carom.lab.hunt.documents import Document
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.features import require

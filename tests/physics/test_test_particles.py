@@ -12,9 +12,7 @@ from needs import needed_engine
 from numpy.typing import NDArray
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
-from carom.experiment.shrink.literal import literal
+from carom.lab.shrink.literal import literal
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.pull import Pull
@@ -26,6 +24,8 @@ from carom.recording.export.export import write
 from carom.recording.export.snapshot import snapshots
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from small_scenes import scene_of
 
 import carom
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 

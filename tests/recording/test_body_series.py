@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from small_scenes import scene_of
 
-from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.layout.canvas import Area
 from carom.recording.read.body_series import QUANTITIES, asked_quantities, body_series, needs_replay
 from carom.recording.read.recording import Recording
-from carom.recording.view.body_plots import BodyPlots
+from carom.runs.run import simulate
+from carom.show.body_plots import BodyPlots
 
 BODIES = [
     {"name": "top", "position": [0, 0, 5], "velocity": [3, 0, 4], "angular_velocity": [0, 3, 4], "radius": 0.1},

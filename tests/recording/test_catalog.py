@@ -13,13 +13,13 @@ from needs import PICTURES
 from rerun.catalog import CatalogClient
 from small_scenes import pair
 
-from carom.experiment.run import simulate
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.schema.header import SweepMember
-from carom.recording.view import keeper
-from carom.recording.view.catalog import catalog
-from carom.recording.view.viewer import Viewer
+from carom.runs.run import simulate
+from carom.show import keeper
+from carom.show.catalog import catalog
+from carom.show.viewer import Viewer
 
 
 def swept(folder: Path, restitution: float) -> Path:
@@ -59,13 +59,13 @@ CATALOGUE = """
 import sys
 from pathlib import Path
 from carom.cli import sweep_look  # before libraries that start threads, as the command does
-import carom.recording.view.keeper as keeper
+import carom.show.keeper as keeper
 
 isolate = keeper.isolate
 def checked():
     alone = isolate()
-    import carom.experiment.sweep.manifest as manifest
-    import carom.recording.view.catalog as catalogue
+    import carom.lab.sweep.manifest as manifest
+    import carom.show.catalog as catalogue
 
     class Window:  # in place of the viewer's
         def __init__(self, **_): pass

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import carom
-from carom.experiment.fork.branch import Branch, start_of
-from carom.experiment.why.question import question_of
+from carom.lab.fork.branch import Branch, start_of
+from carom.lab.why.question import question_of
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.errors import RecordingError

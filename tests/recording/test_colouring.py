@@ -5,7 +5,6 @@ import pytest
 from small_scenes import cloud
 
 import carom
-from carom.experiment.replay import replay
 from carom.recording.errors import RecordingError
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.recorded_header import header_of_recording
@@ -13,9 +12,10 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.timelines import STEP
 from carom.recording.style import colouring
-from carom.recording.view import trails
-from carom.recording.view.presentation import presentation
+from carom.runs.replay import replay
 from carom.scene.schema import Scene
+from carom.show import trails
+from carom.show.presentation import presentation
 
 PAIRS = np.array([[0, 1], [1, 2], [3, 4], [5, 7]])  # of 7 bodies: 7 is a plane
 

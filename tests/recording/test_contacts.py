@@ -17,9 +17,6 @@ from scripted_run import ScriptedRun
 from small_scenes import pair, scene_of
 
 import carom
-from carom.experiment.impact_check import LEFT_OUT
-from carom.experiment.replay import replay
-from carom.experiment.resume import resumable_run, resume
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.physics.space import Space
@@ -34,6 +31,9 @@ from carom.recording.write.contact_columns import BatchContacts
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.recording.write.impact_rows import impact_rows
 from carom.recording.write.rows import Rows
+from carom.runs.impact_check import LEFT_OUT
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
 from carom.scene.schema import Scene
 
 SINGLE = 1e-6  # relative, of a few roundings to float32
@@ -191,7 +191,7 @@ def test_a_replay_compares_impacts_and_contacts(recording: Recording, monkeypatc
         changed["approach_speed"] *= 1.0 + 1e-6
         return encode(changed, *others)
 
-    monkeypatch.setattr("carom.experiment.impact_check.impact_rows", harder)
+    monkeypatch.setattr("carom.runs.impact_check.impact_rows", harder)
     found = replay(recording)
     assert found.difference is not None
     assert found.difference.quantity == "approach_speed of /impacts"

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from carom.experiment.run import run
 from carom.recording.read.recording import Recording
+from carom.runs.run import run
 from carom.scene.schema import Scene
 
 PLANES = [{"name": "floor", "point": [0.0, 0.0, -2.0]}, {"name": "ramp", "point": [0, 0, -2], "normal": [1, 0, 2]}]

@@ -19,8 +19,8 @@ import pytest
 from needs import PICTURES
 from other_user import as_root, run_as_nobody
 
-from carom.recording.view import keeper
-from carom.recording.view.viewer import Viewer
+from carom.show import keeper
+from carom.show.viewer import Viewer
 
 # answers every connection with the number of its user, and leaves a file in the temporary folder
 SERVER = """

@@ -7,8 +7,8 @@ from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.viewer import Viewer
 from carom.recording.write.recorder import Recorder
+from carom.show.viewer import Viewer
 
 
 def test_nobody_listening_is_told_at_once(tmp_path: Path, scripted: ScriptedRun) -> None:

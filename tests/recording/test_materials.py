@@ -12,16 +12,16 @@ from carom_command import carom as command
 from small_scenes import scene_of
 
 import carom
-from carom.experiment.replay import replay
 from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.materials import ShownMaterials
-from carom.recording.view.presentation import presentation
+from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.scene.schema.material import COLOURS
+from carom.show.presentation import presentation
 
 SKY, SAND, GREY = palette.SKY, 0xB08968FF, palette.GREY
 

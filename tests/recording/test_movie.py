@@ -24,9 +24,9 @@ from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.movie import frame_times
-from carom.recording.view.movie_file import delays_of, require_encoder, write_movie
 from carom.recording.write.recorder import Recorder
+from carom.show.movie import frame_times
+from carom.show.movie_file import delays_of, require_encoder, write_movie
 
 SIZE = (64, 48)
 COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]
@@ -101,7 +101,7 @@ def test_without_the_extra_one_sentence_names_it(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    monkeypatch.delitem(sys.modules, "carom.recording.view.movie_file", raising=False)
+    monkeypatch.delitem(sys.modules, "carom.show.movie_file", raising=False)
     done = carom("movie", str(recorded), "-o", "movie.mp4", cwd=tmp_path)
     assert done.returncode == 2 and "pip install 'imageio-ffmpeg>=" in done.stderr and " 'pillow>=" in done.stderr
 

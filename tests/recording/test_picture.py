@@ -15,12 +15,12 @@ from carom.physics.placement.initial_state import place
 from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
-from carom.recording.view.glyphs import drawable
-from carom.recording.view.picture import _marked, is_picture_of_carom, render
-from carom.recording.view.request import Request
-from carom.recording.view.viewer import broken_off, reason_of
 from carom.recording.write.recorder import Recorder
 from carom.scene.bundled import bundled_scenes
+from carom.show.glyphs import drawable
+from carom.show.picture import _marked, is_picture_of_carom, render
+from carom.show.request import Request
+from carom.show.viewer import broken_off, reason_of
 
 SIZE = (1600, 1000)
 

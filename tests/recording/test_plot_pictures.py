@@ -17,9 +17,9 @@ from carom.recording.layout.plot_views import energy_view
 from carom.recording.read.recorded_curves import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
-from carom.recording.view.picture import render
-from carom.recording.view.request import Request
 from carom.recording.write.recorder import Recorder
+from carom.show.picture import render
+from carom.show.request import Request
 
 Pixels = NDArray[np.int64]
 SIZE = (800, 500)

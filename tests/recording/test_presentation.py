@@ -17,14 +17,14 @@ from carom.recording.layout.visible_trails import TRAILS
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.view import close_up, shown_step
-from carom.recording.view.named_event import NamedEvent, named_event
-from carom.recording.view.pair import Pair, hardest_pair, named_pair, pair_of_step
-from carom.recording.view.presentation import asked, presentation
-from carom.recording.view.request import Request
-from carom.recording.view.trails import Trails
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
+from carom.show import close_up, shown_step
+from carom.show.named_event import NamedEvent, named_event
+from carom.show.pair import Pair, hardest_pair, named_pair, pair_of_step
+from carom.show.presentation import asked, presentation
+from carom.show.request import Request
+from carom.show.trails import Trails
 
 
 @pytest.fixture(scope="module")

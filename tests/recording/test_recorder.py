@@ -14,7 +14,6 @@ import scripted_run
 from rerun.chunk import RrdReader
 from scripted_run import ScriptedRun
 
-from carom.experiment.run import header_of
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -25,6 +24,7 @@ from carom.recording.write.columns import plain_column
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, frame_rows
 from carom.recording.write.stream import Stream
+from carom.runs.run import header_of
 from carom.scene.schema import Scene
 
 SUPPORT = str(Path(scripted_run.__file__).parent)

@@ -9,7 +9,6 @@ import pytest
 from edited_recordings import changed, mapped
 from scripted_run import ScriptedRun
 
-from carom.experiment.replay import replay
 from carom.recording.edit.repair import repair
 from carom.recording.edit.restored_blueprint import new_layout
 from carom.recording.errors import RecordingError
@@ -20,6 +19,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.stream import Stream
+from carom.runs.replay import replay
 
 
 def without_footer(path: Path) -> int:

@@ -11,9 +11,9 @@ from PIL import Image
 import carom
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
-from carom.recording.view.picture import render
-from carom.recording.view.request import Request
 from carom.scene.schema import Scene
+from carom.show.picture import render
+from carom.show.request import Request
 
 SIZE = (1600, 1000)
 SHARES = (3.0, 2.2, 2.0)  # widths of the views of bodies, graph and close-up

@@ -26,12 +26,12 @@ from playwright.sync_api import Page
 import carom
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.view.keeper import free_port
-from carom.recording.view.presentation import presentation
-from carom.recording.view.viewer import binary
-from carom.recording.view.web import server, site
-from carom.recording.view.web.server import Hosted, hosted
 from carom.scene.schema import Scene
+from carom.show.keeper import free_port
+from carom.show.presentation import presentation
+from carom.show.viewer import binary
+from carom.show.web import server, site
+from carom.show.web.server import Hosted, hosted
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import pytest
 from carom_command import carom as command
 
 import carom
-from carom.experiment.replay import replay
+from carom.runs.replay import replay
 from carom.scene.error import SceneError
 from carom.scene.renamed import OldNameWarning
 from carom.scene.schema import Scene

@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 from small_scenes import cloud, pair, scene_of
 
-from carom.experiment.engines.rebound import _refuse as refuse_for_rebound
-from carom.experiment.engines.translation import problem_of
-from carom.experiment.error import ExperimentError
-from carom.experiment.work_precision.event_driven_reference import why_not
+from carom.lab.engines.rebound import _refuse as refuse_for_rebound
+from carom.lab.engines.translation import problem_of
+from carom.lab.tradeoff.event_driven_reference import why_not
 from carom.physics.space import Space
 from carom.plan import pulls
 from carom.plan.auto import (
@@ -28,6 +27,7 @@ from carom.plan.auto import (
 )
 from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
+from carom.runs.error import ExperimentError
 from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
-from carom.experiment.diff.diff import diff
+from carom.lab.diff.diff import diff
 from carom.physics.error import PhysicsError
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair

@@ -25,18 +25,18 @@ from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
 from carom.cli.movie import _ends
 from carom.cli.terminal import Terminal
-from carom.experiment import report
-from carom.experiment.diff.diff import diff
-from carom.experiment.replay import replay
+from carom.lab.diff.diff import diff
 from carom.recording.edit.clip import clip
 from carom.recording.layout.blueprint import ALL
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import RECORDING, decode
-from carom.recording.view.movie import _layout, frame_times
-from carom.recording.view.presentation import asked
-from carom.recording.view.request import Request
+from carom.runs import report
+from carom.runs.replay import replay
+from carom.show.movie import _layout, frame_times
+from carom.show.presentation import asked
+from carom.show.request import Request
 
 LONG = 3_000_000  # values of a bomb
 TEXTS = ["", "[/red]", "\x1b[2J", "x" * 100_000, "[" * 100_000, "a." * 50_000, "[[" * 3000, "1,2,", "end: ", "nan"]

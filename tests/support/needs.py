@@ -48,7 +48,7 @@ def _missing(what: str) -> str:
         return "" if shutil.which(CHROMIUM) else f"there is no {CHROMIUM}: apt-get install chromium"
     if what != PICTURES:
         raise ValueError(f"{what}: no such need")
-    from carom.recording.view.viewer import Viewer, virtual_screen  # noqa: PLC0415 - most tests need none
+    from carom.show.viewer import Viewer, virtual_screen  # noqa: PLC0415 - most tests need none
 
     try:
         for screen in ("", "100x100"):

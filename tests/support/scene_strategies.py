@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
-from carom.experiment.hunt.documents import Document, impacts, meeting, smooth
-from carom.experiment.hunt.draw import DIRECTIONS, QUARTERS
+from carom.lab.hunt.documents import Document, impacts, meeting, smooth
+from carom.lab.hunt.draw import DIRECTIONS, QUARTERS
 from carom.scene.schema import Scene
 
 Value = TypeVar("Value")

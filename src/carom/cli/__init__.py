@@ -1,1 +1,1 @@
-"""The commands: parse, call experiment, print. No logic of their own."""
+"""The commands: options in, one call of lab, runs or show, text out."""

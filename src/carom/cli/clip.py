@@ -60,10 +60,10 @@ def clip(
     from dataclasses import asdict
 
     from carom.cli.units import bytes_text
-    from carom.experiment.output import refuse_itself, refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_itself, refuse_output
     from carom.scene.counted import counted
     from carom.scene.names import bodies_called
 

@@ -17,8 +17,8 @@ def announce_compilation(say: Callable[[str], None] | None = None, helped: bool 
     helped
         Whether that process has been started.
     """
-    from carom.experiment.compiling_process import start_compiling
     from carom.physics.parallel.jit import cache_folder, on_compilation
+    from carom.runs.compiling_process import start_compiling
 
     text = "Compiling kernels, once on this machine (about 15 s) …"
     if not cache_folder():

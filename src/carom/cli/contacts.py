@@ -75,10 +75,10 @@ def contacts(
 
     FILE may be the zip that `carom report` made. Contacts that the recording lacks are computed again.
     """
-    from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.export.export import refuse_format
     from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_output
 
     _refuse_contradictions(at, impacts, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:

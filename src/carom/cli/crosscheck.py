@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.cli.terminal import Terminal
-    from carom.experiment.crosscheck.crosscheck import Crosscheck, Teller
+    from carom.lab.crosscheck.crosscheck import Crosscheck, Teller
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
@@ -83,10 +83,10 @@ def crosscheck(
 
     Results are kept; the same command continues where it stopped.
     """
-    from carom.experiment.crosscheck.crosscheck import Crosscheck
-    from carom.experiment.crosscheck.runs import Runs
-    from carom.experiment.engines.engine import engines_called
-    from carom.experiment.error import ExperimentError
+    from carom.lab.crosscheck.crosscheck import Crosscheck
+    from carom.lab.crosscheck.runs import Runs
+    from carom.lab.engines.engine import engines_called
+    from carom.runs.error import ExperimentError
     from carom.scene.bundled import bundled_folders
     from carom.scene.schema import Scene
 
@@ -192,7 +192,7 @@ def _console() -> Terminal:
 def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
     from rich.markup import escape
 
-    from carom.experiment.crosscheck.crosscheck import OWN
+    from carom.lab.crosscheck.crosscheck import OWN
 
     console = _console()
     console.print(_table(document, units))
@@ -302,10 +302,10 @@ def _number(value: float | None) -> str:
 
 def _draw(check: Crosscheck, quiet: bool) -> None:
     """Leave the figure and the recording of all runs beside the document; say where they are."""
-    from carom.experiment.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
-    from carom.experiment.crosscheck.figure import draw
-    from carom.experiment.error import ExperimentError
-    from carom.experiment.work_precision.overlay import record
+    from carom.lab.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
+    from carom.lab.crosscheck.figure import draw
+    from carom.lab.tradeoff.overlay import record
+    from carom.runs.error import ExperimentError
 
     if not any(result.complete for result in check.results):
         return

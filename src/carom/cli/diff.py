@@ -17,8 +17,8 @@ from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.diff.diff import Diff
-    from carom.experiment.diff.impact_divergence import Impact, ImpactDivergence, ImpactPair
+    from carom.lab.diff.diff import Diff
+    from carom.lab.diff.impact_divergence import Impact, ImpactDivergence, ImpactPair
     from carom.scene.names import Names
     from carom.scene.units.system import UnitSystem
 
@@ -44,12 +44,12 @@ def diff(
     """
     from dataclasses import replace
 
-    from carom.experiment.diff.diff import diff as compare
-    from carom.experiment.diff.diff import overlay
-    from carom.experiment.output import refuse_itself, refuse_output
+    from carom.lab.diff.diff import diff as compare
+    from carom.lab.diff.diff import overlay
     from carom.recording.edit.bundle import opened
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_itself, refuse_output
 
     if output is not None:
         for path in (a, b):

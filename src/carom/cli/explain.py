@@ -14,7 +14,7 @@ from carom.scene.units.dimension import TIME
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.estimate import Cost, EntityCost, PartCost
+    from carom.runs.estimate import Cost, EntityCost, PartCost
     from carom.scene.schema import Scene
 
 
@@ -37,8 +37,8 @@ def explain(
     from carom.cli.live_line import LiveLine, Patience
     from carom.cli.progress import notes_on, preparing, watch_look_ahead
     from carom.cli.units import bytes_text, simulated_text
-    from carom.experiment.estimate import estimate
     from carom.recording.schema.materials import ShownMaterials
+    from carom.runs.estimate import estimate
 
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
     announce_compilation()

@@ -25,10 +25,10 @@ from carom.scene.command import command
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carom.experiment.fork.branch import Branch, Start
-    from carom.experiment.fork.ensemble import Ensemble
-    from carom.experiment.fork.fork import Fork
-    from carom.experiment.fork.inevitable import Inevitable
+    from carom.lab.fork.branch import Branch, Start
+    from carom.lab.fork.ensemble import Ensemble
+    from carom.lab.fork.fork import Fork
+    from carom.lab.fork.inevitable import Inevitable
 
 MOST_SEEDS, MOST_TIMES = 100_000, 1000
 DEFAULT_TIMES = 8
@@ -79,11 +79,11 @@ def fork(
     Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
     the band that all forks span.
     """
-    from carom.experiment.error import ExperimentError
-    from carom.experiment.fork.branch import Branch, start_of
-    from carom.experiment.output import refuse_itself, refuse_output
+    from carom.lab.fork.branch import Branch, start_of
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
+    from carom.runs.error import ExperimentError
+    from carom.runs.output import refuse_itself, refuse_output
 
     ulps = _ulps(perturb)
     if overrides is None and perturb is None:
@@ -128,9 +128,9 @@ def _ulps(text: str | None) -> int:
 
 def _one(start: Start, target: Path, shift: int | None, ulps: int) -> tuple[dict[str, Any], list[str], bool]:
     """Make one fork; return its document, its description, and whether it ended early."""
-    from carom.experiment.diff.divergence import rate_text
-    from carom.experiment.fork.fork import ended_early, text_of
-    from carom.experiment.fork.fork import fork as go_on
+    from carom.lab.diff.divergence import rate_text
+    from carom.lab.fork.fork import ended_early, text_of
+    from carom.lab.fork.fork import fork as go_on
 
     found: Fork = go_on(start, target, shift, ulps)
     text = text_of(start, found.diff)
@@ -169,14 +169,14 @@ def _many(
 ) -> tuple[dict[str, Any], list[str]]:
     from dataclasses import replace
 
-    from carom.experiment.fork.chance import Chance, chances
-    from carom.experiment.fork.ensemble import ensemble
-    from carom.experiment.fork.fork import write_ensemble
-    from carom.experiment.fork.inevitable import inevitable
-    from carom.experiment.fork.path import outcome_of
-    from carom.experiment.fork.perturbed import Task, by_seed, results_of
-    from carom.experiment.workers import LocalWorkers
+    from carom.lab.fork.chance import Chance, chances
+    from carom.lab.fork.ensemble import ensemble
+    from carom.lab.fork.fork import write_ensemble
+    from carom.lab.fork.inevitable import inevitable
+    from carom.lab.fork.path import outcome_of
+    from carom.lab.fork.perturbed import Task, by_seed, results_of
     from carom.physics.parallel.cores import cores
+    from carom.runs.workers import LocalWorkers
     from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
@@ -248,7 +248,7 @@ def _median(found: Ensemble) -> float | None:
 def _lines(start: Start, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
     import numpy as np
 
-    from carom.experiment.diff.divergence import rate_text
+    from carom.lab.diff.divergence import rate_text
     from carom.scene.units.dimension import LENGTH, TIME
 
     units = start.scene.unit_system

@@ -15,7 +15,7 @@ from carom.cli.text import say
 from carom.scene.counted import counted
 
 if TYPE_CHECKING:
-    from carom.experiment.hunt.hunt import Hunt, Miss, Tally
+    from carom.lab.hunt.hunt import Hunt, Miss, Tally
 
 
 def hunt(
@@ -48,7 +48,7 @@ def hunt(
     """
     import secrets
 
-    from carom.experiment.hunt.hunt import Hunt, as_document
+    from carom.lab.hunt.hunt import Hunt, as_document
 
     chosen = secrets.randbelow(2**32) if seed is None else seed
     hunting = Hunt(chosen, folder, seconds, first, scenes)

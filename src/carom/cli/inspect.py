@@ -96,7 +96,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
 
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say what ran, for how long, and how it ended."""
-    from carom.experiment.ending import in_words
+    from carom.runs.ending import in_words
     from carom.scene.names import in_series
 
     scene, clip = summary["scene"], summary.get("clip")
@@ -120,8 +120,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say how well energy and momenta were conserved."""
-    from carom.experiment.ending import error_text
-    from carom.experiment.overview import energy_texts
+    from carom.runs.ending import error_text
+    from carom.runs.overview import energy_texts
 
     energy = summary["energy"]
     if math.isnan(energy["initial"]):
@@ -140,8 +140,8 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     """Count contacts and impacts, and name the deepest overlap."""
-    from carom.experiment.contact_counts import counts_text, overlap_text
     from carom.recording.schema.impacts import RecordedImpacts
+    from carom.runs.contact_counts import counts_text, overlap_text
 
     contacts, texts = summary["contacts"], []
     if contacts["total"] or contacts.get("impacts") or "contacts" in summary["moments"] or summary.get("clip"):
@@ -158,7 +158,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say which accuracy and promises were kept, and which laws were broken."""
-    from carom.experiment.ending import accuracy_text
+    from carom.runs.ending import accuracy_text
 
     if summary["accuracy"]:
         yield "accuracy", accuracy_text(summary["accuracy"], units)
@@ -186,7 +186,7 @@ def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
 
 def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[str]:
     """Name each extreme, and the commands that look closer."""
-    from carom.experiment.overview import moments
+    from carom.runs.overview import moments
 
     first, last = summary.get("clip", {}).get("from", 0.0), summary["sim_time"]
     window = min(AROUND / max(1, summary["frames"] - 1), 1.0) * (last - first)

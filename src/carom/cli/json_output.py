@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carom.cli.text import say
-from carom.experiment.json_numbers import finite
+from carom.runs.json_numbers import finite
 
 
 def say_json(document: Any) -> None:

@@ -40,7 +40,7 @@ from carom.cli import (
     why,
 )
 from carom.cli.flags import Command, Group
-from carom.experiment.memory import keep_freed_memory
+from carom.runs.memory import keep_freed_memory
 
 app = typer.Typer(
     name="carom",
@@ -54,7 +54,7 @@ app = typer.Typer(
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from carom.experiment.environment import versions
+        from carom.runs.environment import versions
 
         typer.echo("\n".join(f"{package} {version}" for package, version in versions().items()))
         raise typer.Exit
@@ -135,9 +135,9 @@ def main() -> None:
     """
     # imported now: at the limit of open files nothing can be imported any more
     from carom.cli.text import say
-    from carom.experiment.error import ExperimentError
     from carom.physics.error import PhysicsError
     from carom.recording.errors import ExistsError, RecordingError
+    from carom.runs.error import ExperimentError
     from carom.scene.error import SceneError
 
     keep_freed_memory()

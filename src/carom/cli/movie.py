@@ -65,16 +65,16 @@ def movie(
     from carom.cli.extras import needing
     from carom.cli.movie_progress import MovieProgress
     from carom.cli.units import bytes_text
-    from carom.experiment.output import claimed_output
     from carom.recording.read.recording import Recording
-    from carom.recording.view.movie import frame_times, pictures
+    from carom.runs.output import claimed_output
+    from carom.show.movie import frame_times, pictures
 
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
     _check(path, pixels, length, rate)
     _check_view(view, event, bodies)
     with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
-        from carom.recording.view.movie_file import require_encoder, write_movie
+        from carom.show.movie_file import require_encoder, write_movie
 
     recording = Recording.open(file)
     first, last = _ends(recording, *(simulated_or_none(time, recording.units) for time in (start, end)))
@@ -90,7 +90,7 @@ def movie(
 def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None:
     """Refuse what no movie can be made of."""
     from carom.recording.errors import RecordingError
-    from carom.recording.view.movie import FORMATS
+    from carom.show.movie import FORMATS
 
     if path.suffix not in FORMATS:
         raise RecordingError(f"{path}: a movie is a {' or a '.join(FORMATS)}")

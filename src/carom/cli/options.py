@@ -71,7 +71,7 @@ def not_a_folder(path: Path) -> Path:
 
 def recording_to_write(path: Path | None) -> Path | None:
     """Return the path of a recording to write; refuse a name that the viewer would not take for a recording."""
-    from carom.experiment.output import refuse_name
+    from carom.runs.output import refuse_name
 
     if path is not None:
         refuse_name(path)

@@ -11,8 +11,8 @@ import typer
 
 from carom.cli import streams
 from carom.cli.main import main as command
-from carom.experiment.interrupts import raise_signals, received
 from carom.private_folder import remove_private_folder
+from carom.runs.interrupts import raise_signals, received
 
 _INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command dealt with
 

@@ -13,13 +13,13 @@ from carom.cli.live_line import LiveLine, Patience, bar
 from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
-from carom.experiment.contact_counts import counts_text, overlap_text
-from carom.experiment.ending import accuracy_text, error_text, in_words
-from carom.experiment.run import Outcome, shortfall_text
 from carom.physics.look_ahead.budget import Budget, Watcher
 from carom.physics.status import StepStatus
 from carom.plan.auto import inexact_impacts, largest_step
 from carom.plan.doubts import doubts
+from carom.runs.contact_counts import counts_text, overlap_text
+from carom.runs.ending import accuracy_text, error_text, in_words
+from carom.runs.run import Outcome, shortfall_text
 from carom.scene.command import command
 from carom.scene.counted import counted
 from carom.scene.schema import Scene

@@ -28,9 +28,9 @@ def publish(
 
     from carom.cli.compiling import announce_compilation
     from carom.cli.units import bytes_text
-    from carom.experiment.publish import publish as make
-    from carom.experiment.publish import refuse_folder
     from carom.recording.read.recording import Recording
+    from carom.runs.publish import publish as make
+    from carom.runs.publish import refuse_folder
 
     recording = Recording.open(file)
     folder = output or file.with_name(f"{file.stem}-page")

@@ -28,12 +28,12 @@ def repair(
     from contextlib import nullcontext
     from dataclasses import asdict
 
-    from carom.experiment.output import refuse_output
     from carom.recording.edit.repair import repair as mend
     from carom.recording.edit.repair import units_of
     from carom.recording.errors import RecordingError
     from carom.recording.read.recording import Recording
     from carom.recording.write.claim import Claim
+    from carom.runs.output import refuse_output
 
     path = _path(file, output, in_place)
     torn = file.with_name(f"{file.name}.torn")

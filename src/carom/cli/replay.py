@@ -23,7 +23,7 @@ from carom.cli.units import duration_text
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
-    from carom.experiment.replay import Replay
+    from carom.runs.replay import Replay
     from carom.scene.units.system import UnitSystem
 
 ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
@@ -62,10 +62,10 @@ def replay(
     FILE may be the zip that `carom report` made.
     """
     from carom.cli.compiling import announce_compilation
-    from carom.experiment.replay import replay as run_again
     from carom.physics.error import PhysicsError
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
+    from carom.runs.replay import replay as run_again
 
     if every not in (None, "step"):
         raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")

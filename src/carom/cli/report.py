@@ -33,9 +33,9 @@ def report(
 
     from carom.cli.compiling import announce_compilation
     from carom.cli.units import bytes_text
-    from carom.experiment.output import refuse_output
-    from carom.experiment.report import report as make
     from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_output
+    from carom.runs.report import report as make
 
     recording = Recording.open(file)
     path = output or file.with_name(f"{file.stem}-report.zip")

@@ -48,9 +48,9 @@ def resume(
     """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
-    from carom.experiment.resume import claimed_target, resumable_run, under_way
-    from carom.experiment.resume import resume as go_on
     from carom.recording.read.recording import Recording
+    from carom.runs.resume import claimed_target, resumable_run, under_way
+    from carom.runs.resume import resume as go_on
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")

@@ -24,7 +24,7 @@ from carom.scene.command import command
 
 if TYPE_CHECKING:
     from carom.cli.progress import Progress
-    from carom.experiment.run import Outcome
+    from carom.runs.run import Outcome
     from carom.scene.units.system import UnitSystem
 
 
@@ -48,7 +48,7 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scene and record it to an .rrd file."""
-    from carom.experiment.compiling_process import start_on_a_new_installation
+    from carom.runs.compiling_process import start_on_a_new_installation
 
     helped = start_on_a_new_installation() is not None
     from carom.scene.schema import Scene
@@ -59,13 +59,13 @@ def run(
     loaded = Scene.load(scene, changes)
 
     from carom.cli.compiling import announce_compilation
-    from carom.experiment.output import claimed_output, default_output
+    from carom.runs.output import claimed_output, default_output
 
     path = output or default_output(Path(scene).stem)
 
     with claimed_output(path, force) as claim:
         from carom.cli.progress import Progress, preparing, watch_look_ahead
-        from carom.experiment.run import recording_space, simulate
+        from carom.runs.run import recording_space, simulate
 
         progress = Progress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
@@ -91,7 +91,7 @@ def telling_of(path: Path) -> Iterator[None]:
 
 def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     """Say how a run ended; exit with 1 if it did not end well."""
-    from carom.experiment.ending import in_words
+    from carom.runs.ending import in_words
 
     if as_json:
         say_json(_document(outcome, progress.units))
@@ -105,7 +105,7 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
 def live_viewer() -> str | None:
     """Start a viewer and return its address; without a screen, say so and return None."""
     from carom.recording.errors import RecordingError
-    from carom.recording.view.viewer import start_live_viewer
+    from carom.show.viewer import start_live_viewer
 
     try:
         return start_live_viewer()

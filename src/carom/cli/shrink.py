@@ -17,8 +17,8 @@ from carom.scene.counted import counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carom.experiment.shrink.reducer import Progress, Reducer, Reduction
-    from carom.experiment.shrink.source import Source
+    from carom.lab.shrink.reducer import Progress, Reducer, Reduction
+    from carom.lab.shrink.source import Source
 
 EVERY = 10.0  # s, after which progress is printed again where there is no terminal
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
@@ -91,11 +91,11 @@ def shrink(
     """
     from dataclasses import asdict
 
-    from carom.experiment.output import refuse_output, refuse_scene_output
-    from carom.experiment.shrink.condition import condition_from
-    from carom.experiment.shrink.result import earlier, key_of
-    from carom.experiment.shrink.source import source_of
-    from carom.experiment.shrink.whole_run import CommandShows
+    from carom.lab.shrink.condition import condition_from
+    from carom.lab.shrink.result import earlier, key_of
+    from carom.lab.shrink.source import source_of
+    from carom.lab.shrink.whole_run import CommandShows
+    from carom.runs.output import refuse_output, refuse_scene_output
 
     if condition is not None and while_command is not None:
         raise typer.BadParameter("give one of --while and --while-command", param_hint="--while-command")
@@ -129,14 +129,14 @@ def shrink(
 def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
     from math import inf
 
-    from carom.experiment.shrink.reducer import Reducer
+    from carom.lab.shrink.reducer import Reducer
 
     return Reducer(asked, inf if seconds is None else seconds, workers=workers)
 
 
 def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
     """Reduce, print the progress, and leave the smallest scene so far in the file."""
-    from carom.experiment.shrink.result import text_of, unfinished_text, write
+    from carom.lab.shrink.result import text_of, unfinished_text, write
 
     asked = reducer.condition.text
 

@@ -9,15 +9,15 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.options import SetOption
-from carom.experiment.ending import in_words
+from carom.runs.ending import in_words
 from carom.scene.command import command
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.expectation import Verdict
-    from carom.experiment.stress import Trial
+    from carom.runs.expectation import Verdict
+    from carom.runs.stress import Trial
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
 
@@ -35,8 +35,8 @@ def stress(
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
     from carom.cli.compiling import announce_compilation
     from carom.cli.progress import Progress
-    from carom.experiment.output import output_folder
-    from carom.experiment.stress import attempt, extremes
+    from carom.runs.output import output_folder
+    from carom.runs.stress import attempt, extremes
     from carom.scene.schema import Scene
 
     scenes = {short: Scene.load(path, overrides) for short, path in extremes(name).items()}
@@ -132,7 +132,7 @@ def _worst(trial: Trial, units: UnitSystem) -> Table:
 
 
 def _document(trials: list[Trial], scenes: dict[str, Scene]) -> dict[str, Any]:
-    from carom.experiment.environment import versions
+    from carom.runs.environment import versions
 
     return {
         "met": sum(trial.met for trial in trials),

@@ -12,7 +12,7 @@ from carom.cli.options import SetOption, bundled
 from carom.scene.command import command
 
 if TYPE_CHECKING:
-    from carom.experiment.sweep.sweep import Ending
+    from carom.lab.sweep.sweep import Ending
 
 SWEEPS = Path("recordings")
 PlotOption = Annotated[
@@ -114,7 +114,7 @@ def sweep(
 ) -> None:
     """Run a scene many times with different values and seeds, here or on a Dask cluster; continue where it stopped."""
     from carom.cli import sweep_look as look
-    from carom.experiment.error import ExperimentError
+    from carom.runs.error import ExperimentError
 
     if (scene is not None) + (table is not None) + (catalog is not None) != 1:
         raise ExperimentError("give one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")
@@ -156,13 +156,13 @@ def _run(
 ) -> Ending:
     from carom.cli.extras import needing
     from carom.cli.sweep_progress import SweepProgress
-    from carom.experiment.environment import command_line
-    from carom.experiment.sweep.plan import plan
-    from carom.experiment.sweep.sweep import sweep as make
+    from carom.lab.sweep.plan import plan
+    from carom.lab.sweep.sweep import sweep as make
+    from carom.runs.environment import command_line
 
     if cluster is not None:
         with needing("cluster", "carom sweep --cluster", "distributed", "dask"):
-            import carom.experiment.sweep.cluster  # noqa: F401
+            import carom.lab.sweep.cluster  # noqa: F401
     planned = plan(scene, overrides, vary, seeds, zipped)
     with SweepProgress(planned.title, len(planned.points), quiet) as progress:
         return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())

@@ -11,7 +11,7 @@ from carom.cli.extras import needing
 from carom.cli.json_output import say_json
 
 if TYPE_CHECKING:
-    from carom.experiment.sweep.table import Row
+    from carom.lab.sweep.table import Row
 
 PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
 SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_overlap", "wall_time")
@@ -24,7 +24,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     from rich.table import Table
 
     from carom.cli.terminal import Terminal
-    from carom.experiment.sweep.table import chosen
+    from carom.lab.sweep.table import chosen
 
     rows, stored = _rows(folder)
     keys = _keys(rows, stored, sort, columns or ",".join(key for key in SHOWN if key in rows[0]))
@@ -45,7 +45,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
 
 def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
     """Print the rows of a sweep, with all columns or with those that the table would have."""
-    from carom.experiment.sweep.table import chosen
+    from carom.lab.sweep.table import chosen
 
     rows, stored = _rows(folder)
     found = chosen(rows, conditions, sort)
@@ -57,7 +57,7 @@ def print_json(folder: Path, conditions: list[str], sort: str | None, columns: s
 
 def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: str) -> list[str]:
     """Return the columns of a table: what varies, those asked for, what it is sorted by, and the outcome."""
-    from carom.experiment.sweep.table import known
+    from carom.lab.sweep.table import known
 
     wanted = [known(key, rows) for key in columns.split(",") if key]
     sorted_by = [known(sort.removeprefix("-"), rows)] if sort else []
@@ -73,11 +73,11 @@ def refuse_plot(plot: tuple[str, str]) -> None:
 
 def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
     """Draw a figure into the sweep's folder; return its path."""
-    from carom.experiment.sweep.table import chosen, known
+    from carom.lab.sweep.table import chosen, known
 
     x, y = _axes(plot)
     with needing("plot", "carom sweep --plot", "matplotlib"):
-        from carom.experiment.sweep.figure import figure
+        from carom.lab.sweep.figure import figure
     rows, stored = _rows(folder)
     path = folder / f"{y}-over-{x}.png"
     figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
@@ -90,29 +90,29 @@ def serve(folder: Path) -> None:
     Rerun's server has no password. So this process moves, with its viewer, where other users of the machine cannot
     connect, before it loads libraries that start threads. Without a screen, the server is there for viewers elsewhere.
     """
-    from carom.recording.view.keeper import has_screen, isolate, screen_is_remote
+    from carom.show.keeper import has_screen, isolate, screen_is_remote
 
     alone = has_screen() and not screen_is_remote() and isolate()
-    from carom.experiment.sweep.folder import Folder
-    from carom.experiment.sweep.manifest import stored_runs
+    from carom.lab.sweep.folder import Folder
+    from carom.lab.sweep.manifest import stored_runs
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
-        from carom.recording.view.catalog import serve_catalog
+        from carom.show.catalog import serve_catalog
     paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
     serve_catalog(folder.resolve().name, paths, typer.echo, alone)
 
 
 def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:
     """Return the rows of a sweep, and its manifest."""
-    from carom.experiment.sweep.folder import Folder
-    from carom.experiment.sweep.manifest import read, stored_runs
-    from carom.experiment.sweep.table import rows_of
+    from carom.lab.sweep.folder import Folder
+    from carom.lab.sweep.manifest import read, stored_runs
+    from carom.lab.sweep.table import rows_of
 
     return rows_of(stored_runs(Folder(folder))), read(Folder(folder))
 
 
 def _axes(plot: tuple[str, str]) -> tuple[str, str]:
-    from carom.experiment.error import ExperimentError
+    from carom.runs.error import ExperimentError
 
     given = dict(part.partition("=")[::2] for part in plot)
     if set(given) != {"x", "y"} or not all(given.values()):

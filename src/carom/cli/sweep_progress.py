@@ -6,7 +6,7 @@ import time
 
 from carom.cli.live_line import LiveLine, bar
 from carom.cli.units import duration_text
-from carom.experiment.sweep.manifest import Run
+from carom.lab.sweep.manifest import Run
 
 
 class SweepProgress(LiveLine):

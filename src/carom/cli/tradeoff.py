@@ -18,9 +18,9 @@ from carom.scene.units.dimension import TIME
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.experiment.work_precision.result import Result
-    from carom.experiment.work_precision.settings_grid import Setting
-    from carom.experiment.work_precision.tradeoff import Study, Teller
+    from carom.lab.tradeoff.result import Result
+    from carom.lab.tradeoff.settings_grid import Setting
+    from carom.lab.tradeoff.tradeoff import Study, Teller
     from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[
@@ -91,8 +91,8 @@ def tradeoff(
 
     Measurements are kept; the same command continues where it stopped.
     """
-    from carom.experiment.engines.engine import engines_called
-    from carom.experiment.work_precision.settings_grid import default_settings
+    from carom.lab.engines.engine import engines_called
+    from carom.lab.tradeoff.settings_grid import default_settings
 
     others = engines_called(engines or ())
     study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
@@ -120,8 +120,8 @@ def opened(
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
-    from carom.experiment.work_precision.settings_grid import vary as grid
-    from carom.experiment.work_precision.tradeoff import ADVICE, Study
+    from carom.lab.tradeoff.settings_grid import vary as grid
+    from carom.lab.tradeoff.tradeoff import ADVICE, Study
     from carom.scene.schema import Scene
 
     scene = Scene.load(source, overrides)
@@ -157,10 +157,10 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 
 def _draw(study: Study, quiet: bool) -> None:
     """Leave the figure and the recording beside the document; say where they are, or why there is none."""
-    from carom.experiment.error import ExperimentError
-    from carom.experiment.work_precision.figure import draw
-    from carom.experiment.work_precision.overlay import record
-    from carom.experiment.work_precision.tradeoff import DOCUMENT, FIGURE, OVERLAY
+    from carom.lab.tradeoff.figure import draw
+    from carom.lab.tradeoff.overlay import record
+    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
+    from carom.runs.error import ExperimentError
 
     if not any(result.complete for result in study.results):
         return
@@ -220,7 +220,7 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.experiment.work_precision.error_measures import NAMES
+    from carom.lab.tradeoff.error_measures import NAMES
 
     done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
     shown = [

@@ -26,8 +26,8 @@ from carom.cli.tradeoff import (
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
-    from carom.experiment.work_precision.tradeoff import Study
-    from carom.experiment.work_precision.tune import Tuning
+    from carom.lab.tradeoff.tradeoff import Study
+    from carom.lab.tradeoff.tune import Tuning
 
 ADVICE = "give --new-study to begin anew, or another folder with --study"
 
@@ -73,8 +73,8 @@ def tune(
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """
-    from carom.experiment.output import refuse_scene_output
-    from carom.experiment.work_precision.tune import limits, stopped, tuned, write
+    from carom.lab.tradeoff.tune import limits, stopped, tuned, write
+    from carom.runs.output import refuse_scene_output
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")

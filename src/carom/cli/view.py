@@ -13,7 +13,7 @@ from carom.cli.options import RecordingArgument, seconds, simulated
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
-    from carom.recording.view.request import Request
+    from carom.show.request import Request
 
 AtOption = Annotated[
     float | None,
@@ -111,8 +111,8 @@ def view(
         raise typer.BadParameter("--port needs --web")
     from carom.cli.compiling import announce_compilation
     from carom.recording.edit.bundle import opened
-    from carom.recording.view.request import Request
-    from carom.recording.view.window import open_window
+    from carom.show.request import Request
+    from carom.show.window import open_window
 
     with opened(file) as path:
         request = Request(_simulated(path, at), event, bodies, plot, colour_by)
@@ -134,9 +134,9 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
 
     from carom.cli.text import say
     from carom.recording.read.recording import Recording
-    from carom.recording.view.keeper import has_screen
-    from carom.recording.view.presentation import asked
-    from carom.recording.view.web.server import hosted
+    from carom.show.keeper import has_screen
+    from carom.show.presentation import asked
+    from carom.show.web.server import hosted
 
     recording = Recording.open(file)
     if recording.is_overlay:
@@ -186,11 +186,11 @@ def picture(
     FILE may be the zip that `carom report` made. Earlier pictures are replaced.
     """
     from carom.cli.compiling import announce_compilation
-    from carom.experiment.output import refuse_output
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.recording.view.picture import is_picture_of_carom, render
-    from carom.recording.view.request import Request
+    from carom.runs.output import refuse_output
+    from carom.show.picture import is_picture_of_carom, render
+    from carom.show.request import Request
 
     pixels, out = pixels_of(size), output or file.with_suffix(".png")
     if output is None and out.exists() and not is_picture_of_carom(out):

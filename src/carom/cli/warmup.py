@@ -14,7 +14,7 @@ def warmup(as_json: JsonOption = False) -> None:
 
     from carom.cli.compiling import NO_CACHE
     from carom.cli.units import duration_text
-    from carom.experiment.warmup import warm_up
+    from carom.runs.warmup import warm_up
 
     if not as_json:
         typer.echo("Compiling what is not in the cache …", err=True)

@@ -25,8 +25,8 @@ from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from carom.experiment.why.account import Account, Cause, FloatArray
-    from carom.experiment.why.answer import Answer
+    from carom.lab.why.account import Account, Cause, FloatArray
+    from carom.lab.why.answer import Answer
     from carom.scene.names import Names
     from carom.scene.units.system import UnitSystem
 
@@ -67,13 +67,13 @@ def why(
     made.
     """
     from carom.cli.replaying import replaying
-    from carom.experiment.output import refuse_itself, refuse_output
-    from carom.experiment.why.picture import write_answer
-    from carom.experiment.why.question import question_of
-    from carom.experiment.why.why import why as answer_to
+    from carom.lab.why.picture import write_answer
+    from carom.lab.why.question import question_of
+    from carom.lab.why.why import why as answer_to
     from carom.recording.edit.bundle import opened
     from carom.recording.read.names import names_of
     from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_itself, refuse_output
 
     if output is not None:
         refuse_itself(output, file)

@@ -1,1 +1,1 @@
-"""Recordings: writing, reading, editing and viewing them. The only package that imports Rerun."""
+"""Recordings: their schema, bytes, writing, reading, layout and editing."""

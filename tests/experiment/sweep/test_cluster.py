@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from carom.experiment.sweep.cluster import DaskWorkers
-from carom.experiment.workers import TaskDroppedError
+from carom.lab.sweep.cluster import DaskWorkers
+from carom.runs.workers import TaskDroppedError
 
 
 class Future:

@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from sweep_runs import write_scene
 
-from carom.experiment.interrupts import Interrupts
-from carom.experiment.sweep.conductor import GONE, INTERRUPTED, Conductor
-from carom.experiment.sweep.folder import Folder
-from carom.experiment.sweep.manifest import FAILED, PENDING, Manifest
-from carom.experiment.sweep.plan import plan
-from carom.experiment.workers import Ended, TaskDroppedError, WorkerDiedError
+from carom.lab.sweep.conductor import GONE, INTERRUPTED, Conductor
+from carom.lab.sweep.folder import Folder
+from carom.lab.sweep.manifest import FAILED, PENDING, Manifest
+from carom.lab.sweep.plan import plan
+from carom.runs.interrupts import Interrupts
+from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 
 class Processes:

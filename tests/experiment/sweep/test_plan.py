@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from sweep_runs import SCENE, write_scene
 
-from carom.experiment.error import ExperimentError
-from carom.experiment.sweep.plan import plan
+from carom.lab.sweep.plan import plan
+from carom.runs.error import ExperimentError
 from carom.scene.error import SceneError
 
 

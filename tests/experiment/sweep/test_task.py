@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from sweep_runs import write_scene
 
-from carom.experiment.environment import versions
-from carom.experiment.sweep import task as made
-from carom.experiment.sweep.folder import Folder, put
-from carom.experiment.sweep.plan import plan
-from carom.experiment.sweep.task import Task, execute
+from carom.lab.sweep import task as made
+from carom.lab.sweep.folder import Folder, put
+from carom.lab.sweep.plan import plan
+from carom.lab.sweep.task import Task, execute
 from carom.recording.read.recording import Recording
+from carom.runs.environment import versions
 
 
 def task_in(folder: Path, *overrides: str) -> tuple[Task, Folder]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from carom.recording.view.body_plots import BodyPlots
-    from carom.recording.view.close_up import CloseUp
+    from carom.show.body_plots import BodyPlots
+    from carom.show.close_up import CloseUp
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import SIM_TIME
 
 if TYPE_CHECKING:
-    from carom.recording.view.body_plots import BodyPlots
+    from carom.show.body_plots import BodyPlots
 
 WINDOW = Canvas()
 ALL = "all"

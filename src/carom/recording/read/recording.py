@@ -277,8 +277,8 @@ class Recording(FrameTables):
         RecordingError
             If there is no such moment, event or body, or no screen.
         """
-        from carom.recording.view.request import Request  # noqa: PLC0415 - readers need no viewer
-        from carom.recording.view.window import open_window  # noqa: PLC0415
+        from carom.show.request import Request  # noqa: PLC0415 - readers need no viewer
+        from carom.show.window import open_window  # noqa: PLC0415
 
         open_window(self.path, Request(at, event, bodies))
 
@@ -303,8 +303,8 @@ class Recording(FrameTables):
         RecordingError
             If there is no such moment, event or body, or rerun-notebook is not installed.
         """
-        from carom.recording.view.notebook import show  # noqa: PLC0415 - readers need no viewer
-        from carom.recording.view.request import Request  # noqa: PLC0415
+        from carom.show.notebook import show  # noqa: PLC0415 - readers need no viewer
+        from carom.show.request import Request  # noqa: PLC0415
 
         show(self, Request(at, event, bodies), height)
 

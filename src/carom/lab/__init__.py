@@ -1,0 +1,1 @@
+"""The laboratory: tools that compare, search and explain runs, one folder each."""

@@ -1,0 +1,149 @@
+"""Where a run leaves the reference, after which impact, and which laws it breaks there."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.lab.tradeoff.reference import Reference
+from carom.lab.tradeoff.trajectory import Trajectory
+from carom.recording.errors import RecordingError
+from carom.recording.read.impacts import impacts_by_number
+from carom.recording.read.recording import Recording
+from carom.scene.names import Names
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PARTED = 0.01  # of the size of the system; runs farther apart have diverged
+OTHER_OUTCOME = 0.01  # of the speed of the system; velocities that differ by more after an impact are another outcome
+EARLIER = 2.0  # steps, by which an engine may see an impact before the reference does
+LATER = 40.0  # steps after it, in which a soft contact ends
+SAME_IMPACT = 0.02  # of the duration; impacts of one pair that are farther apart in two runs are not the same
+
+
+@dataclass(frozen=True, slots=True)
+class NumberedImpacts:
+    """The impacts on record in a recording, by the numbers that ``--event impact:N`` takes."""
+
+    number: IntArray  # (k,)
+    pair: IntArray  # (k, 2)
+    time: FloatArray  # (k,) s
+
+    @classmethod
+    def of(cls, path: Path) -> NumberedImpacts:
+        """Read them; there are none if the recording has none, or cannot be read."""
+        try:
+            recording = Recording.open(path)
+            if recording.records_contacts:
+                number, _ = impacts_by_number(recording)
+                table = recording.impacts()
+                pair = np.stack((table["i"].to_numpy(), table["j"].to_numpy()), axis=1)
+                return cls(number, pair.astype(np.int64), np.array(table["time"].to_numpy()))
+        except RecordingError:
+            pass
+        return cls(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0))
+
+    def nearest(self, pair: IntArray, time: float, within: float) -> int | None:
+        """Return the number of the impact of a pair that is nearest to a time in s; None if there is none near it."""
+        rows = np.flatnonzero((self.pair == pair).all(axis=1) & (np.abs(self.time - time) <= within))
+        return int(self.number[rows[np.argmin(np.abs(self.time[rows] - time))]]) if len(rows) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Parting:
+    """Where a run leaves the reference."""
+
+    time: float  # s, of the first sample that is too far away
+    impact: int | None  # the first with another outcome, by its number in carom's recording; 0 if none came before
+    between: str  # its names
+    impact_time: float  # s, in the reference
+    laws: list[str]  # that were broken from that impact on
+
+
+def parting_of(
+    run: Trajectory,
+    reference: Reference,
+    broken: list[tuple[float, str]],
+    dt: float,
+    names: Names,
+    numbered: NumberedImpacts,
+) -> Parting | None:
+    """Find where a run leaves a reference.
+
+    Parameters
+    ----------
+    run
+        The run.
+    reference
+        Its samples up to the horizon are compared.
+    broken
+        Times in s and laws of the frames that broke one, in order.
+    dt
+        s, the step of the run.
+    names
+        Of bodies and planes.
+    numbered
+        The impacts of carom's own run.
+
+    Returns
+    -------
+    parting
+        None if the run stays with the reference.
+    """
+    best = reference.trajectory.until(reference.samples)
+    apart, _ = reference.scale.apart(run.until(reference.samples), best)
+    away = np.flatnonzero(~(apart <= PARTED))
+    if len(away) == 0 and len(run) >= reference.samples:
+        return None
+    time = float(best.time[away[0]]) if len(away) else float(run.time[-1]) if len(run) else 0.0
+    pairs, times = (best.struck, best.struck_at) if len(best.struck) else (best.pair, best.met)
+    order = np.argsort(times, kind="stable")
+    pairs, times = pairs[order], times[order]
+    first = _first_other_outcome(run, reference, pairs, times, int(np.searchsorted(times, time, side="right")), dt)
+    met = 0.0 if first is None else float(times[first])
+    laws = dict.fromkeys(law for at, law in broken if met - EARLIER * dt <= at <= max(time, met + LATER * dt))
+    within = max(SAME_IMPACT * float(reference.trajectory.time[-1]), LATER * dt)
+    return Parting(
+        time=time,
+        impact=0 if first is None else numbered.nearest(pairs[first], met, within),
+        between="" if first is None else names.pair(pairs[first].tolist()),
+        impact_time=met,
+        laws=list(laws),
+    )
+
+
+def _first_other_outcome(
+    run: Trajectory, reference: Reference, pairs: IntArray, times: FloatArray, before: int, dt: float
+) -> int | None:
+    """Return the first of so many impacts whose outcome is another one in a run; None if there is none.
+
+    The velocities of its bodies are compared at the last sample before their next impacts. If those follow so soon that
+    a soft contact may not have ended, the outcome of the next must differ, too. If no velocity differs, it is the last
+    impact: the run diverges because the impact was late, or in the flight after it.
+    """
+    best = reference.trajectory
+    count, bodies = min(len(run), reference.samples), best.position.shape[1]
+    wrong = np.linalg.norm(run.velocity[:count] - best.velocity[:count], axis=2)  # (count, n) m/s
+    differs = wrong > OTHER_OUTCOME * reference.scale.speed
+    for k in range(before):
+        for body in (int(end) for end in pairs[k] if end < bodies):
+            later = [float(t) for t in times[k + 1 :][(pairs[k + 1 :] == body).any(axis=1)] if t > times[k]]
+            ends = [*later, math.inf][:2]
+            seen = [_last_before(best.time[:count], end - EARLIER * dt, float(times[k])) for end in ends]
+            if seen[0] is None or not differs[seen[0], body]:
+                continue
+            soon = ends[0] - times[k] < LATER * dt
+            if not soon or (seen[1] is not None and differs[seen[1], body]):
+                return k
+    return before - 1 if before else None
+
+
+def _last_before(samples: FloatArray, end: float, start: float) -> int | None:
+    """Return the last sample after a start and before an end, both in s."""
+    last = int(np.searchsorted(samples, end, side="left")) - 1
+    return last if last >= 0 and samples[last] > start else None

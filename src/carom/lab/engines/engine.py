@@ -1,0 +1,102 @@
+"""What another engine must do to be compared with carom on a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Protocol
+
+from carom.lab.engines.box3d import Box3D
+from carom.lab.engines.mujoco import MuJoCo
+from carom.lab.engines.newton import Newton
+from carom.lab.engines.pybullet import PyBullet
+from carom.lab.engines.rebound import Rebound
+from carom.lab.engines.stepped import Simulation
+from carom.lab.tradeoff.settings_grid import Setting
+from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
+from carom.runs.error import ExperimentError
+from carom.scene.nearest import suggestion
+from carom.scene.schema import Scene
+
+
+class Engine(Protocol):
+    """An engine that runs a scene with one of its own settings."""
+
+    @property
+    def name(self) -> str:
+        """The name in ``--engine`` and in names of settings."""
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError with the line that installs the engine, if it is not there."""
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if the engine cannot represent a scene; the message says what it lacks."""
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Say what is translated differently, a clause each."""
+
+    def examined(self, scene: Scene) -> list[Setting]:
+        """Return the few settings for `carom crosscheck`."""
+
+    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+        """Build a scene at its start, to be taken step by step."""
+
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return the engine's settings that are worth comparing on a scene.
+
+        Raises
+        ------
+        ExperimentError
+            If the engine is not installed, or cannot represent the scene; the message says what it lacks.
+        """
+
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
+        """Run a scene and sample it at some times in s.
+
+        Parameters
+        ----------
+        limit
+            s of CPU time, after which the run is stopped.
+
+        Raises
+        ------
+        ExperimentError
+            If the state is no longer finite; `RunStoppedError` if it takes longer than the limit.
+        """
+
+    def samples_steps(self, scene: Scene) -> bool:
+        """Tell whether `follow` takes its samples from the ends of steps, as `watch` does."""
+
+    def run(self, scene: Scene, setting: Setting) -> float:
+        """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
+
+
+ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet(), Newton())}
+
+
+def engine_called(name: str) -> Engine:
+    """Return an engine by its name.
+
+    Raises
+    ------
+    ExperimentError
+        If there is none of that name.
+    """
+    if name not in ENGINES:
+        raise ExperimentError(f"--engine {name}: unknown; {suggestion(name, ENGINES)}")
+    return ENGINES[name]
+
+
+def engines_called(names: Iterable[str]) -> list[Engine]:
+    """Return engines by their names, several of which may stand in one text, separated by commas; each once.
+
+    Raises
+    ------
+    ExperimentError
+        If one is unknown, or a text names none.
+    """
+    given = list(names)
+    each = [name.strip() for text in given for name in text.split(",") if name.strip()]
+    if not each and given:
+        raise ExperimentError(f"--engine: names no engine; expected some of {', '.join(ENGINES)}")
+    return [engine_called(name) for name in dict.fromkeys(each)]

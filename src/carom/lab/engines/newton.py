@@ -1,0 +1,114 @@
+"""Newton: rigid bodies by extended position-based dynamics (XPBD), on the processor, in single precision.
+
+Of two coefficients, of restitution or of friction, Newton takes the mean. Bodies get the scene's, and a plane what
+makes the mean its own. A contact moves bodies only once they overlap.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of
+from carom.lab.engines.translation import problem_of
+from carom.lab.tradeoff.settings_grid import Setting
+from carom.recording.errors import RecordingError
+from carom.recording.source.adapters.newton import newton as source_of
+from carom.recording.source.adapters.package import engine_package
+from carom.scene.schema import Coefficients, Scene
+
+ITERATIONS = 2  # of the solver in a step, its default
+
+
+class Newton(SteppedEngine):
+    """Runs scenes with Newton's solver XPBD, with its default iterations and relaxation."""
+
+    name = "newton"
+    package = "newton"
+    distribution = "newton"
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if Newton cannot represent a scene."""
+        problem_of(self.name, scene)
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Say what is translated differently."""
+        found = [f"single precision, XPBD with {ITERATIONS} iterations"]
+        return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError if Newton is not installed; keep Warp from reporting what it loads."""
+        with suppress(RecordingError):  # Newton needs it, and is named below
+            warp = engine_package("warp", "warp-lang")
+            warp.config.log_level = warp.LOG_ERROR
+        super().ensure_installed()
+
+    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+        """Build a scene at its start."""
+        _compile()
+        return self._build(scene, dt_of(setting))
+
+    def _build(self, scene: Scene, dt: float) -> Simulation:
+        engine, warp = engine_package(self.package), engine_package("warp", "warp-lang")
+        problem = problem_of(self.name, scene)
+        start, law = problem.start, problem.between
+        builder = engine.ModelBuilder(gravity=problem.field.tolist())
+        for k in range(len(start.mass)):
+            place = warp.transform(start.position[k].tolist(), warp.quat_identity())
+            mass, inertia = (0.0, 0.0) if start.fixed[k] else (float(start.mass[k]), float(start.inertia[k]))
+            tensor = warp.mat33(np.diag(np.full(3, inertia)))
+            body = builder.add_body(xform=place, mass=mass, inertia=tensor, lock_inertia=True, label=start.name[k])
+            builder.add_shape_sphere(body, radius=float(start.radius[k]), cfg=_config(engine, law, problem.collides))
+        for normal, offset, name, own in zip(
+            problem.planes.normal, problem.planes.offset, problem.planes.name, problem.at_planes, strict=True
+        ):
+            equation = (*normal.tolist(), -float(offset))
+            # the mean of this and the bodies' coefficients is the plane's own
+            mirrored = Coefficients(*(2.0 * np.array(_numbers(own)) - _numbers(law)).tolist())
+            config = _config(engine, mirrored, problem.collides)
+            builder.add_shape_plane(plane=equation, width=0.0, length=0.0, cfg=config, label=name)
+        model = builder.finalize(device="cpu")
+        solver = engine.solvers.SolverXPBD(model, iterations=ITERATIONS, enable_restitution=True)
+        pipeline = engine.CollisionPipeline(model)
+        contacts, control = pipeline.contacts(), model.control()
+        states, steps = [model.state(), model.state()], [0]
+        rates = np.concatenate((start.velocity, start.angular_velocity), axis=1)
+        rates[start.fixed] = 0.0
+        states[0].body_qd.assign(rates.astype(np.float32))
+
+        def step() -> None:
+            states[0].clear_forces()
+            pipeline.collide(states[0], contacts)
+            solver.step(states[0], states[1], control, contacts, dt)
+            states.reverse()
+            steps[0] += 1
+
+        return Simulation(source_of(model, lambda: (states[0], steps[0] * dt)), step, dt)
+
+
+@cache
+def _compile() -> None:
+    """Take a step, for which Warp compiles its kernels: half a minute, once on a machine, and no part of a run."""
+    ball = {"mass": 1.0, "radius": 0.5}
+    bodies = [ball | {"position": [0.0, 0.0, height]} for height in (0.5, 1.5)]
+    plane = {"normal": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0]}
+    document = {"body": bodies, "plane": [plane], "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}}
+    Newton()._build(Scene.from_dict(document), 0.001).step()
+
+
+def _config(engine: Any, law: Coefficients, collides: bool) -> Any:
+    return engine.ModelBuilder.ShapeConfig(
+        density=0.0,
+        mu=law.kinetic_friction,
+        restitution=law.restitution,
+        mu_torsional=0.0,
+        mu_rolling=0.0,
+        has_shape_collision=collides,
+    )
+
+
+def _numbers(law: Coefficients) -> tuple[float, ...]:
+    return law.restitution, law.static_friction, law.kinetic_friction

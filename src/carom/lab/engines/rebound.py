@@ -1,0 +1,277 @@
+"""REBOUND: bodies that pull each other, or smooth hard spheres. An optional package, under the GPL.
+
+Every integrator that can run the scene is compared: IAS15, which controls its error, and those with a constant step at
+several steps. The symplectic maps for one dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the
+shortest period about that body.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from carom.lab.engines.stepped import FINER, Simulation
+from carom.lab.engines.translation import refuse
+from carom.lab.engines.watched import watch
+from carom.lab.tradeoff.run_bound import RunStoppedError
+from carom.lab.tradeoff.settings_grid import STEPS, Setting
+from carom.lab.tradeoff.trajectory import FloatArray, IntArray, Trajectory
+from carom.physics.placement import place
+from carom.physics.space import Space
+from carom.plan.features import require
+from carom.plan.hierarchy import DOMINANT
+from carom.plan.pulls import further
+from carom.recording.source.adapters.rebound import rebound as record
+from carom.recording.source.source import Source, State
+from carom.runs.error import ExperimentError
+from carom.scene.half_space import half_spaces
+from carom.scene.materials import pair_coefficients
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+
+NAME = "rebound"
+INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
+OLDEST = 5  # major version; earlier ones name the settings of integrators otherwise
+ANY = ("leapfrog",)  # with the scene's own step
+DOMINATED = ("whfast", "mercurius", "trace")
+UNSYNCHRONISED = ("whfast", "mercurius")  # unless asked to end every step with a state that can be read
+TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
+SEED = 1  # of the order of impacts in one step, which REBOUND draws; its own seed is the clock
+PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
+
+
+class Rebound:
+    """Runs scenes with REBOUND's integrators."""
+
+    name = NAME
+
+    def settings(self, scene: Scene) -> list[Setting]:
+        """Return IAS15, leapfrog at the scene's steps, and the maps for a dominant body; see `Engine`."""
+        self.ensure_installed()
+        self.check(scene)
+        units = scene.unit_system
+        if require(scene).contact.modelled:
+            step = scene.time.fixed_dt or Space(scene, 1).first_dt
+            return [_setting(TOUCHING, units, step / finer) for finer in FINER]
+        found = [_setting("ias15", units)]
+        step = scene.time.fixed_dt or Space(scene, 1).first_dt
+        found += [_setting(name, units, step * factor) for name in ANY for factor in STEPS]
+        if period := shortest_period(scene):
+            found += [_setting(name, units, period / part) for name in DOMINATED for part in PARTS]
+        return found
+
+    def examined(self, scene: Scene) -> list[Setting]:
+        """Return the settings for `carom crosscheck`."""
+        known = {setting.overrides: setting for setting in self.settings(scene)}
+        if require(scene).contact.modelled:
+            return list(known.values())
+        step = scene.time.fixed_dt or Space(scene, 1).first_dt
+        units = scene.unit_system
+        return [known[_setting("ias15", units).overrides], known[_setting(ANY[0], units, step).overrides]]
+
+    def ensure_installed(self) -> None:
+        """Raise ExperimentError if REBOUND is not installed."""
+        _package()
+
+    def check(self, scene: Scene) -> None:
+        """Raise ExperimentError if REBOUND cannot represent a scene."""
+        _refuse(scene)
+
+    def notes(self, scene: Scene) -> list[str]:
+        """Say what is translated differently."""
+        return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
+
+    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+        """Build a scene at its start, to be taken step by step."""
+        simulation = _simulation(scene, setting, safe=True)
+        start = place(scene)
+        order = np.argsort(_heaviest_first(start.mass))
+        dt = simulation.dt if "dt=" in " ".join(setting.overrides) else 0.0
+        return Simulation(_InOrder(record(simulation), order, start.name), lambda: simulation.steps(1), dt)
+
+    def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
+        """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
+        if self.samples_steps(scene):
+            return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
+        simulation = _simulation(scene, setting, safe=True)
+        space = Space(scene, 1)
+        scale, mass = space.energy().scale, space.state.mass
+        energies, momenta, positions, velocities = [simulation.energy()], [_momenta(simulation, mass)], [], []
+        began = time.process_time()
+        for moment in times.tolist():
+            spent = time.process_time() - began
+            if spent > limit:
+                reached = scene.unit_system.text(simulation.t, TIME)
+                raise RunStoppedError(simulation.steps_done, spent, reached, by_limit=True)
+            if simulation.t < moment:  # or it would step back
+                simulation.integrate(moment, exact_finish_time=0)
+            sample = simulation.copy()
+            sample.integrate(moment, exact_finish_time=1)
+            position, velocity = _state(sample, mass)
+            if not np.isfinite(position).all():
+                raise ExperimentError(f"the state is no longer finite at t = {scene.unit_system.text(moment, TIME)}")
+            positions.append(position)
+            velocities.append(velocity)
+            energies.append(simulation.energy())
+            momenta.append(_momenta(simulation, mass))
+        energy, momentum = np.array(energies), np.array(momenta)
+        moved = np.abs(momentum - momentum[0]).max(axis=(0, 2))
+        scales = _momentum_scales(positions[0], velocities[0], mass)
+        return Trajectory(
+            time=times,
+            position=np.array(positions),
+            velocity=np.array(velocities),
+            pair=np.empty((0, 2), np.int64),
+            met=np.empty(0),
+            energy_error=float(np.abs(energy - energy[0]).max() / scale),
+            energy_gain=float((energy - np.minimum.accumulate(energy)).max() / scale),
+            momentum_error=float(moved[0] / scales[0]),
+            angular_momentum_error=float(moved[1] / scales[1]),
+            overlap=np.nan,
+            sinking=np.nan,
+            impacts=0,
+            steps=simulation.steps_done,
+            frames=0,
+        )
+
+    def samples_steps(self, scene: Scene) -> bool:
+        """Tell whether `follow` takes its samples from the ends of steps: where bodies touch."""
+        return require(scene).contact.modelled
+
+    def run(self, scene: Scene, setting: Setting) -> float:
+        """Run a scene, as fast as the integrator allows; return the CPU time it took in s: it uses one thread."""
+        simulation = _simulation(scene, setting, safe=False)
+        began = time.thread_time()
+        simulation.integrate(scene.time.duration, exact_finish_time=0)
+        simulation.synchronize()
+        return time.thread_time() - began
+
+
+def shortest_period(scene: Scene) -> float:
+    """Return the shortest period about the dominant body in s; 0 without such a body, or if nothing orbits it."""
+    start = place(scene)
+    heavy = int(np.argmax(start.mass))
+    if start.mass[heavy] < DOMINANT * start.mass.sum() or len(start.mass) < 2:
+        return 0.0
+    others = np.arange(len(start.mass)) != heavy
+    away = start.position[others] - start.position[heavy]
+    speed = start.velocity[others] - start.velocity[heavy]
+    parameter = scene.gravity.constant * (start.mass[heavy] + start.mass[others])
+    inverse_axis = 2.0 / np.linalg.norm(away, axis=1) - (speed**2).sum(axis=1) / parameter
+    bound = inverse_axis > 0.0
+    if not bound.any():
+        return 0.0
+    return float((2.0 * np.pi / np.sqrt(parameter[bound] * inverse_axis[bound] ** 3)).min())
+
+
+def _refuse(scene: Scene) -> None:
+    """Refuse a scene that has more than smooth spheres that pull and strike each other."""
+    parts, start, force = require(scene), place(scene), further(scene)
+    lacks = {
+        "friction (contact.static_friction = 0 and contact.kinetic_friction = 0 leave it out)": parts.contact.modelled
+        and parts.friction.modelled,
+        "planes": bool(len(half_spaces(scene))),
+        "bodies of several materials": len(pair_coefficients(scene).places) > 0,
+        "a periodic box": scene.domain.boundary == "periodic",
+        "a uniform field": any(scene.gravity.uniform),
+        "drag": scene.drag is not None,
+        f"the force {force}": force != "",
+        "fixed bodies": bool(np.any(start.fixed)),
+        "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
+    }
+    refuse("rebound", lacks)
+
+
+def _setting(integrator: str, units: UnitSystem, step: float = 0.0) -> Setting:
+    words = f"rebound {integrator}" + (f", dt = {units.text(step, TIME, '.4g')}" if step else "")
+    keys = (f"integrator={integrator}", *((f"dt={step!r}",) if step else ()))
+    return Setting(words, keys, engine=NAME)
+
+
+def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
+    """Build a simulation in the frame of the scene.
+
+    Parameters
+    ----------
+    safe
+        Whether every step ends with a state that can be read, which symplectic maps do not need in between.
+    """
+    rebound, start, keys = _package(), place(scene), dict(key.split("=") for key in setting.overrides)
+    simulation = rebound.Simulation()
+    simulation.rand_seed = SEED
+    simulation.G = scene.gravity.constant
+    simulation.softening = scene.gravity.softening
+    simulation.integrator = keys["integrator"].partition(",")[0]
+    parts = require(scene)
+    if not parts.gravity.modelled:
+        simulation.gravity = "none"
+    if parts.contact.modelled:
+        restitution = pair_coefficients(scene).of(0, 1).restitution
+        simulation.collision, simulation.collision_resolve = "direct", "hardsphere"
+        simulation.coefficient_of_restitution = lambda engine, speed: restitution
+    if "dt" in keys:
+        simulation.dt = float(keys["dt"])
+    if keys["integrator"] in UNSYNCHRONISED:
+        simulation.integrator.safe_mode = int(safe)
+    for k in _heaviest_first(start.mass).tolist():
+        (x, y, z), (vx, vy, vz) = start.position[k].tolist(), start.velocity[k].tolist()
+        radius = float(start.radius[k]) if parts.contact.modelled else 0.0
+        simulation.add(m=float(start.mass[k]), r=radius, x=x, y=y, z=z, vx=vx, vy=vy, vz=vz)
+    return simulation
+
+
+class _InOrder:
+    """A source whose bodies are put into the order of the scene, with their names."""
+
+    def __init__(self, source: Source, order: IntArray, names: Sequence[str]) -> None:
+        model = source.model
+        self._source, self._order = source, order
+        self.model = replace(model, mass=model.mass[order], radius=model.radius[order], names=names)
+
+    def state(self) -> State:
+        """Return the present state."""
+        state = self._source.state()
+        return State(state.time, state.position[self._order], state.velocity[self._order])
+
+
+def _heaviest_first(mass: FloatArray) -> IntArray:
+    """Return the bodies in the order in which the maps for a dominant body need them."""
+    return np.argsort(np.arange(len(mass)) != np.argmax(mass), kind="stable")
+
+
+def _state(simulation: Any, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities (n, 3) in the order of the scene."""
+    position, velocity = np.empty((2, len(mass), 3))
+    order = _heaviest_first(mass)
+    position[order] = [particle.xyz for particle in simulation.particles]
+    velocity[order] = [particle.vxyz for particle in simulation.particles]
+    return position, velocity
+
+
+def _momenta(simulation: Any, mass: FloatArray) -> FloatArray:
+    """Return momentum and angular momentum, (2, 3)."""
+    position, velocity = _state(simulation, mass)
+    return np.array([mass @ velocity, mass @ np.cross(position, velocity)])
+
+
+def _momentum_scales(position: FloatArray, velocity: FloatArray, mass: FloatArray) -> tuple[float, float]:
+    """Return Σ m |v| and Σ m |x| |v| about the centre of mass."""
+    heavy = np.linalg.norm(velocity - mass @ velocity / mass.sum(), axis=1)
+    away = np.linalg.norm(position - mass @ position / mass.sum(), axis=1)
+    return float(mass @ heavy) or 1.0, float(mass @ (away * heavy)) or 1.0
+
+
+def _package() -> Any:
+    try:
+        import rebound  # noqa: PLC0415 - optional
+    except ImportError:
+        raise ExperimentError(INSTALL) from None
+    if int(rebound.__version__.partition(".")[0]) < OLDEST:
+        raise ExperimentError(f"{INSTALL}; this is {rebound.__version__}")
+    return rebound

@@ -1,0 +1,258 @@
+"""Random scenes as documents: bodies about to meet, bodies that pull each other smoothly, and pairs that meet once.
+
+Sizes, speeds and masses go over decades, in units that are no powers of two, so that sums do round.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.lab.hunt.draw import Draw, decade, direction, part, row, vector
+
+FloatArray = NDArray[np.float64]
+Document = dict[str, Any]  # a scene with the keys of a TOML file, which can be changed before it is validated
+
+
+class Scales(NamedTuple):
+    """A length in m, a speed in m/s and a mass in kg."""
+
+    L: float
+    U: float
+    M: float
+
+
+def scales(draw: Draw) -> Scales:
+    """Draw the scales of a scene."""
+    return Scales(decade(draw, -3, 4), decade(draw, -4, 3), decade(draw, -3, 9))
+
+
+def meeting(
+    draw: Draw,
+    *,
+    scale: Scales | None = None,
+    gravity: bool | None = None,
+    field: bool | None = None,
+    periodic: bool | None = None,
+    fixed_step: bool | None = None,
+    velocity_limit: str | None = None,
+    stabilisation: str | None = None,
+    most_bodies: int = 12,
+    drift: float = 1000.0,
+) -> Document:
+    """Draw a valid scene of a few bodies that meet within some 30 steps; what is None is drawn, too.
+
+    A fixed step is a power of two, so that the clock of a run is exact. All bodies may move at ``drift`` times their
+    usual speed.
+    """
+
+    def choose(given: bool | None) -> bool:
+        return draw.choice(False, True) if given is None else given
+
+    pulls, falls = choose(gravity), choose(field)
+    # With an adaptive step Baumgarte's bias runs away where bodies are squeezed: test_random_scenes.py has the scene.
+    undoing = stabilisation or draw.choice("split", "none", *(["baumgarte"] if fixed_step is not False else []))
+    fixed = undoing == "baumgarte" or choose(fixed_step)
+    wraps = not pulls and not falls and choose(periodic)
+    L, U, M = scale or scales(draw)
+    overlapping = not wraps and draw.integer(0, 3) == 0
+    bodies = _bodies(draw, L, U, M, draw.integer(1, most_bodies), overlapping, drift)
+    static = draw.choice(0.0, 0.1, 0.5, 1.0, 10.0)
+    time = _time(draw, L, U, fixed, velocity_limit)
+    document: Document = {
+        "body": bodies,
+        "time": time,
+        "gravity": {"constant": 0.0},
+        "contact": {
+            "enabled": draw.integer(0, 7) > 0,
+            "restitution": part(draw),
+            "static_friction": static,
+            "kinetic_friction": static * part(draw),
+            "colouring": draw.choice("contacts", "bodies"),
+            "stabilisation": undoing,
+            "timing": _timing(draw, time["integrator"]),
+            "sweeps": draw.choice("auto", "auto", "as-needed", "quick", 1, 8),
+            "allow_overlap": overlapping,
+        },
+        "record": {"every": "step", "check_every": 1},
+    }
+    if pulls:
+        # Bodies that overlap without softening pull each other without bound: there the model ends (physics.md, 16).
+        soft = draw.choice(0.1, 1.0) if overlapping else draw.choice(0.0, 0.0, 0.1, 1.0)
+        document["gravity"] = {"constant": decade(draw, -3, 2) * U * U * L / M, "softening": soft * L}
+    if falls:
+        document["gravity"]["uniform"] = row(vector(draw) * (decade(draw, -2, 1) * U * U / L))
+    if wraps:
+        document["domain"] = {"boundary": "periodic", "size": _box(bodies, draw.choice(0.0, 0.125, 1.0))}
+    return document
+
+
+def _bodies(draw: Draw, L: float, U: float, M: float, count: int, overlapping: bool, drift: float) -> list[Document]:
+    """Draw bodies, each beside one placed before it: touching, at a distance, or overlapping where that is allowed."""
+    alike, spinning = draw.choice(False, True), draw.choice(False, True)
+    bulk = vector(draw) * draw.choice(0.0, 1.0, drift)
+    gaps = [0.0, 0.0, 0.01, 0.1, 1.0, 10.0] + ([-0.1, -0.5, -1.0] if overlapping else [])
+    placed: list[tuple[FloatArray, float]] = []
+    bodies: list[Document] = []
+    for index in range(count):
+        radius = L if alike else L * decade(draw, -2, 2)
+        if index == 0:
+            position = vector(draw) * (10 * L)
+        else:
+            parent, parent_radius = placed[draw.integer(0, index - 1)]
+            gap, ray = draw.choice(*gaps), direction(draw)
+            reach = radius + parent_radius
+            distance = reach + gap * (reach if gap < 0 else min(radius, parent_radius))
+            if not overlapping:
+                distance = _clear(parent, ray, distance, radius, placed)
+            position = parent + distance * ray
+        placed.append((position, radius))
+        spin = vector(draw) * (U / radius) if spinning else np.zeros(3)
+        bodies.append(
+            {
+                "position": row(position),
+                "velocity": row((bulk + vector(draw)) * U),
+                "angular_velocity": row(spin),
+                "radius": radius,
+                "mass": M if alike else M * decade(draw, -3, 3),
+                "inertia_factor": draw.choice(0.4, 0.4, 2 / 3, 0.05),
+            }
+        )
+    return bodies
+
+
+def _clear(
+    origin: FloatArray, ray: FloatArray, distance: float, radius: float, placed: list[tuple[FloatArray, float]]
+) -> float:
+    """Return the distance along a ray from which a sphere overlaps none of those placed."""
+    blocked = []
+    for centre, other in placed:
+        along = float((centre - origin) @ ray)
+        aside = centre - origin - along * ray  # not by Pythagoras, which would cancel where the other is far
+        room = (radius + other) ** 2 - float(aside @ aside)
+        if room > 0.0:
+            blocked.append((along - math.sqrt(room), along + math.sqrt(room)))
+    for entry, exit_ in sorted(blocked):  # by entry: once past an interval, none that begins before it is met again
+        if entry < distance < exit_:
+            distance = exit_
+    return distance
+
+
+def _box(bodies: list[Document], slack: float) -> list[float]:
+    """Return a periodic box in which nothing overlaps: a slack of 0 lets the outermost touch through the wall."""
+    position = np.array([body["position"] for body in bodies])
+    radius = np.array([body["radius"] for body in bodies])[:, None]
+    extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
+    return row(np.maximum(extent * (1.0 + slack), 4.0 * radius.max()))
+
+
+def _timing(draw: Draw, integrator: str) -> str:
+    """Yoshida's drifts go back in time, where no impact can be."""
+    return draw.choice("auto", "end-of-step", *(["time-of-impact"] if integrator != "yoshida4" else []))
+
+
+def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | None) -> Document:
+    T = L / U
+    reach = draw.choice(None, 0.001, 0.01, 0.1, 1.0)
+    time: Document = {
+        "duration": 1e9 * T,  # the run ends after a number of steps
+        "integrator": draw.choice("euler", "leapfrog", "yoshida4"),
+        "max_dt": T * decade(draw, -2, 1),
+        "target_dx": "auto" if reach is None else L * reach,
+        "cfl": draw.choice(0.05, 0.5, 1.0),
+        "smoothing": draw.choice(0.01, 0.2, 1.0),
+        "velocity_limit": velocity_limit or draw.choice("every-body", "fastest-body"),
+    }
+    if fixed:
+        time["fixed_dt"] = 2.0 ** round(math.log2(T * decade(draw, -3, 0)))
+    return time
+
+
+def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
+    """Draw softened bodies that pull each other and pass through each other: nothing in their motion is sudden.
+
+    The step is a part of 1/λ, λ² = 2 G M/ε³, so that a run of so many steps lasts at most half a time 1/λ. Plummer's
+    force changes by at most G m/ε³ over a length, so two runs part no faster than exp(λ t) on their own account.
+    """
+    count = draw.integer(2, 8)
+    L, M = decade(draw, -3, 4), decade(draw, -3, 9)
+    mass = [M * decade(draw, -3, 3) for _ in range(count)]
+    softening = L * draw.choice(0.25, 1.0)
+    rate = 10.0 ** draw.integer(-3, 3)  # λ, 1/s
+    constant = 0.5 * rate**2 * softening**3 / sum(mass)
+    bodies = [
+        {
+            "position": row(vector(draw) * (4 * L)),
+            "velocity": row(vector(draw) * (L * rate)),
+            "angular_velocity": row(vector(draw) * (10 * rate)),
+            "radius": 0.3 * L,
+            "mass": m,
+        }
+        for m in mass
+    ]
+    return {
+        "body": bodies,
+        "time": {
+            "duration": 1e9 / rate,
+            "fixed_dt": draw.choice(0.1, 0.5) / (steps * rate),
+            "integrator": draw.choice(*integrators),
+        },
+        "gravity": {
+            "constant": constant,
+            "softening": softening,
+            "uniform": row(vector(draw) * (L * rate * rate)),
+        },
+        "contact": {"enabled": False},
+        "record": {"every": "step", "check_every": 1},
+    }
+
+
+def impacts(draw: Draw) -> Document:
+    """Draw pairs far from each other, each of which collides once, within the first six steps of 2⁻⁶ s.
+
+    An impact is found at the end of the step in which it happens. Round-off must not move it to another step, so each
+    happens at 0.3 to 0.7 of a step, and at 17° or more from grazing. Static and kinetic friction are equal, so the
+    result is continuous where sliding begins.
+    """
+    dt = 2.0**-6
+    bodies: list[Document] = []
+    for site in range(draw.integer(1, 4)):
+        radii = [decade(draw, -1, 1), decade(draw, -1, 1)]
+        reach = sum(radii)
+        normal = direction(draw)
+        across = np.cross(normal, direction(draw))
+        across = across / np.linalg.norm(across) if across.any() else across
+        head_on = draw.choice(0.3, 0.6, 1.0)
+        speed = draw.choice(0.02, 0.1, 0.2) * reach / dt
+        approach = speed * (-head_on * normal + math.sqrt(1.0 - head_on**2) * across)
+        touching = (draw.integer(0, 5) + draw.choice(0.3, 0.5, 0.7)) * dt  # s
+        own = vector(draw) * speed
+        first = np.array([1000.0 * site, 0.0, 0.0]) + vector(draw)
+        for k in range(2):
+            bodies.append(
+                {
+                    "position": row(first + k * (reach * normal - touching * approach)),
+                    "velocity": row(own + k * approach),
+                    "angular_velocity": row(vector(draw) * (speed / radii[k])),
+                    "radius": radii[k],
+                    "mass": decade(draw, -3, 3),
+                }
+            )
+    friction = draw.choice(0.0, 0.1, 0.5, 10.0)
+    return {
+        "body": bodies,
+        "time": {"duration": 10.0, "fixed_dt": dt, "integrator": draw.choice("euler", "leapfrog")},
+        "gravity": {"constant": 0.0},
+        "contact": {
+            "restitution": part(draw),
+            "static_friction": friction,
+            "kinetic_friction": friction,
+            "stabilisation": draw.choice("split", "baumgarte", "none"),
+            "timing": _timing(draw, "leapfrog"),
+            "colouring": draw.choice("contacts", "bodies"),
+        },
+        "record": {"every": "step", "check_every": 1},
+    }

@@ -1,0 +1,218 @@
+"""Draws scenes, holds each to the laws, and files every miss, shrunk, with its recording."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from carom.lab.hunt.laws import ERROR, Law, laws_of
+from carom.lab.hunt.scenes import drawn
+from carom.lab.shrink.budget import Budget, OutOfTime
+from carom.lab.shrink.condition import Condition
+from carom.lab.shrink.observation import said_by
+from carom.lab.shrink.reducer import Reducer
+from carom.lab.shrink.result import key_of, text_of, write
+from carom.lab.shrink.trials import observe
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.recording.read.recording import Recording
+from carom.runs.error import ExperimentError
+from carom.runs.interrupts import Interrupts
+from carom.runs.output import output_folder
+from carom.runs.report import report
+from carom.runs.run import recording_space, simulate
+from carom.scene.command import command
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_dict, scene_from_text
+from carom.scene.schema import Scene
+
+AUDIT = 1e-9  # of a speed, that impulses may leave unexplained: some 10⁶ roundings
+STEPS = 400  # after which a scene is given up
+SHARE = 0.2  # of the budget for the shrinking of one miss
+LONGEST = 60.0  # s, likewise
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A law that a scene breaks."""
+
+    law: Law
+    condition: Condition
+    index: int  # of the scene, for the same seed
+    scene: Scene
+    bodies: int
+    said: str  # what its run shows
+
+
+@dataclass(frozen=True, slots=True)
+class Miss:
+    """A finding that was filed."""
+
+    law: str
+    index: int  # of the scene, for the same seed
+    said: str  # what its run shows
+    path: Path | None  # of the reduced scene; None if one like it was filed before
+    bodies: int
+
+
+@dataclass(slots=True)
+class Tally:
+    """What a hunt has done so far."""
+
+    seed: int
+    scenes: int = 0
+    refused: int = 0
+    stated: int = 0  # runs that ended with a stated reason
+    given_up: int = 0  # runs of too many steps
+    misses: list[Miss] = field(default_factory=list)
+    seconds: float = 0.0
+    stopped: str = ""
+
+
+@dataclass(slots=True)
+class Hunt:
+    """Hunts for scenes that break a law.
+
+    Parameters
+    ----------
+    seed
+        Of the scenes; the same seed draws the same ones.
+    folder
+        Where misses are filed.
+    seconds
+        s, the budget.
+    first, most
+        Number of the first scene, and of scenes at most.
+    watch
+        Called after each scene.
+
+    Raises
+    ------
+    RecordingError
+        If the folder cannot be made, before anything is run.
+    """
+
+    seed: int
+    folder: Path
+    seconds: float = math.inf
+    first: int = 0
+    most: int | None = None
+    watch: Callable[[Tally], None] = lambda tally: None
+    tally: Tally = field(init=False)
+    _new: bool = field(init=False)  # whether the hunt made the folder
+
+    def __post_init__(self) -> None:
+        self.tally = Tally(self.seed)
+        self._new = not self.folder.exists()
+        output_folder(self.folder)
+
+    def hunt(self) -> Tally:
+        """Hunt until the budget is spent, the scenes are judged, or the user ends it."""
+        try:
+            return self._hunted()
+        finally:
+            if self._new:
+                with contextlib.suppress(OSError):  # it holds misses
+                    self.folder.rmdir()
+
+    def _hunted(self) -> Tally:
+        with Interrupts() as interrupts:
+            budget = Budget(self.seconds, interrupts)
+            index = self.first
+            while self.most is None or index < self.first + self.most:
+                try:
+                    budget.check()
+                    for finding in self.judge(index, budget):
+                        self._file(finding)
+                except OutOfTime as ended:
+                    self.tally.stopped = str(ended)
+                    break
+                self.tally.seconds = budget.spent
+                self.watch(self.tally)
+                index += 1
+        return self.tally
+
+    def judge(self, index: int, budget: Budget) -> list[Finding]:
+        """Draw a scene and run it; return the laws that it breaks."""
+        found = drawn(self.seed, index)
+        self.tally.scenes += 1
+        try:
+            scene = scene_from_dict(found.document | {"expect": {"contact_audit": AUDIT}})
+            laws = laws_of(scene, found.kind)
+        except SceneError:
+            self.tally.refused += 1
+            return []
+        try:
+            return self._broken(laws, index, scene, budget)
+        except (OutOfTime, ExperimentError):
+            raise
+        except SceneError:
+            self.tally.refused += 1
+            return []
+        except PhysicsError:
+            self.tally.stated += 1
+            return []
+        except Exception as error:  # before the first step, which is a fault like any later
+            return [Finding(ERROR, ERROR.broken(), index, scene, scene.count, said_by(error))]
+
+    def _broken(self, laws: list[Law], index: int, scene: Scene, budget: Budget) -> list[Finding]:
+        """Run a scene, and hold it to laws."""
+        seen = observe(Space(scene, threads=1), budget, steps=STEPS)
+        if seen is None:
+            self.tally.given_up += 1
+            return []
+        self.tally.stated += bool(seen.error)
+        conditions = [(law, law.broken()) for law in laws]
+        return [
+            Finding(law, condition, index, scene, scene.count, condition.said(seen))
+            for law, condition in conditions
+            if condition.holds(seen)
+        ]
+
+    def _file(self, finding: Finding) -> None:
+        """Shrink a scene that breaks a law, record it, and add it to the misses."""
+        law, index, said, bodies = finding.law, finding.index, finding.said, finding.bodies
+        if any(miss.law == law.name for miss in self.tally.misses):
+            self.tally.misses.append(Miss(law.name, index, said, None, bodies))
+            return
+        path = self.folder / f"{law.name.replace(' ', '-')}-{self.seed}-{index}.toml"
+        small = finding.scene.toml
+        try:
+            result = Reducer(finding.condition, min(LONGEST, SHARE * self.seconds)).reduce(finding.scene)
+            key = key_of(small, finding.condition.text)
+            how = command("hunt", "--seed", self.seed, "--from", index, "--scenes", 1)
+            small = text_of(result, f"{law.name}: {law.says}", key, how)
+            bodies, said = result.bodies, result.said
+        except OutOfTime:
+            raise
+        except Exception as error:  # a fault before the first step leaves nothing to shrink
+            said = f"{said} (not shrunk: {said_by(error)})"
+        write(path, small)
+        _record(small, path)
+        self.tally.misses.append(Miss(law.name, index, said, path, bodies))
+
+
+def _record(text: str, path: Path) -> None:
+    """Record the run of a reduced scene beside it, as far as it goes, and pack a report of it."""
+    recorded = path.with_suffix(".rrd")
+    try:
+        simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)
+        report(Recording.open(recorded), path.with_suffix(".zip"))
+    except Exception:  # the fault that was found may end the run anyhow
+        for file in (recorded, path.with_suffix(".zip")):
+            if not file.exists() or not file.stat().st_size:
+                file.unlink(missing_ok=True)
+
+
+def as_document(tally: Tally) -> dict[str, Any]:
+    """Return a tally as JSON can hold it."""
+    misses = [
+        {"law": m.law, "scene": m.index, "said": m.said, "file": m.path and str(m.path), "bodies": m.bodies}
+        for m in tally.misses
+    ]
+    numbers = {name: getattr(tally, name) for name in ("seed", "scenes", "refused", "stated", "given_up", "seconds")}
+    return numbers | {"stopped": tally.stopped, "misses": misses}

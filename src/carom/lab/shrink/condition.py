@@ -1,0 +1,379 @@
+"""Conditions that a reduced scene has to keep: what `carom shrink --while` may ask."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+from carom.lab.shrink.expression import Expression, UnknownNameError
+from carom.lab.shrink.invariance import Varies
+from carom.lab.shrink.observation import LASTING, SUNK, Observation, Pair, end_name
+from carom.lab.shrink.whole_run import ReplayDiffers
+from carom.runs.error import ExperimentError
+from carom.runs.expectation import Verdict
+from carom.scene.half_space import half_spaces
+from carom.scene.names import Names
+from carom.scene.nearest import nearest, suggestion
+from carom.scene.schema.expect import Expect
+from carom.scene.units.dimension import TIME
+
+WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
+_MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
+_PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
+_WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
+_INVARIANCE = re.compile(r"\s*invariance ([a-z]+)\s*")
+_ABOUT = {  # moments of a summary, by the names that have to do with them
+    "energy_error": re.compile(r"energy\.|moments\.energy_error"),
+    "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
+    "impact": re.compile(r"moments\.impact"),
+}
+_NUMBER = re.compile(r"[-+]?\d[\d.]*(?:e[-+]?\d+)?", re.IGNORECASE)
+_BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
+
+
+class Condition(Protocol):
+    """A failure of a run.
+
+    A condition is asked after every recorded frame, about the run so far.
+    """
+
+    @property
+    def text(self) -> str:
+        """As it was asked for."""
+
+    @property
+    def needs_impacts(self) -> bool:
+        """Whether it looks at the impacts of the run."""
+
+    @property
+    def of_whole_run(self) -> bool:
+        """Whether it is asked at the end only."""
+
+    def check(self, seen: Observation) -> None:
+        """Check names at the first frame of the run.
+
+        Raises
+        ------
+        ExperimentError
+            If the condition names something that no run has; it says the nearest.
+        """
+
+    def pinned(self, seen: Observation) -> Condition:
+        """Return the condition that holds only for the same failure.
+
+        Raises
+        ------
+        ExperimentError
+            If the run does not show the failure; it says what the run shows instead.
+        """
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether the run shows the failure."""
+
+    def said(self, seen: Observation) -> str:
+        """Say what the run shows, for the comments of the result."""
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the names of the bodies in question, as far as they are known."""
+
+
+def condition_from(text: str | None) -> Condition:
+    """Read a condition.
+
+    Parameters
+    ----------
+    text
+        None: whatever goes wrong, an error or a missed promise. ``expect`` or ``expect.NAME`` (a missed promise),
+        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``,
+        ``overlap at rest``, ``replay differs``, ``invariance NAME``, otherwise an expression over the numbers of
+        ``carom inspect --json``.
+
+    Raises
+    ------
+    ExperimentError
+        If it is none of them.
+    """
+    if text is None:
+        return MissedPromise("expect", or_error=True)
+    if matched := _PROMISE.fullmatch(text):
+        return MissedPromise(text, matched[1] or "")
+    if matched := _MET.fullmatch(text):
+        return Met(text, matched[1], matched[2])
+    if matched := _WARNING.fullmatch(text):
+        return Warned(text, matched[1] or "")
+    if " ".join(text.lower().split()) == "replay differs":
+        return ReplayDiffers(text)
+    if " ".join(text.lower().split()) == "overlap at rest":
+        return Sunk(text)
+    if matched := _INVARIANCE.fullmatch(text):
+        return Varies(text, matched[1])
+    if text.strip().lower() == "crash":
+        return Failed(text, stated=False)
+    if text.strip().lower() == "not finite":
+        return Failed(text, about="no longer finite")
+    if text.strip().lower() == "physicserror":
+        return Failed(text)
+    return Measured(text, Expression(text))
+
+
+@dataclass(frozen=True, slots=True)
+class MissedPromise:
+    """A promise of [expect] that the run does not keep."""
+
+    text: str
+    name: str = ""  # empty: the first that is missed
+    note: str | None = None  # what the measured value is of; None: not known yet
+    or_error: bool = False  # whether an error is as good, if the run ends with one
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Check the name of the promise."""
+        given = [verdict.name for verdict in seen.verdicts]
+        if not given and not self.or_error:
+            raise ExperimentError("nothing to shrink: the scene has no [expect]; say what to keep with --while")
+        if self.name and self.name not in given:
+            known = self.name in Expect.model_fields
+            hint = "[expect] does not have it" if known else suggestion(self.name, Expect.model_fields)
+            raise ExperimentError(f"--while {self.text}: no promise {self.name}; {hint}")
+
+    def pinned(self, seen: Observation) -> Condition:
+        """Return the condition that the same promise is missed by the same quantity."""
+        if seen.error and self.or_error:
+            return Failed("PhysicsError").pinned(seen)
+        if seen.error:
+            raise ExperimentError(
+                f'nothing to shrink: the run failed: {seen.error} (--while "PhysicsError" keeps that)'
+            )
+        if not seen.verdicts:
+            raise ExperimentError("nothing to shrink: the scene has no [expect]; say what to keep with --while")
+        missed = self._missed(seen)
+        if not missed:
+            shown = "; ".join(str(verdict) for verdict in seen.verdicts if self.name in ("", verdict.name))
+            raise ExperimentError(f"nothing to shrink: every promise is kept: {shown}")
+        return replace(self, name=missed[0].name, note=missed[0].note)
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether the promise is missed."""
+        return not seen.error and any(self.note in (None, verdict.note) for verdict in self._missed(seen))
+
+    def said(self, seen: Observation) -> str:
+        """Return the promise with the measured value."""
+        return "; ".join(str(verdict) for verdict in self._missed(seen))
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies where it was worst."""
+        worst = [verdict.worst for verdict in self._missed(seen) if verdict.worst]
+        return {seen.space.names[body] for extreme in worst for body in extreme.bodies}
+
+    def _missed(self, seen: Observation) -> list[Verdict]:
+        return [verdict for verdict in seen.verdicts if not verdict.met and self.name in ("", verdict.name)]
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """An expression over the numbers of the summary."""
+
+    text: str
+    expression: Expression
+    failed: bool = False  # whether the run ends with a PhysicsError
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Check the names, but for those of moments, which a run may not have yet."""
+        for name in self.expression.unknown(seen.summary):
+            if not name.startswith("moments."):
+                raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
+
+    def pinned(self, seen: Observation) -> Measured:
+        """Return the condition that the expression holds of a run that ends likewise."""
+        try:
+            if not self.expression.holds(seen.summary):
+                raise ExperimentError(f"nothing to shrink: {self.expression.measured(seen.summary)}")
+        except UnknownNameError as error:
+            raise ExperimentError(self.expression.explain_unknown(error.name, seen.summary)) from None
+        return replace(self, failed=bool(seen.error))
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether the expression holds."""
+        if bool(seen.error) != self.failed:
+            return False
+        try:
+            return self.expression.holds(seen.summary)
+        except UnknownNameError:
+            return False
+
+    def said(self, seen: Observation) -> str:
+        """Return the values of its names."""
+        return self.expression.measured(seen.summary)
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies of the moments that it is about, or of the largest energy error."""
+        moments = seen.summary["moments"]
+        named = {moment for name in self.expression.names for moment, about in _ABOUT.items() if about.match(name)}
+        return {
+            seen.space.names[body]
+            for key in named or {"energy_error"}
+            if key in moments
+            for body in moments[key]["bodies"]
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Met:
+    """An impact of two bodies, or of a body and a plane."""
+
+    text: str
+    first: str  # a number or a name
+    second: str
+    pair: Pair | None = None  # their names; None: not known yet
+    needs_impacts = True
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Check that there are such bodies."""
+        self._pair(seen)
+
+    def pinned(self, seen: Observation) -> Met:
+        """Return the condition for the same bodies by their names."""
+        if not self.holds(seen):
+            raise ExperimentError(f"nothing to shrink: there is no {self.text.strip()} in the run")
+        return replace(self, pair=self._pair(seen))
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether they met."""
+        return not seen.error and (self.pair or self._pair(seen)) in seen.touches.pairs
+
+    def said(self, seen: Observation) -> str:
+        """Name the pair."""
+        return f"impact of {' and '.join(sorted(self.pair or ()))}"
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return both, as far as they are bodies."""
+        return set(self.pair or ()) & set(seen.space.names)
+
+    def _pair(self, seen: Observation) -> Pair:
+        names = Names(list(seen.space.names), list(half_spaces(seen.space.scene).name))
+        return frozenset(self._named(end, names) for end in (self.first, self.second))
+
+    def _named(self, end: str, names: Names) -> str:
+        known = [*names.bodies, *names.planes]
+        if end in known:
+            return end
+        if end.isdigit():
+            if int(end) < len(known):
+                return end_name(names, int(end))
+            raise ExperimentError(f"--while {self.text}: no body {end}; there are {len(names.bodies)}, from 0 on")
+        near = nearest(end, known)
+        raise ExperimentError(f'--while {self.text}: no body "{end}"' + (f'; did you mean "{near}"?' if near else ""))
+
+
+@dataclass(frozen=True, slots=True)
+class Sunk:
+    """An overlap that lasts, see `Touches`."""
+
+    text: str
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Accept every run."""
+
+    def pinned(self, seen: Observation) -> Sunk:
+        """Return the condition, of whichever pair."""
+        if not self.holds(seen):
+            raise ExperimentError(f"nothing to shrink: no overlap above {SUNK:.0%} of a radius lasts {LASTING} steps")
+        return self
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether there is one."""
+        return not seen.error and bool(seen.touches.sunk)
+
+    def said(self, seen: Observation) -> str:
+        """Name the pair that overlaps most."""
+        pair, depth = max(seen.touches.sunk.items(), key=lambda one: one[1])
+        return f"{' and '.join(sorted(pair))} overlap by {depth:.3g} of a radius, at rest"
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies that overlap."""
+        return {end for pair in seen.touches.sunk for end in pair} & set(seen.space.names)
+
+
+@dataclass(frozen=True, slots=True)
+class Warned:
+    """A warning of the run."""
+
+    text: str
+    kind: str = ""  # empty: any
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Check that there are such warnings."""
+        if self.kind and self.kind not in WARNINGS:
+            raise ExperimentError(f"--while {self.text}: no warning {self.kind}; {suggestion(self.kind, WARNINGS)}")
+
+    def pinned(self, seen: Observation) -> Warned:
+        """Return the condition for the same kind of warning."""
+        if not self.holds(seen):
+            gave = f"only {', '.join(sorted(seen.warned))}" if seen.warned else "none"
+            raise ExperimentError(f"nothing to shrink: of such warnings the run gave {gave}")
+        return replace(self, kind=self.kind or min(seen.warned))
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether the run gave it."""
+        return not seen.error and (self.kind in seen.warned if self.kind else bool(seen.warned))
+
+    def said(self, seen: Observation) -> str:
+        """Name the kind."""
+        return f"warning {self.kind}"
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies where the energy was worst."""
+        worst = seen.space.named_extremes().energy_error
+        return {seen.space.names[body] for body in worst.bodies} if worst else set()
+
+
+@dataclass(frozen=True, slots=True)
+class Failed:
+    """The end of a run by an error."""
+
+    text: str
+    message: str = ""  # its message without numbers and names; empty: any
+    stated: bool = True  # whether a PhysicsError counts, which gives a reason, not only other exceptions
+    about: str = ""  # what the message has to say
+    needs_impacts = False
+    of_whole_run = False
+
+    def check(self, seen: Observation) -> None:
+        """Accept every run."""
+
+    def pinned(self, seen: Observation) -> Failed:
+        """Return the condition for the same message, whatever the numbers in it."""
+        if not self.holds(seen):
+            end = seen.space.scene.unit_system.text(seen.space.time, TIME)
+            ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {end}"
+            raise ExperimentError(f"nothing to shrink: the run {ended}")
+        return replace(self, message=_template(seen.error))
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether the run failed so."""
+        if not seen.error or (seen.stated and not self.stated):
+            return False
+        return self.about in seen.error and self.message in ("", _template(seen.error))
+
+    def said(self, seen: Observation) -> str:
+        """Return the message."""
+        return f"PhysicsError: {seen.error}" if seen.stated else seen.error
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return the bodies that the message names."""
+        numbers = {int(number) for number in re.findall(r"body (\d+)", seen.error)}
+        return {name for number, name in enumerate(seen.space.names) if number in numbers}
+
+
+def _template(message: str) -> str:
+    """Leave numbers and names of bodies out of a message."""
+    return _BODIES.sub("bodies", _NUMBER.sub("N", message))

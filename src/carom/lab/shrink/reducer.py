@@ -1,0 +1,217 @@
+"""Reduces a scene to the smallest one that still shows a failure: the passes and their order."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from carom.lab.shrink.bodies import leave_out_bodies
+from carom.lab.shrink.budget import Budget, OutOfTime
+from carom.lab.shrink.condition import Condition
+from carom.lab.shrink.judges import Judges
+from carom.lab.shrink.literal import Document, at_moment, literal
+from carom.lab.shrink.numbers import round_numbers
+from carom.lab.shrink.parts import drop_parts, set_defaults
+from carom.lab.shrink.smallest import Smallest
+from carom.lab.shrink.time_cut import Chronicle, begin_late, chronicle, cut_both_ends, cut_time
+from carom.lab.shrink.trials import Trials
+from carom.physics.placement import place
+from carom.physics.space import Space
+from carom.runs.error import ExperimentError
+from carom.runs.interrupts import Interrupts
+from carom.scene.counted import counted
+from carom.scene.schema import Scene
+from carom.scene.start import Start
+
+_GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
+MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a pass left."""
+
+    name: str
+    bodies: int
+    steps: int
+    candidates: int  # so far
+
+
+@dataclass(slots=True)
+class Progress:
+    """What a watcher sees."""
+
+    stage: str = "running the scene"
+    bodies: int = 0
+    steps: int = 0
+    candidates: int = 0  # so far, with the one that runs
+    kept: int = 0  # of these
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """The result of a reduction."""
+
+    document: Document
+    said: str  # what the reduced run shows
+    bodies: int
+    steps: int
+    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene as given
+    stages: list[Stage]
+    seconds: float
+    candidates: int
+    kept: int  # candidates that show the failure; each took the place of the one before
+    stopped: str = ""  # why it ended early; empty if nothing more can be left out
+
+    @property
+    def minimal(self) -> bool:
+        """Whether nothing more can be left out."""
+        return not self.stopped
+
+
+@dataclass(slots=True)
+class Reducer:
+    """Reduces a scene.
+
+    Parameters
+    ----------
+    condition
+        The failure to keep.
+    seconds
+        s, the budget; infinite without a limit.
+    watch
+        Called before each candidate, and when a smaller scene is found.
+    keep
+        Called with each smaller scene and what it shows.
+    workers
+        Processes that judge candidates of delta debugging, None for one a core; 1 is this one.
+    before
+        Bodies and steps of the scene, if an earlier reduction began with a larger one.
+    """
+
+    condition: Condition
+    seconds: float = math.inf
+    watch: Callable[[Progress], None] = lambda progress: None
+    keep: Callable[[Document, str], None] = lambda document, said: None
+    before: tuple[int, int] | None = None
+    workers: int | None = 1
+    _progress: Progress = field(default_factory=Progress)
+    _stages: list[Stage] = field(default_factory=list)
+
+    def reduce(self, scene: Scene, start: Start | None = None) -> Reduction:
+        """Return the smallest scene that shows the failure.
+
+        Parameters
+        ----------
+        scene
+            The scene that shows it.
+        start
+            Its bodies; by default those that it places.
+
+        Raises
+        ------
+        ExperimentError
+            If the scene does not show the failure, or the time ended before that was known.
+        SceneError
+            If the scene cannot run.
+        """
+        with Interrupts() as interrupts, Judges(self.workers) as judges:
+            budget = Budget(self.seconds, interrupts)
+            trials = Trials(self.condition, budget, judges=judges)
+            trials.watch = lambda: self._look(trials)
+            try:
+                smallest, cut = self._begin(scene, start or place(scene), trials)
+            except OutOfTime as ended:
+                raise ExperimentError(f"{ended} before the failure was seen; nothing is written") from None
+            stopped = self._pass_all(smallest, cut, trials)
+            if not smallest.kept:
+                tried = counted(trials.count, "smaller scene")
+                raise ExperimentError(f"the scene fails, but {stopped} when {tried} had been tried; nothing is written")
+            return Reduction(
+                document=smallest.document,
+                said=smallest.said,
+                bodies=smallest.bodies,
+                steps=smallest.steps,
+                before=self.before or (smallest.bodies, smallest.steps),
+                stages=self._stages,
+                seconds=budget.spent,
+                candidates=trials.count,
+                kept=smallest.kept,
+                stopped=stopped,
+            )
+
+    def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
+        """Run the scene up to the failure; return it with its bodies written out, and what cuts its time first."""
+        trials.budget.check()
+        threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads
+        space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
+        kept, seen = chronicle(space, trials, first=trials.condition.check)
+        trials.condition = trials.condition.pinned(seen)
+        self._progress.bodies, self._progress.steps = len(start.name), space.step
+        self.before = self.before or (len(start.name), space.step)
+        whole = literal(scene, start)
+        smallest = Smallest(whole, seen, trials, self._taken(trials))
+        return smallest, lambda: self._cut_first(smallest, whole, kept, trials)
+
+    def _cut_first(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
+        """Begin as late as the failure allows; one of whole runs is first seen with every body written out."""
+        self._progress.stage = "cutting time"
+        if trials.condition.of_whole_run:
+            if not smallest.is_shown():
+                raise ExperimentError(_GOES_AWAY)
+            cut_both_ends(smallest, kept)
+        elif not begin_late(smallest, whole, kept):
+            self._write_out(smallest, whole, kept)
+        self._end_stage("cut time", smallest, trials)
+
+    def _write_out(self, smallest: Smallest, whole: Document, kept: Chronicle) -> None:
+        """Begin at the start of the run, with every body written out."""
+        assert kept.end is not None
+        duration = kept.end.time if kept.shown else 0.0
+        ends = [duration, duration + kept.end.dt] if duration else []
+        candidates = [at_moment(whole, kept.moments[0], end) for end in ends]
+        if not any(smallest.takes(candidate) for candidate in candidates) and not smallest.is_shown():
+            raise ExperimentError(_GOES_AWAY)
+
+    def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
+        """Cut time, then make all passes until none finds anything; return why they ended early, or an empty text."""
+        passes: dict[str, Callable[[], bool]] = {
+            "left out bodies": lambda: leave_out_bodies(smallest, trials),
+            "cut time": lambda: cut_time(smallest, trials),
+            "dropped parts of the model": lambda: drop_parts(smallest),
+            "set constants to defaults": lambda: set_defaults(smallest),
+            "rounded numbers": lambda: round_numbers(smallest),
+        }
+        try:
+            cut()
+            for _ in range(MOST_ROUNDS):
+                changed = False
+                for name, work in passes.items():
+                    self._progress.stage = name
+                    found = work()
+                    if found:
+                        self._end_stage(name, smallest, trials)
+                    changed |= found
+                if not changed:
+                    return ""
+        except OutOfTime as ended:
+            return str(ended)
+        return f"it still changed after {MOST_ROUNDS} rounds"
+
+    def _taken(self, trials: Trials) -> Callable[[Smallest], None]:
+        def taken(smallest: Smallest) -> None:
+            self._progress.bodies, self._progress.steps = smallest.bodies, smallest.steps
+            self._progress.kept = smallest.kept
+            self._look(trials)
+            self.keep(smallest.document, smallest.said)
+
+        return taken
+
+    def _look(self, trials: Trials) -> None:
+        self._progress.candidates, self._progress.seconds = trials.count, trials.budget.spent
+        self.watch(self._progress)
+
+    def _end_stage(self, name: str, smallest: Smallest, trials: Trials) -> None:
+        self._stages.append(Stage(name, smallest.bodies, smallest.steps, trials.count))

@@ -1,0 +1,274 @@
+"""The manifest: a file with the outcome of each run of a sweep, valid at any time."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import BaseModel, Field, ValidationError
+
+from carom.lab.sweep.folder import NO_ROOM, Folder, put, put_copy
+from carom.lab.sweep.plan import Plan, Point
+from carom.recording.write.disk_reserve import DiskReserve
+from carom.runs.environment import versions
+from carom.runs.error import ExperimentError
+from carom.runs.output import output_folder
+from carom.scene.nesting import DEEPEST, is_too_deep
+
+SCHEMA = 1
+PENDING, DONE, FAILED = "pending", "done", "failed"
+COMPLETED = "completed"
+_FILES_BEFORE = ("scene.toml", "table.parquet", "table.csv")  # of manifests that do not list them
+_ENTRY = 4000  # bytes reserved for the entry of a run
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run and its outcome."""
+
+    name: str
+    parameters: dict[str, Any]
+    seed: int
+    status: str = PENDING  # "done": it completed, and its recording is complete; "failed": it did not
+    outcome: str = ""  # as of `Outcome.status`; or "refused", "lost" with its workers, "error"
+    reason: str = ""  # a sentence; empty when completed
+    wall_time: float | None = None  # s
+    fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
+    file: str = ""  # in the sweep's folder
+    size: int = 0  # bytes
+    worker: str = ""  # the host that ran it
+    results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect`, by dotted keys
+
+    @property
+    def ok(self) -> bool:
+        """Whether it completed and kept its promises."""
+        return self.outcome == COMPLETED
+
+
+class _Stored(BaseModel):
+    """Content of a manifest; unknown keys are ignored."""
+
+    title: str
+    scene: str
+    varied: list[str]
+    versions: dict[str, str]
+    units: str | None = None  # manifests of before did not name them
+    files: list[str] = Field(default_factory=lambda: [*_FILES_BEFORE])
+    runs: Annotated[list[Run], Field(min_length=1)]
+
+
+class Manifest:
+    """The list of all runs, stored in the folder of a sweep."""
+
+    def __init__(
+        self, folder: Folder, plan: Plan, runs: dict[str, Run], command: str, files: Iterable[str] = ()
+    ) -> None:
+        self.folder = folder
+        self.plan = plan
+        self.runs = runs  # by name
+        self.command = command
+        self.files = set(files)  # that the sweep has written besides the runs, in its folder
+        self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
+        self._reserve: DiskReserve | None = None
+
+    @classmethod
+    def begin(cls, folder: Folder, plan: Plan, command: str) -> Self:
+        """Continue a sweep, or begin one; completed runs are kept.
+
+        Raises
+        ------
+        ExperimentError
+            If the folder holds another scene, or a sweep of another scene, of other keys, or of another version.
+        """
+        known: dict[str, Run] = {}
+        files: set[str] = set()
+        if folder.manifest.exists():
+            stored = read(folder)
+            _refuse_other(folder, stored, plan)
+            known, files = _runs(stored), set(stored["files"])
+        data = [str(Path(folder.data.name) / name) for name in plan.files]
+        _refuse_to_replace(folder, [folder.scene.name, *(path.name for path in folder.tables), *data], files)
+        _refuse_runs_of_others(folder, {point.name for point in plan.points} - known.keys())
+        for point in plan.points:
+            known.setdefault(point.name, Run(point.name, point.parameters, point.seed))
+        begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
+        folder.make()
+        begun.save()  # before what it lists, so that nothing of a sweep is ever without its manifest
+        _copy_data(folder, plan)
+        put(folder.scene, plan.scene)
+        return begun
+
+    @property
+    def todo(self) -> list[Point]:
+        """The runs of the plan that are missing or failed."""
+        return [point for point in self.plan.points if not self._is_there(self.runs[point.name])]
+
+    @property
+    def asked(self) -> list[Run]:
+        """The runs of the plan; the folder may have more, from an earlier and larger plan."""
+        return [self.runs[point.name] for point in self.plan.points]
+
+    def reset(self, points: list[Point]) -> None:
+        """Reset runs to their initial state."""
+        for point in points:
+            self._enter(Run(point.name, point.parameters, point.seed))
+
+    def enter(self, name: str, report: dict[str, Any]) -> Run:
+        """Enter the report of a worker on a run: fields of `Run`."""
+        run = replace(self.runs[name], **report)
+        self._enter(run)
+        return run
+
+    def list_tables(self) -> None:
+        """Save that the tables are this sweep's; OSError if they are not, or if that fails."""
+        names = {path.name for path in self.folder.tables}
+        for name in sorted(names - self.files):
+            if os.path.lexists(self.folder.root / name):
+                raise FileExistsError(
+                    errno.EEXIST, "it is not of this sweep; move it away", str(self.folder.root / name)
+                )
+        self.files |= names
+        self.save()
+
+    def hold_room(self) -> None:
+        """Reserve disk space for the final manifest, so that a full disk can still be reported."""
+        self._reserve = DiskReserve(self.folder.root)
+        try:
+            self._reserve.grow(_ENTRY * len(self.runs))
+        except OSError as error:
+            self._reserve.release()
+            raise ExperimentError(f"{self.folder.root}: no room for a sweep: {error.strerror}") from None
+
+    def save(self) -> None:
+        """Write the file. Raises OSError if that fails; the previous file then remains."""
+        head = json.dumps(self._head(), indent=1, ensure_ascii=False).removesuffix("\n}")
+        text = f'{head},\n "runs": [\n' + ",\n".join(self._lines.values()) + "\n]}\n"
+        try:
+            put(self.folder.manifest, text)
+        except OSError as error:
+            if error.errno not in NO_ROOM or self._reserve is None:
+                raise
+            self._reserve.release()
+            self._reserve = None
+            put(self.folder.manifest, text)
+
+    def _is_there(self, run: Run) -> bool:
+        path = self.folder.root / run.file
+        return run.status == DONE and path.is_file() and path.stat().st_size == run.size
+
+    def _enter(self, run: Run) -> None:
+        self.runs[run.name] = run
+        self._lines[run.name] = _line(run)
+
+    def _head(self) -> dict[str, Any]:
+        return {
+            "schema": SCHEMA,
+            "title": self.plan.title,
+            "scene": self.plan.digest,
+            "varied": list(self.plan.varied),
+            "units": self.plan.units,
+            "versions": versions(),
+            "command": self.command,
+            "files": sorted(self.files),
+            "counts": dict(Counter(run.status for run in self.runs.values())),
+        }
+
+
+def read(folder: Folder) -> dict[str, Any]:
+    """Read a stored manifest.
+
+    Raises
+    ------
+    ExperimentError
+        If there is none, or it is not a manifest of carom.
+    """
+    path = folder.manifest
+    if not path.is_file():
+        raise ExperimentError(f"{folder.root}: no sweep here (there is no {path.name})")
+    try:
+        text = path.read_text(encoding="utf-8")
+        stored = json.loads(text, parse_int=_int64)
+        if not isinstance(stored, dict) or is_too_deep(stored):
+            raise ValueError(f"expected an object, of at most {DEEPEST} levels")
+        if stored.get("schema") != SCHEMA:
+            raise ExperimentError(f"{path}: of another version of carom (schema {str(stored.get('schema'))[:20]})")
+        checked = _Stored.model_validate_json(text, strict=True)
+    except OSError as error:
+        raise ExperimentError(f"{path}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ExperimentError(f"{path}: not a manifest of carom's: {where}: {first['msg']}") from None
+    except (ValueError, RecursionError) as error:
+        raise ExperimentError(f"{path}: not a manifest of carom's: {type(error).__name__}: {error}") from None
+    return stored | {"files": checked.files, "runs": [asdict(run) for run in checked.runs]}
+
+
+def _int64(digits: str) -> int:
+    """Read a whole number that fits into a table."""
+    value = int(digits)
+    if not -(2**63) <= value < 2**63:
+        raise ValueError(f"{digits[:20]}…: a whole number of more than 64 bits")
+    return value
+
+
+def stored_runs(folder: Folder) -> list[Run]:
+    """Return the runs in the manifest of a sweep."""
+    return list(_runs(read(folder)).values())
+
+
+def _line(run: Run) -> str:
+    """Return the entry of a run as text, which is kept until the run changes."""
+    return json.dumps(asdict(run), ensure_ascii=False)
+
+
+def _runs(stored: dict[str, Any]) -> dict[str, Run]:
+    return {entry["name"]: Run(**entry) for entry in stored["runs"]}
+
+
+def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
+    """Refuse to mix two sweeps in one folder."""
+    remedy = "choose another folder with -o, or give --force to remove that sweep and start anew"
+    if stored["scene"] != plan.digest:
+        raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")
+    if tuple(stored["varied"]) != plan.varied:
+        keys = ", ".join(stored["varied"])
+        raise ExperimentError(f"{folder.root}: is of a sweep that varies {keys}, in this order; {remedy}")
+    theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
+    if theirs != ours:
+        raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
+
+
+def _refuse_to_replace(folder: Folder, names: Iterable[str], ours: set[str]) -> None:
+    """Refuse to replace a file that the manifest does not list."""
+    for name in names:
+        if name not in ours and os.path.lexists(folder.root / name):
+            raise ExperimentError(
+                f"{folder.root / name}: the sweep would replace it by its own; choose another folder with -o"
+            )
+
+
+def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
+    """Refuse recordings in the place of runs that the manifest does not list yet."""
+    for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
+        if path.name.removesuffix(".rrd") in names:
+            raise ExperimentError(
+                f"{path}: no sweep lists it, and this one would replace it; choose another folder with -o"
+            )
+
+
+def _copy_data(folder: Folder, plan: Plan) -> None:
+    """Copy the data files of the scene into the folder, for workers on other machines and for later."""
+    for name, source in plan.files.items():
+        target = folder.data / name
+        output_folder(target.parent)
+        try:
+            put_copy(target, source)
+        except OSError as error:
+            raise ExperimentError(f"{source}: cannot be copied to {target}: {error.strerror}") from None

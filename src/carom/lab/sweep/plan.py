@@ -1,0 +1,183 @@
+"""The plan of a sweep: the scene, the varied values, and a name for every run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+
+from carom.runs.error import ExperimentError
+from carom.scene.data.sources import HeldBodies
+from carom.scene.error import SceneError
+from carom.scene.load import scene_from_text
+from carom.scene.schema import Scene
+from carom.scene.variation import MOST_RUNS, TOO_MANY_RUNS, Values, combinations, override, values_of
+
+SEED = "seed"
+_LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer
+_FILE = re.compile(r"bodies\.\d+\.file")
+_UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One run to be made."""
+
+    name: str  # from the varied values; the recording has the same name
+    parameters: dict[str, Any]  # by key, without the seed
+    seed: int
+
+    @property
+    def overrides(self) -> list[str]:
+        """The changes to the scene, as ``--set`` takes them."""
+        return [override(key, value) for key, value in {**self.parameters, SEED: self.seed}.items()]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All runs of a sweep."""
+
+    title: str
+    scene: str  # TOML, without [sweep]
+    varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
+    points: tuple[Point, ...]
+    files: Mapping[str, Path] = field(default_factory=dict)  # data files that the scene reads, by the names it gives
+    units: str = "SI"  # of the results, as `UnitSystem.recorded` names them
+
+    @property
+    def digest(self) -> str:
+        """The digest of the scene."""
+        return digest(self.scene)
+
+
+def digest(scene: str) -> str:
+    """Return the digest of the text of a scene."""
+    return hashlib.sha256(scene.encode()).hexdigest()
+
+
+def plan(
+    source: str | Path,
+    overrides: Sequence[str] = (),
+    vary: Sequence[str] = (),
+    seeds: int | None = None,
+    zipped: bool | None = None,
+) -> Plan:
+    """Plan a sweep.
+
+    Parameters
+    ----------
+    source
+        A scene file, or the name of a bundled scene. Its ``[sweep]`` gives the defaults of the other parameters.
+    overrides
+        ``key=value``, for all runs.
+    vary
+        ``key=values`` as `carom.scene.variation.values_of` reads them; in place of the same key of ``[sweep]``.
+    seeds
+        Runs of each combination, with seeds counted up from the scene's own.
+    zipped
+        Whether values are combined side by side. Seeds are crossed with them in any case.
+
+    Raises
+    ------
+    SceneError, ExperimentError
+        If the scene cannot be loaded, or no run of the sweep can be made.
+    """
+    scene = Scene.load(source, list(overrides))
+    axes = {**scene.sweep.vary, **dict(_axis(text) for text in vary)}
+    count = seeds if seeds is not None else scene.sweep.seeds
+    if not axes and count is None:
+        raise ExperimentError("nothing varies; give --vary key=a,b,c or --seeds N, or a [sweep] section in the scene")
+    if SEED in axes and count is not None:
+        raise ExperimentError("the seeds are given twice, by their number and as values of seed; leave one out")
+    try:
+        rows = combinations(axes, scene.sweep.zip if zipped is None else zipped)
+    except ValueError as error:
+        raise ExperimentError(f"--vary: {error}") from None
+    if len(rows) * (count or 1) > MOST_RUNS:
+        raise ExperimentError(f"{TOO_MANY_RUNS}, or fewer seeds")
+    rows = [{**row, SEED: seed} for row in rows for seed in _seeds(scene.seed, row, count)]
+    varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
+    text = _without_sweep(scene.toml)
+    points = tuple(_point(row, _short_names(varied)) for row in rows)
+    _refuse_hopeless(text, points, scene.held)
+    return Plan(scene.title, text, varied, points, _data_files(scene, points), scene.unit_system.recorded)
+
+
+def _data_files(scene: Scene, points: Sequence[Point]) -> dict[str, Path]:
+    """Return the data files of all runs that lie at or below the scene's folder, by their names in the scene."""
+    files = None if scene.held is None else scene.held.files
+    if files is None:
+        return {}
+    named = [section.file for section in scene.bodies]
+    named += [value for point in points for key, value in point.parameters.items() if _FILE.fullmatch(key)]
+    found = {}
+    for name in dict.fromkeys(name for name in named if isinstance(name, str) and not Path(name).is_absolute()):
+        if ".." in Path(name).parts:
+            raise ExperimentError(
+                f"{name}: a sweep copies its data files; put it into the folder of the scene or below"
+            )
+        found[name] = files.folder / name
+    return found
+
+
+def _axis(text: str) -> tuple[str, Values]:
+    key, separator, values = text.partition("=")
+    if not separator or not key.strip():
+        raise ExperimentError(f"--vary {text}: expected key=values, such as contact.restitution=0.1:0.9:5")
+    try:
+        return key.strip(), values_of(values)
+    except ValueError as error:
+        raise ExperimentError(f"--vary {key.strip()}: {error}") from None
+
+
+def _seeds(first: int, row: dict[str, Any], count: int | None) -> Sequence[Any]:
+    return [row[SEED]] if SEED in row else range(first, first + (count or 1))
+
+
+def _without_sweep(text: str) -> str:
+    """Remove [sweep], because a run does not depend on the other runs."""
+    document = tomlkit.parse(text)
+    document.pop("sweep", None)
+    return tomlkit.dumps(document).rstrip() + "\n"
+
+
+def _short_names(keys: Sequence[str]) -> dict[str, str]:
+    """Abbreviate each key to its last part where that is unique."""
+    last = [key.rsplit(".", 1)[-1] for key in keys]
+    return {key: short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)}
+
+
+def _point(row: dict[str, Any], short: dict[str, str]) -> Point:
+    shown = {short[key]: _shown(row[key]) for key in short}
+    name = ",".join(f"{key}={value}" for key, value in shown.items())
+    safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown.items())
+    if safe != name or len(safe) > _LONGEST_NAME:  # two values might become equal
+        safe = f"{safe[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+    parameters = {key: value for key, value in row.items() if key != SEED}
+    return Point(safe, parameters, row[SEED])
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        return value
+    if isinstance(value, list) and all(isinstance(part, (int, float)) for part in value):
+        return "_".join(map(str, value))
+    return json.dumps(value)
+
+
+def _refuse_hopeless(text: str, points: Sequence[Point], held: HeldBodies | None) -> None:
+    """Refuse a sweep of which no run can be made, so a misspelt key is reported once, not once a run."""
+    first: SceneError | None = None
+    for point in points:
+        try:
+            scene_from_text(text, "scene.toml", point.overrides, held)
+            return
+        except SceneError as error:
+            first = first or error
+    raise first or ExperimentError("no runs")

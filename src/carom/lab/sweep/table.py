@@ -1,0 +1,159 @@
+"""A sweep as a table: one row per run, with its parameters, outcome and results."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Sequence
+from operator import eq, ge, gt, le, lt, ne
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from carom.lab.sweep.folder import Folder, put
+from carom.lab.sweep.manifest import Run
+from carom.lab.sweep.plan import SEED
+from carom.runs.error import ExperimentError
+from carom.scene.nearest import suggestion
+from carom.scene.units.quantity_text import physical
+
+Row = dict[str, Any]
+
+_FIRST = ("name",)
+_LAST = ("status", "outcome", "reason", "wall_time", "fingerprint", "file", "size", "worker")
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {"<=": le, ">=": ge, "!=": ne, "=": eq, "<": lt, ">": gt}
+_CONDITION = re.compile(r"\s*([^<>=!\s]+)\s*(<=|>=|!=|=|<|>)\s*(.*?)\s*")
+
+
+def rows_of(runs: Sequence[Run]) -> list[Row]:
+    """Return one row per run; missing values are None."""
+    rows = [
+        {"name": run.name, **run.parameters, SEED: run.seed, **{key: getattr(run, key) for key in _LAST}, **run.results}
+        for run in runs
+    ]
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return [{key: row.get(key) for key in keys} for row in rows]
+
+
+def columns_of(rows: Sequence[Row]) -> list[str]:
+    """Return the names of the columns, in their order."""
+    return list(rows[0]) if rows else [*_FIRST, SEED, *_LAST]
+
+
+def write(folder: Folder, runs: Sequence[Run]) -> None:
+    """Write the table as Parquet and as CSV. Raises OSError if the disk is full."""
+    rows = rows_of(runs)
+    table = pa.table({key: _column([row[key] for row in rows]) for key in columns_of(rows)})
+    parquet, text = io.BytesIO(), io.BytesIO()
+    pa.parquet.write_table(table, parquet)
+    pa.csv.write_csv(table, text)
+    put(folder.table, parquet.getvalue())
+    put(folder.table.with_suffix(".csv"), text.getvalue())
+
+
+def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
+    """Return the rows that meet all conditions, in order.
+
+    Parameters
+    ----------
+    conditions
+        Such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``. Missing values meet no
+        condition.
+    sort
+        A column; with a minus before it the largest comes first. Rows without a value come last.
+
+    Raises
+    ------
+    ExperimentError
+        If there is no such column, or a condition cannot be read.
+    """
+    met = [_met(condition, rows) for condition in conditions]
+    found = [row for k, row in enumerate(rows) if all(one[k] for one in met)]
+    if sort is None:
+        return found
+    key = known(sort.removeprefix("-"), rows)
+    there = [row for row in found if row[key] is not None]
+    there.sort(key=lambda row: _order(row[key]), reverse=sort.startswith("-"))
+    return there + [row for row in found if row[key] is None]
+
+
+def known(key: str, rows: Sequence[Row]) -> str:
+    """Return the name of a column. Raises ExperimentError if there is none."""
+    columns = columns_of(rows)
+    if key in columns:
+        return key
+    raise ExperimentError(f"{key}: no such column; {suggestion(key, columns)}")
+
+
+def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, Any], Any], str]:
+    matched = _CONDITION.fullmatch(condition)
+    if matched is None:
+        raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
+    return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
+
+
+def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
+    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
+    key, compare, wanted = _parsed(condition, rows)
+    values = [row[key] for row in rows]
+    there = [value for value in values if value is not None]
+    met = [None if value is None else _compared(value, compare, wanted) for value in values]
+    if there and all(one is None for one in met):
+        raise ExperimentError(f"--filter {key}: column {key} {_unlike(there[0], wanted)}")
+    differs = [compare is ne and value is not None for value in values]
+    return [other if one is None else one for one, other in zip(met, differs, strict=True)]
+
+
+def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
+    """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
+    if _is_number(value):
+        number = _number_of(wanted)
+        return None if number is None else bool(compare(value, number))
+    text = _text(value)
+    quantity, other = physical(text), physical(wanted)
+    if quantity and other and quantity.unit.exponents == other.unit.exponents:
+        return bool(compare(quantity.size, other.size))
+    return bool(compare(text, wanted)) if compare in (eq, ne) else None
+
+
+def _number_of(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _unlike(value: Any, wanted: str) -> str:
+    """Say of which kind a column is, by one of its values, where nothing in it can be compared with what is wanted."""
+    if _is_number(value):
+        return f'is numeric; got "{wanted}"'
+    if physical(_text(value)):
+        return f'has units, such as "{value}"; got "{wanted}"'
+    return f'is text, such as "{_text(value)}"; compare it by = or !='
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _order(value: Any) -> tuple[int, Any]:
+    """Sort numbers first, then quantities with units by their sizes, then text."""
+    if isinstance(value, (int, float)):
+        return 0, value
+    quantity = physical(_text(value))
+    return (2, _text(value)) if quantity is None else (1, (quantity.unit.exponents, quantity.size))
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """Return a column of one type; lists, and values without a common type, are written as JSON."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str}):
+        return pa.array([float(value) if kinds == {int, float} and value is not None else value for value in values])
+    return pa.array([None if value is None else _text(value) for value in values], pa.string())
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,250 @@
+"""The reference against which settings of a scene are measured: an exact solution, or the scene with smaller steps.
+
+A few bodies in open space are solved exactly (`event_driven_reference.py`), and twice more as checks. Both checks start
+displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser. Other
+scenes are run with smaller and smaller steps, each half of the previous one. Without forces flight is exact and only
+the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one before
+it the check.
+
+The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
+system. Up to there its uncertainty is the largest error of a check. Beyond it only statistics can be compared.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import astuple, dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.lab.tradeoff.error_measures import NAMES, Errors, Scale, compare
+from carom.lab.tradeoff.event_driven_reference import TIGHTEST, solve, why_not
+from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
+from carom.physics.space import Space
+from carom.plan.auto import auto_interval, cfl, integrator, largest_step, pull_fraction, target_dx, uses_tree
+from carom.plan.features import require
+from carom.scene.counted import counted
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import LENGTH, TIME
+
+FloatArray = NDArray[np.float64]
+
+AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
+LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
+GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
+BUDGET = 120.0  # s of computing for all exact solutions; after it, no refinement but the second begins
+EPS = float(np.finfo(np.float64).eps)  # relative precision of double-precision numbers
+
+DIRECT_UP_TO = 20_000  # bodies; up to here the reference of a tree is a direct sum, beyond it uses `FINE_ANGLE`
+FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
+
+Teller = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """A reference and its range of validity."""
+
+    trajectory: Trajectory
+    scale: Scale
+    kind: str  # "exact" or "refined"
+    fineness: float  # steps of the scene over its steps; infinite if it is exact
+    samples: int  # number of samples up to the horizon, at which positions are compared
+    whole: bool  # whether it reaches the end of the scene
+    uncertainty: Errors  # the larger errors of the checks, by the same measures as for settings; at least rounding
+    text: str  # description
+
+    @property
+    def horizon(self) -> float:
+        """The horizon in s, up to which trajectories are compared."""
+        return float(self.trajectory.time[self.samples - 1]) if self.samples else 0.0
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether trajectories are compared up to the end of the scene."""
+        return self.whole and self.samples == len(self.trajectory)
+
+    def errors(self, run: Trajectory) -> Errors:
+        """Return the errors of a run relative to this reference."""
+        return compare(run, self.trajectory, self.scale, self.samples, self.whole)
+
+
+def make_reference(
+    scene: Scene, finest: float = 1.0, *, threads: int | None = None, budget: float = BUDGET, tell: Teller | None = None
+) -> Reference:
+    """Make the reference of a scene.
+
+    Parameters
+    ----------
+    finest
+        Steps of the scene over the smallest steps that will be compared; a refined reference begins at half of those.
+    threads
+        For the kernels.
+    budget
+        Seconds of computing. An exact solution ends after a third of it; after all of it, no refinement but the second
+        begins.
+    tell
+        Called with a sentence before each solution.
+
+    Raises
+    ------
+    SceneError, PhysicsError
+        If the scene cannot run, or a run is no longer finite.
+    """
+    tell = tell or (lambda text: None)
+    reason = why_not(scene)
+    if not reason:
+        reference, reason = _exact(scene, threads, budget, tell)
+        if reference is not None:
+            return reference
+    return _refined(scene, finest, threads, budget, tell, reason)
+
+
+def refined(scene: Scene, factor: float) -> list[str]:
+    """Return the overrides that divide the steps of a scene by a factor, whatever limits them."""
+    rule, units = scene.time, scene.unit_system
+    if rule.fixed_dt is not None:
+        return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
+    shortest = f"time.max_dt={units.literal(_largest_step(scene) / factor, TIME)}"
+    if integrator(scene).controls_error:
+        return [shortest]
+    finer = [shortest]
+    if (fraction := cfl(scene)) is not None:
+        finer.append(f"time.cfl={fraction / factor!r}")
+    if (distance := target_dx(scene)) is not None:
+        finer.append(f"time.target_dx={units.literal(distance / factor**2, LENGTH)}")
+    if (fraction := pull_fraction(scene)) is not None:
+        finer.append(f"time.pull_fraction={fraction / factor!r}")
+    return finer
+
+
+def _largest_step(scene: Scene) -> float:
+    """Return the largest step in s: where there is no limit, the time between automatic frames."""
+    largest = largest_step(scene)
+    return largest if math.isfinite(largest) else auto_interval(scene, scene.time.duration)
+
+
+def fineness(scene: Scene, setting: Scene) -> float:
+    """Return the steps of the scene over those of a setting, by the limit that shrank most."""
+    base, rule = scene.time, setting.time
+    if base.fixed_dt is not None or rule.fixed_dt is not None:
+        return (base.fixed_dt or _largest_step(scene)) / (rule.fixed_dt or _largest_step(setting))
+    finer = [_largest_step(scene) / _largest_step(setting)]
+    for limit, power in ((cfl, 1.0), (target_dx, 0.5), (pull_fraction, 1.0)):
+        coarse, fine = limit(scene), limit(setting)
+        if coarse is not None and fine is not None:
+            finer.append((coarse / fine) ** power)
+    return max(finer)
+
+
+def scale_of(scene: Scene, trajectory: Trajectory) -> Scale:
+    """Return the scale of a reference of a scene."""
+    box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
+    return Scale.of(trajectory, box)
+
+
+def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tuple[Reference | None, str]:
+    """Solve a scene exactly; return no reference, and why, if none of its samples is known for certain."""
+    times = sample_times(scene)
+    tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
+    best = solve(Space(scene, threads), times, budget=budget / 3)
+    known = best.trajectory.time
+    if not len(known):
+        return None, best.ended
+    checks = []
+    for twin, tolerance in enumerate((TIGHTEST, LOOSER * TIGHTEST), start=1):
+        if len(known):
+            tell(f"reference: exact, check {twin} of 2, up to t = {scene.unit_system.text(known[-1], TIME)}")
+            checks.append(solve(Space(scene, threads), known, tolerance, twin=twin, budget=budget / 2).trajectory)
+    text = f"exact: DOP853, tolerance {TIGHTEST:g}, {counted(len(best.time), 'contact')} located"
+    text += f"; it ends early: {best.ended}" if best.ended else ""
+    reference = _reference(
+        scene,
+        best.trajectory,
+        checks,
+        kind="exact",
+        fineness=math.inf,
+        whole=not best.ended,
+        text=text,
+    )
+    return (reference, "") if reference.samples else (None, f"no sample is certain of what is {text}")
+
+
+def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:
+    times, factor, began = sample_times(scene), 2.0 * finest, time.perf_counter()
+    tell(f"reference: steps {factor:g} times smaller")
+    coarse = follow(_space(scene, factor, threads), times)
+    reference: Reference | None = None
+    _, of_the_pull = _finer_pull(scene)
+    while True:
+        factor, started = 2.0 * factor, time.perf_counter()
+        tell(f"reference: steps {factor:g} times smaller")
+        fine = follow(_space(scene, factor, threads), times)
+        found = _reference(
+            scene,
+            fine,
+            [coarse],
+            kind="refined",
+            fineness=factor,
+            whole=True,
+            text=f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_the_pull} ({reason})",
+        )
+        gained = reference is None or found.samples > GAIN * reference.samples
+        reference, coarse = found, fine
+        now = time.perf_counter()
+        if found.samples == len(times) or not gained or now - began + 2.0 * (now - started) > budget:
+            return reference
+
+
+def _space(scene: Scene, factor: float, threads: int | None) -> Space:
+    """Return the scene with smaller steps, without the error of a tree, and without forces with times of impact."""
+    overrides = refined(scene, factor) + _finer_pull(scene)[0]
+    if not require(scene).pulls:
+        overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
+    return Space(scene.changed(overrides), threads)
+
+
+def _finer_pull(scene: Scene) -> tuple[list[str], str]:
+    """Return the overrides that remove the error of a tree, and their description."""
+    if not uses_tree(scene):
+        return [], ""
+    if scene.count <= DIRECT_UP_TO:
+        return ["gravity.method=direct"], ", and a direct sum"
+    return [f"gravity.opening_angle={FINE_ANGLE}"], f", and an opening angle of {FINE_ANGLE}"
+
+
+def _reference(
+    scene: Scene, best: Trajectory, checks: list[Trajectory], *, kind: str, fineness: float, whole: bool, text: str
+) -> Reference:
+    scale = scale_of(scene, best)
+    samples = min((_agreement(scale, best, check) for check in checks), default=0)
+    errors = [compare(check, best, scale, samples, whole) for check in checks]
+    horizon = float(best.time[samples - 1]) if samples else 0.0
+    if samples < len(best):
+        why = "rounding or the order of simultaneous contacts decides" if kind == "exact" else "the check differs"
+        text += f"; after t = {scene.unit_system.text(horizon, TIME)} {why}"
+    return Reference(best, scale, kind, fineness, samples, whole, _largest(errors, horizon), text)
+
+
+def _agreement(scale: Scale, best: Trajectory, check: Trajectory) -> int:
+    """Count the samples before two solutions diverge."""
+    apart, _ = scale.apart(best, check)
+    parted = np.flatnonzero(~(apart <= AGREEMENT))
+    return int(parted[0]) if len(parted) else len(apart)
+
+
+def _largest(errors: list[Errors], horizon: float) -> Errors:
+    """Return the largest of each error, at least rounding; for times of impacts, that of the clock."""
+    rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
+    largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
+    return replace(
+        largest,
+        position=max(largest.position, EPS),
+        velocity=max(largest.velocity, EPS),
+        impact=max(largest.impact, EPS * horizon),
+        size=max(largest.size, EPS),
+        dispersion=max(largest.dispersion, EPS),
+    )

@@ -1,0 +1,291 @@
+"""The settings of a scene to be compared."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+from carom.lab.tradeoff.reference import refined
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.plan.auto import gravity_method, integrator, smoothing, timing, uses_tree
+from carom.plan.features import require
+from carom.plan.hierarchy import why_no_hierarchy
+from carom.plan.pulls import damping
+from carom.scene.error import SceneError
+from carom.scene.integrators import INTEGRATORS
+from carom.scene.schema import Scene
+from carom.scene.variation import texts_of
+
+STEP = "step"  # a pseudo-key: a factor on the step under any limit
+THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits
+TIMING = "contact.timing"
+STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
+DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
+MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
+ACCURACIES = ("1e-4", "1e-8")
+METHOD = (  # keys and sections that change how a scene is computed
+    "time",
+    *(f"gravity.{key}" for key in ("method", "opening_angle", "quadrupoles")),
+    *(f"contact.{key}" for key in ("solver", "sweeps", "stabilisation", "colouring", "search", "timing", "sleep")),
+    "model",
+)
+STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A few keys of the scene with changed values."""
+
+    name: str  # such as "step × 2, integrator = euler"
+    overrides: tuple[str, ...]  # as given to ``--set``
+    threads: int | None = None  # None for those of the study
+    engine: str = ""  # another engine, whose own keys `overrides` are then; empty for carom
+
+    def apply(self, scene: Scene) -> Scene:
+        """Return the scene with this setting.
+
+        Raises
+        ------
+        SceneError
+            If a key or a value is wrong.
+        """
+        return scene.changed(list(self.overrides))
+
+
+AS_WRITTEN = Setting("as written", ())
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """A setting by its coordinates: a factor on the step, and the keys with changed values."""
+
+    step: float = 1.0
+    values: tuple[tuple[str, str], ...] = ()  # key and value, as given to ``--set``
+
+    def value(self, key: str) -> str | None:
+        """Return the value of a key; None if it is unchanged."""
+        return dict(self.values).get(key)
+
+    def having(self, key: str, value: str | None) -> Point:
+        """Return the point with another value of a key; None for that of the scene."""
+        others = {k: v for k, v in self.values if k != key}
+        return Point(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
+
+    def times(self, factor: float) -> Point:
+        """Return the point with another factor on the step."""
+        return Point(self.step * factor, self.values)
+
+    def setting(self, scene: Scene) -> Setting:
+        """Return the point as a setting of a scene."""
+        return _setting(scene, (*(_value(key, value) for key, value in self.values), _times(self.step)))
+
+
+def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
+    """Return the keys that trade speed for accuracy in a scene, each with values that differ from the scene's."""
+    parts = require(scene)
+    forces, located = parts.pulls, parts.impact_time.modelled
+    found: dict[str, tuple[str, ...]] = {}
+    if not parts.contact.modelled:
+        found["time.integrator"] = _integrators(scene)
+    elif forces:
+        found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
+        found["contact.solver"] = ("lasting", "staged")
+    if parts.contact.modelled:
+        if forces or not located:  # otherwise next to nothing is left to the end of the step
+            found["contact.sweeps"] = ("quick", "2")
+            found["contact.stabilisation"] = ("split", "none", "baumgarte")
+        found["contact.timing"] = ("end-of-step", "time-of-impact")
+        if parts.adaptive_step.modelled:
+            found["time.velocity_limit"] = ("every-body", "fastest-body")
+            found["time.smoothing"] = ("1",)
+    if parts.contact.modelled and parts.gravity.modelled and scene.count > DIRECT_UP_TO:
+        if uses_tree(scene):
+            found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
+            if gravity_method(scene) == "tree":
+                found["gravity.quadrupoles"] = ("true", "false")
+        else:
+            found["gravity.method"] = ("tree",)
+    own = _in_effect(scene)
+    return {key: tuple(value for value in values if value != own[key]) for key, values in found.items()}
+
+
+def _integrators(scene: Scene) -> tuple[str, ...]:
+    damped, orbits = damping(scene) is not None, not why_no_hierarchy(scene)
+    return tuple(
+        name for name, each in INTEGRATORS.items() if (each.damps or not damped) and (orbits or not each.hierarchical)
+    )
+
+
+def _in_effect(scene: Scene) -> dict[str, str]:
+    """Return the values of the keys in a scene, with automatic ones resolved."""
+    contact, gravity = scene.contact, scene.gravity
+    return {
+        "time.integrator": integrator(scene).name,
+        "time.velocity_limit": scene.time.velocity_limit,
+        "time.smoothing": f"{smoothing(scene):g}",
+        "contact.solver": contact.solver,
+        "contact.sweeps": str(contact.sweeps),
+        "contact.stabilisation": contact.stabilisation,
+        "contact.timing": timing(scene),
+        "gravity.method": gravity_method(scene),
+        "gravity.opening_angle": f"{gravity.opening_angle:g}",
+        "gravity.quadrupoles": str(gravity.quadrupoles).lower(),
+    }
+
+
+def default_points(scene: Scene) -> list[Point]:
+    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene.
+
+    Raises
+    ------
+    SceneError
+        If the scene has an accuracy, which chooses the step: its settings are steps and what sets them.
+    """
+    if scene.time.accuracy is not None:
+        raise SceneError(
+            f"time.accuracy = {scene.time.accuracy:g} chooses the step, so that none can be compared; remove it with "
+            "--set time.accuracy= or name the settings, as with --vary time.accuracy=1e-4,1e-6",
+            ("time", "accuracy"),
+        )
+    parts, other = require(scene), knobs(scene)
+    forces, located = parts.pulls, parts.impact_time.modelled
+    if not parts.contact.modelled:
+        own = Point()
+        orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]
+        euler = [point for point in orders if point.value("time.integrator") == "euler"]
+        stepped = [point for point in orders if point not in euler and not _controls_error(scene, point)]
+        exact = [point for point in orders if point != own and _controls_error(scene, point)]
+        return [own, *euler, *(p.times(k) for p in stepped for k in STEPS if p.times(k) != own), *exact]
+    steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
+    points = [Point(step) for step in steps]
+    points += [Point().having(key, value) for key, values in other.items() if key != TIMING for value in values]
+    otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
+    return points + [Point(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+
+
+def _controls_error(scene: Scene, point: Point) -> bool:
+    """Tell whether a factor on the step has no effect at a point."""
+    return INTEGRATORS[point.value("time.integrator") or integrator(scene).name].controls_error
+
+
+def default_settings(scene: Scene) -> list[Setting]:
+    """Return the default points as settings, and accuracies in place of a step where few bodies cannot touch."""
+    settings = [point.setting(scene) for point in default_points(scene)]
+    if not require(scene).contact.modelled and scene.count <= MOST_ACCURATE:
+        settings += [_accurate(scene, accuracy) for accuracy in ACCURACIES]
+    return settings
+
+
+def _accurate(scene: Scene, accuracy: str) -> Setting:
+    """Return an accuracy in place of all keys that set the step."""
+    keys = [f"time.{key}=" for key in STEP_KEYS if key in scene.time.model_fields_set]
+    return Setting(f"accuracy = {accuracy}", (*keys, f"time.accuracy={accuracy}"))
+
+
+def vary(scene: Scene, choices: list[str]) -> list[Setting]:
+    """Return the settings of a grid.
+
+    Parameters
+    ----------
+    choices
+        ``key=a,b,c`` or ``key=first:last:count`` each, as in `carom sweep`; every value of one is combined with every
+        value of the others. The key ``step`` multiplies the limits of the step. ``threads`` is not part of the scene
+        and changes only the cost.
+
+    Raises
+    ------
+    SceneError
+        If a key or a value is wrong.
+    """
+    axes = [_axis(choice) for choice in choices]
+    settings = []
+    for picked in itertools.product(*axes):
+        settings.append(_setting(scene, picked))
+    for choice in choices:
+        _refuse_another_scene(choice.partition("=")[0].strip())
+    return settings
+
+
+def refusal(scene: Scene) -> str:
+    """Say why this version cannot run a valid scene; empty if it can."""
+    try:
+        Space(scene)
+    except (SceneError, PhysicsError) as error:
+        return str(error)
+    return ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Choice:
+    """One value of one key."""
+
+    word: str = ""  # in names of settings
+    override: str = ""  # as given to ``--set``
+    step: float = 1.0  # factor on the step
+    threads: int | None = None
+
+
+def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
+    """Combine choices; the step is a multiple of its value with all the others."""
+    overrides = [choice.override for choice in picked if choice.override]
+    step = math.prod(choice.step for choice in picked)
+    if step != 1.0:
+        overrides += refined(Setting("", tuple(overrides)).apply(scene), 1.0 / step)
+    name = ", ".join(choice.word for choice in picked if choice.word) or AS_WRITTEN.name
+    threads = next((choice.threads for choice in picked if choice.threads), None)
+    setting = Setting(name, tuple(overrides), threads)
+    setting.apply(scene)
+    return setting
+
+
+def _axis(choice: str) -> list[_Choice]:
+    """Read the values of a key."""
+    key, separator, values = choice.partition("=")
+    key = key.strip()
+    if not separator or not key:
+        raise SceneError(f"--vary {choice}: expected key=a,b,c, such as time.integrator=euler,leapfrog")
+    try:
+        parts = texts_of(values)
+    except ValueError as error:
+        raise SceneError(f"--vary {key}: {error}") from None
+    if key == STEP:
+        return [_step(choice, value) for value in parts]
+    if key == THREADS:
+        return [_threads(choice, value) for value in parts]
+    return [_value(key, value) for value in parts]
+
+
+def _refuse_another_scene(key: str) -> None:
+    """Refuse keys that change the scene, whose error would be measured against another one."""
+    known = (STEP, THREADS, *METHOD)
+    if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
+        raise SceneError(
+            f"--vary {key}: it changes the scene, and not how that is computed; vary "
+            f"{', '.join(known)}; `carom sweep` varies all keys"
+        )
+
+
+def _value(key: str, value: str) -> _Choice:
+    return _Choice(f"{key.rpartition('.')[2]} = {value}", f"{key}={value}")
+
+
+def _times(step: float) -> _Choice:
+    return _Choice("" if step == 1.0 else f"step × {step:g}", step=step)
+
+
+def _step(choice: str, value: str) -> _Choice:
+    try:
+        times = float(value)
+    except ValueError:
+        times = 0.0
+    if not 0.0 < times < math.inf:
+        raise SceneError(f"--vary {choice}: {value!r} is not a number above 0; it multiplies the step")
+    return _times(times)
+
+
+def _threads(choice: str, value: str) -> _Choice:
+    if not value.isdigit() or int(value) < 1:
+        raise SceneError(f"--vary {choice}: {value!r} is not a number of threads; expected 1, 2 and so on")
+    return _Choice(f"threads = {value}", threads=int(value))

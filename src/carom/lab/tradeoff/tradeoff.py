@@ -1,0 +1,331 @@
+"""Measures the cost of accuracy on a scene: runs and times settings in turns, with errors relative to a reference.
+
+Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so a study can be interrupted
+and resumed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from carom.lab.engines.engine import engine_called
+from carom.lab.tradeoff.cost import cost_of
+from carom.lab.tradeoff.error_measures import COMPARED, NAMES
+from carom.lab.tradeoff.pareto_front import pareto_front
+from carom.lab.tradeoff.reference import BUDGET, Reference, fineness, make_reference
+from carom.lab.tradeoff.result import Result
+from carom.lab.tradeoff.run_bound import RunBound, RunStoppedError
+from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, refusal
+from carom.lab.tradeoff.stored_study import reference_entry, reference_of, result_entry, result_of
+from carom.lab.tradeoff.trajectory import FloatArray, Trajectory, follow, sample_times
+from carom.physics.error import PhysicsError
+from carom.physics.space import Space
+from carom.recording.write.whole_file import write_whole
+from carom.runs.environment import environment
+from carom.runs.error import ExperimentError
+from carom.runs.output import output_folder
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+
+DOCUMENT = "tradeoff.json"
+REFERENCE = "reference.npz"
+FIGURE = "tradeoff.png"
+OVERLAY = "tradeoff.rrd"
+VERSION = 4  # of the document; 1 had no sinking, 2 no frames; references of 3 ended at plastic impacts
+ADVICE = "give --force to begin anew, or another folder with -o"
+ROUND_OFF = 1e-13  # of a whole run, over its scale
+WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
+
+BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
+DEARER = 30.0  # times the steps of the scene as written that a bounded setting may take in any case
+MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
+
+Teller = Callable[[str], None]
+EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
+Examiner = Callable[[Result, Teller], None]  # of a run that was followed
+
+
+class Study:
+    """The settings of a scene, measured.
+
+    Parameters
+    ----------
+    scene
+        The scene to run.
+    folder
+        Folder of the study. An earlier study of the same scene there is resumed.
+    threads
+        For the kernels.
+    force
+        Whether to replace an existing study.
+    advice
+        Advice in the message if the folder contains another study.
+    limit
+        s of CPU time, after which a run is stopped, and s after which no reference begins.
+    files
+        Names of the files that the command writes into the folder; they are not replaced before it has a study.
+    bounded
+        Whether each setting is stopped after a number of steps, too, see `WORK`: for settings that nobody chose.
+
+    Raises
+    ------
+    ExperimentError
+        If the folder contains a study of another scene and ``force`` is not given, a study that cannot be read, or no
+        study but a file of the same name as one of its own.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        folder: Path,
+        *,
+        threads: int | None = None,
+        force: bool = False,
+        advice: str = ADVICE,
+        limit: float = math.inf,
+        bounded: bool = False,
+        files: Iterable[str] = (REFERENCE, FIGURE, OVERLAY),
+    ) -> None:
+        self.scene, self.folder, self.threads = scene, folder, threads
+        self.limit, self.bounded = limit, bounded
+        self._advice = advice
+        self.results: list[Result] = []
+        self.reference: Reference | None = None
+        self.budget = min(BUDGET, limit)  # s, for the reference
+        self.follow_engine: EngineFollower = self._followed
+        self.examine: Examiner = _leave
+        self._busy = 0.0
+        output_folder(folder)
+        if force:
+            return
+        if (folder / DOCUMENT).exists():
+            self._load()
+        elif kept := next((folder / name for name in files if (folder / name).exists()), None):
+            raise ExperimentError(
+                f"{kept}: exists, and no study in {folder} made it; choose another folder with -o, or give "
+                "--force to replace it"
+            )
+
+    @property
+    def noise(self) -> float:
+        """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
+
+        Single runs are off by half of that, but of three runs two may be off by chance, and then so is the median. A
+        setting whose costs differ by more has that larger uncertainty. 0 if nothing was run twice.
+        """
+        ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
+        return median(ranges) if ranges else 0.0
+
+    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
+        """Measure the settings that are not measured yet, and return the results of all these settings.
+
+        The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
+        settings are timed once, then all a second time, and so on, so a temporary slowdown of the machine affects all
+        of them.
+        """
+        self.prepare(settings, tell)
+        results = [self._result(setting) for setting in settings]
+        for number, result in enumerate(results, start=1):
+            if result.status == "pending" or self._may_go_on(result):
+                heading = f"{_count(number, results)}{result.setting.name}: errors"
+                tell(heading)
+                self._follow(result, lambda text: tell(heading + text))  # noqa: B023
+                self._save()
+                self.examine(result, tell)
+        for turn in range(repeats):
+            for number, result in enumerate(results, start=1):
+                if result.status == "measured" and len(result.costs) <= turn:
+                    left = _left(results, repeats)
+                    which = _count(number, results)
+                    tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
+                    result.costs.append(self._cost(result))
+                    self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
+                    self._save()
+        return results
+
+    def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
+        """Return the reference of the scene; make it if it is not fine enough for some settings."""
+        scenes = [self._applied(self._result(setting)) for setting in settings]
+        finest = max([1.0, *(fineness(self.scene, scene) for scene in scenes if scene is not None)])
+        if self.reference is None or self.reference.fineness < MARGIN * finest:
+            self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
+            self.reference.trajectory.save(self.folder / REFERENCE)
+            for result in self.results:  # of an earlier study, compared with a coarser reference so far
+                if result.status == "measured":
+                    result.errors = self.reference.errors(self.trajectory(result))
+            self._save()
+        return self.reference
+
+    def floor(self, error: str) -> float:
+        """Return the uncertainty of the reference, or of rounding: smaller errors are not distinguished."""
+        value = getattr(self.reference.uncertainty, error) if self.reference and error in COMPARED else 0.0
+        return float(np.fmax(value, ROUND_OFF))
+
+    def marks(self, error: str) -> dict[str, str]:
+        """Return "front", "near" (undecided) or "" (beaten) for each setting by name, for one kind of error."""
+        done = [result for result in self.results if result.complete]
+        cost = np.array([result.cost for result in done])
+        wrong = np.array([max(getattr(result.errors, error), ROUND_OFF) for result in done])
+        noise = np.array([max(result.spread, self.noise) for result in done])
+        on, near = pareto_front(cost, wrong, noise, self.floor(error) if error in COMPARED else 0.0)
+        words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
+        return dict(zip((result.setting.name for result in done), words, strict=True))
+
+    def trajectory(self, result: Result) -> Trajectory:
+        """Read the trajectory of a setting that is measured."""
+        return Trajectory.load(self._path(result))
+
+    def document(self) -> dict[str, Any]:
+        """Return all results as one JSON document."""
+        marks = {error: self.marks(error) for error in NAMES}
+        return {
+            "version": VERSION,
+            "units": self.scene.unit_system.recorded,
+            "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
+            "environment": environment(self.threads or 0),
+            "noise": self.noise,
+            "load": self._busy,  # of the machine while costs were measured: the largest mean of a minute
+            "reference": None if self.reference is None else reference_entry(self.reference),
+            "settings": [
+                {
+                    **result_entry(result),
+                    "marks": {e: marks[e].get(result.setting.name, "") for e in NAMES} if result.complete else {},
+                }
+                for result in self.results
+            ],
+        }
+
+    def _result(self, setting: Setting) -> Result:
+        """Return the result of a setting; creates one if there is none."""
+        for result in self.results:
+            if _key(result.setting) == _key(setting):
+                return result
+        self.results.append(Result(setting))
+        return self.results[-1]
+
+    def _applied(self, result: Result) -> Scene | None:
+        """Return the scene with a setting; None if this version refuses it, or another engine runs it."""
+        if result.status == "refused" or result.setting.engine:
+            return None
+        scene = result.setting.apply(self.scene)
+        reason = refusal(scene)
+        if reason:
+            result.status, result.reason = "refused", reason
+        return None if reason else scene
+
+    def _space(self, result: Result) -> Space:
+        return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
+
+    def _bound(self, result: Result) -> RunBound:
+        """Return how far a setting may go; the scene as written goes on up to the limit."""
+        if not self.bounded or not result.setting.overrides:
+            return RunBound(seconds=self.limit)
+        own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
+        return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
+
+    def _may_go_on(self, result: Result) -> bool:
+        """Tell whether a setting was stopped earlier than it would be now."""
+        bound = self._bound(result)
+        return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
+
+    def _follow(self, result: Result, tell: Teller) -> None:
+        assert self.reference is not None, "the reference comes first"
+        times, setting = sample_times(self.scene), result.setting
+        result.reason, units = "", self.scene.unit_system
+
+        def reached(step: int, time: float) -> None:
+            tell(f", {step} steps, t = {units.text(time, TIME)} of {units.text(self.scene.time.duration, TIME)}")
+
+        try:
+            if setting.engine:
+                run = self.follow_engine(setting, times)
+            else:
+                run = follow(self._space(result), times, self._bound(result), reached)
+        except RunStoppedError as stopped:
+            result.status, result.reason = "stopped", str(stopped)
+            result.steps, result.spent = stopped.steps, stopped.seconds
+            return
+        except (PhysicsError, ExperimentError) as error:
+            result.status, result.reason = "failed", str(error)
+            return
+        run.save(self._path(result))
+        result.status, result.errors = "measured", self.reference.errors(run)
+        result.steps, result.frames = run.steps, run.frames
+
+    def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
+        return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
+
+    def _cost(self, result: Result) -> float:
+        return cost_of(result.setting, self.scene, self.threads)
+
+    def _path(self, result: Result) -> Path:
+        threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
+        engine = [f"engine={result.setting.engine}"] if result.setting.engine else []
+        name = hashlib.sha256("\n".join([*result.setting.overrides, *threads, *engine]).encode()).hexdigest()[:12]
+        return self.folder / f"{name}.npz"
+
+    def _save(self) -> None:
+        write_whole(self.folder / DOCUMENT, json.dumps(self.document(), indent=1, ensure_ascii=False))
+
+    def _load(self) -> None:
+        path = self.folder / DOCUMENT
+        try:
+            kept = json.loads(path.read_text(encoding="utf-8"))
+            theirs, known = kept["scene"]["toml"], kept["reference"]
+            if kept["version"] == VERSION and theirs == self.scene.toml:
+                self._reopen(known, kept["settings"])
+                self._busy = kept.get("load", 0.0)
+                return
+            if kept["version"] != VERSION and theirs == self.scene.toml:
+                raise ValueError("another version of carom measured it")
+        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+            raise ExperimentError(f"{path}: cannot be resumed ({error}); {self._advice}") from None
+        raise ExperimentError(
+            f"{self.folder}: holds a study of another scene, or of this one before it was changed; {self._advice}"
+        )
+
+    def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:
+        if known is not None:
+            self.reference = reference_of(known, self.scene, Trajectory.load(self.folder / REFERENCE))
+        for entry in settings:
+            result = result_of(entry)
+            if result.status == "measured" and self.reference is not None:
+                result.errors = self.reference.errors(self.trajectory(result))
+            elif result.status in ("refused", "measured"):  # another version may run it
+                result.status = "pending"
+            self.results.append(result)
+
+
+def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
+    """Return the values that identify settings; names may differ."""
+    return setting.overrides, setting.threads, setting.engine
+
+
+def _count(number: int, results: list[Result]) -> str:
+    """Say which of several repeats it is."""
+    return f"{number}/{len(results)}  " if len(results) > 1 else ""
+
+
+def _left(results: list[Result], repeats: int) -> str:
+    """Estimate the remaining time from earlier timings; empty before the first."""
+    known = [result.cost for result in results if result.costs]
+    if not known:
+        return ""
+    typical = median(known)
+    runs = [result for result in results if result.status == "measured"]
+    seconds = sum((repeats - len(r.costs)) * (r.cost if r.costs else typical) for r in runs if len(r.costs) < repeats)
+    return f"; about {seconds:.2g} s left"
+
+
+def _leave(result: Result, tell: Teller) -> None:
+    """Examine nothing besides the errors."""

@@ -1,0 +1,266 @@
+"""`Account`: the velocity of a body as the sum of what it began with, the impulses of contacts, and forces."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.lab.why.cone import components, directions, gained
+from carom.lab.why.history import History, Step
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+_AT_REST = 1e-3  # of the impulses that hold a body, in a step
+
+
+@dataclass(slots=True)
+class Cause:
+    """An impact, a stop, or a contact that held for some steps in a row.
+
+    A stop is like an impact, but of a contact that closed no faster than its rest speed (docs/physics.md, 9).
+    """
+
+    partner: int  # the other end; from n on planes and walls
+    holds: bool  # whether it is a contact at rest
+    first: float  # s
+    last: float  # s; equal to `first` for an impact
+    step: int  # the last one
+    impulse: FloatArray  # (3,) N s, on the body
+    size: float  # N s, Σ |J|
+    work: float  # J, on the motion of the body's centre
+    moment: float  # s, to look at: of the impact, or of the largest impulse
+    hardest: float  # N s, the largest impulse of a step
+    approach_speed: float | None = None  # m/s, of an impact
+    energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction
+    share: float = 0.0  # of the velocity; those of an account, with its start and the forces, sum to 1
+
+    @property
+    def kind(self) -> str:
+        """What it was: "impact", "stop" or "contact"."""
+        if self.holds:
+            return "contact"
+        return "stop" if self.approach_speed is None else "impact"
+
+    def takes(self, earlier: Cause, gap: int) -> bool:
+        """Whether an earlier contact with the same partner is a part of this one, `gap` steps before."""
+        return self.holds and earlier.holds and earlier.partner == self.partner and gap <= 1
+
+    def join(self, earlier: Cause) -> None:
+        """Add an earlier part."""
+        self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
+        self.size, self.work = self.size + earlier.size, self.work + earlier.work
+        self.share += earlier.share
+        self.energy_lost += earlier.energy_lost
+        if earlier.hardest > self.hardest:
+            self.hardest, self.moment = earlier.hardest, earlier.moment
+
+
+@dataclass(slots=True)
+class Account:
+    """Where the velocity of a body comes from, since the beginning of a window.
+
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares divide as in `Cone`, but nothing passes
+    on to other bodies.
+    """
+
+    body: int
+    mass: float  # kg
+    velocity: FloatArray  # (3,) m/s, at the moment asked about
+    start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
+    by_contacts: FloatArray  # (3,) m/s, Σ J / m
+    by_forces: FloatArray  # (3,) m/s
+    fastest: float  # m/s, the largest speed, or change of velocity, on the way
+    start_share: float = 1.0  # of the velocity, that it had at the beginning
+    forces_share: float = 0.0
+    causes: list[Cause] = field(default_factory=list)  # the latest first
+    _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held it in the last step
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
+    _lost: dict[int, float] = field(default_factory=dict)  # J, by partner, in the step, without impacts
+
+    @classmethod
+    def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
+        """Begin with the velocity at the moment asked about."""
+        none = np.zeros(3)
+        return cls(body, mass, velocity.copy(), velocity.copy(), none, none.copy(), float(np.linalg.norm(velocity)))
+
+    @property
+    def unexplained(self) -> float:
+        """What the sum leaves over, relative to the largest speed or change of velocity on the way."""
+        rest = self.velocity - self.start_velocity - self.by_contacts - self.by_forces
+        return float(np.linalg.norm(rest)) / self.fastest if self.fastest > 0.0 else 0.0
+
+    @property
+    def rests(self) -> bool:
+        """Whether contacts hold it still: its speed is below a thousandth of the impulses by which they hold it."""
+        return bool(np.linalg.norm(self.velocity) <= _AT_REST * (self._bearing or -1.0))
+
+    @property
+    def largest(self) -> list[Cause]:
+        """The causes, those with the largest share first; of a body at rest, those with the largest impulse."""
+        return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
+
+    def share_of(self, *kinds: str) -> float:
+        """Return the share of the velocity that causes of these kinds gave."""
+        return sum(cause.share for cause in self.causes if cause.kind in kinds)
+
+    def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows, contacts: Rows) -> None:
+        """Go back over a step, or its beginning.
+
+        Parameters
+        ----------
+        step
+            What happened in it.
+        rows
+            Its impulses on this body up to the moment, in order.
+        kicks
+            (3,) m/s each, those that forces gave this body up to the moment.
+        impacts, contacts
+            (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
+        """
+        self._lost = self._lost_at_rest(contacts, impacts)
+        if self._bearing is None:
+            self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
+        shares = self._divide(rows, sum(kicks, np.zeros(3)), step.before[self.body])
+        first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
+        late = len(rows) > 0 and rows[-1]["time"] >= step.time
+        now = self._velocity_after(step, rows, first + last if late else first)
+        keys = list(zip(rows["instant"].tolist(), rows["holds"].tolist(), strict=True))
+        end = len(rows)
+        while end > 0:
+            if late and rows[end - 1]["time"] < step.time:
+                now, late = now - last, False
+            begin = end - 1
+            while begin > 0 and keys[begin - 1] == keys[end - 1]:
+                begin -= 1
+            now = self._undo(rows[begin:end], shares[begin:end], now, last if late else first, impacts)
+            end = begin
+        self.by_forces = self.by_forces + first + last
+        self.start_velocity = step.before[self.body].copy()
+
+    def _divide(self, rows: Rows, forces: FloatArray, start: FloatArray) -> FloatArray:
+        """Divide the share of the velocity that is left, as `Cone` does; return those of impulses, (k,).
+
+        The forces changed the velocity by (3,) m/s from ``start``, at the beginning of the step.
+        """
+        shares = np.zeros(len(rows))
+        changes = self._impulses(rows) / self.mass
+        bearing = ~rows["impact"]
+        after = (start + forces + changes.sum(axis=0))[None]
+        before = after - forces - changes[bearing].sum(axis=0)
+        net = after - before
+        given = np.maximum(0.0, np.vstack((changes[bearing], forces)) @ net[0])
+        if net.any():
+            acting = np.linalg.norm(np.vstack((changes[bearing], forces)), axis=1).sum(keepdims=True)
+            part = float(gained(before, after, acting)[0])
+            given *= self.start_share * part / given.sum()
+            shares[bearing] = given[:-1]
+            self.forces_share += float(given[-1])
+            self.start_share *= 1.0 - part
+        while not bearing.all():
+            struck = ~bearing & (rows["instant"] == rows["instant"][~bearing][-1])
+            after, before = before, before - changes[struck].sum(axis=0)
+            sizes = np.sqrt((changes[struck] ** 2).sum(axis=1))
+            along = directions(after, before, sizes.sum(keepdims=True))
+            given, kept = components(changes[struck], along[[0] * len(sizes)]), components(before, along)[0]
+            whole = float(given.sum()) + kept
+            if whole > 0.0:
+                shares[struck] = self.start_share * given / whole
+                self.start_share *= kept / whole
+            bearing = bearing | struck
+        return shares
+
+    def _impulses(self, rows: Rows) -> FloatArray:
+        """Return the impulses on this body, (k, 3) N s."""
+        impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+        impulses[rows["i"] == self.body] *= -1.0
+        return impulses
+
+    def _lost_at_rest(self, contacts: Rows, impacts: Rows) -> dict[int, float]:
+        """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
+        lost: dict[int, float] = {}
+        if len(contacts) == 0:
+            return lost
+        for rows, sign in ((contacts, 1.0), (impacts, -1.0)):
+            for row in impulses_on(self.body, rows):
+                lost[self._other(row)] = lost.get(self._other(row), 0.0) + sign * _loss(row)
+        return lost
+
+    def _other(self, row: np.void) -> int:
+        """Return the other end of a contact."""
+        return int(row["i"]) if row["j"] == self.body else int(row["j"])
+
+    def _undo(self, rows: Rows, shares: FloatArray, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
+        """Undo impulses that act together, given their shares, (k,); return the velocity before them.
+
+        Contacts at rest act while a force does. Their work is along the mean velocity without its ``kick``, (3,) m/s,
+        which they take back where it presses: a ball that slides on a floor gets none from the floor's normal force.
+        """
+        impulses = self._impulses(rows)
+        sizes = np.sqrt((impulses * impulses).sum(axis=1))
+        change = impulses.sum(axis=0) / self.mass
+        before: FloatArray = after - change
+        self.by_contacts = self.by_contacts + change
+        given, had = float(sizes.sum()) / self.mass, float(np.linalg.norm(before))
+        self.fastest = max(self.fastest, given, had)
+        for row, impulse, size, share in zip(rows, impulses, sizes.tolist(), shares.tolist(), strict=True):
+            if size > 0.0:
+                mean = 0.5 * (after + before - (kick if row["holds"] else 0.0))
+                self._add(row, impulse, size, float(impulse @ mean), share, impacts)
+        return before
+
+    def _velocity_after(self, step: Step, rows: Rows, kicked: FloatArray) -> FloatArray:
+        """Return the velocity right after the last of the impulses, given the kicks before it, (3,) m/s in all."""
+        now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
+        return now
+
+    def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:
+        partner = self._other(row)
+        time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
+        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
+        if not holds:
+            self._find_impact(cause, impacts)
+        if cause.kind != "impact":  # the last part of the step has all that was lost in it
+            cause.energy_lost = self._lost.pop(partner, 0.0)
+        known = self._held.get(partner)
+        if holds and known is not None and known[0].takes(cause, known[1] - step):
+            known[0].join(cause)
+            self._held[partner] = known[0], step
+            return
+        if holds:
+            self._held[partner] = cause, step
+        self.causes.append(cause)
+
+    def _find_impact(self, cause: Cause, impacts: Rows) -> None:
+        """Add what is known of a cause if it was an impact."""
+        low, high = min(self.body, cause.partner), max(self.body, cause.partner)
+        own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
+        if len(own):  # a pair may meet several times at one moment
+            met = own[int(np.argmin(np.abs(_sizes(own) - cause.size)))]
+            cause.approach_speed, cause.energy_lost = float(met["approach_speed"]), _loss(met)
+
+
+def _loss(row: np.void) -> float:
+    """Return the energy that a contact took out, in J."""
+    return float(row["restitution_loss"] + row["friction_loss"])
+
+
+def _sizes(impacts: Rows) -> FloatArray:
+    """Return the magnitudes of the impulses of impacts, (k,) N s."""
+    squares = (impacts[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
+    return np.asarray(np.sqrt(sum(squares)))
+
+
+def impulses_on(body: int, rows: Rows) -> Rows:
+    """Return the impulses on a body."""
+    own: Rows = rows[(rows["i"] == body) | (rows["j"] == body)]
+    return own
+
+
+def impacts_by_step(history: History) -> dict[int, Rows]:
+    """Return the impacts of a window by their steps."""
+    impacts = history.impacts
+    steps, first = np.unique(impacts["step"], return_index=True)
+    return dict(zip(steps.tolist(), np.split(impacts, first[1:]), strict=True)) if len(impacts) else {}

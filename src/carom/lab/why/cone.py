@@ -1,0 +1,337 @@
+"""`Cone`: goes back through a window, from the bodies asked about to all that could have an effect on them.
+
+Each body carries a share of the answer, 1 in all at the moment asked about. It divides in two ways:
+
+- **Over a step**, forces are summed with the impulses that hold contacts or stop them, so that a floor and the weight
+  on it give nothing. If the sum N makes the body faster, it gave the share N·e / |v|, where e points along the velocity
+  v after it. That divides among the forces and contacts with a component along N, as these components are.
+- **Over an instant with impacts**, it divides among the velocity before and the impulses as the sizes of their
+  components along e are, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … Where the impacts stop the body, their whole sizes count.
+
+A sum over many short steps converges, so shares depend on the step no more than the motion does. What forces gave has
+arrived at its cause. What passes over a contact divides between its ends as their speeds along the impulse before it
+are, since these are what the impulse is made of. In an instant in which several bodies touch, it may also come from
+further impulses on the other end. A plane gives everything back.
+
+Shares are between 0 and 1. What could have had an effect at all is exact: a body belongs to the cone from the moment
+on, going back, at which it touched one that does.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from carom.lab.why.history import Step
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Rows = NDArray[np.void]
+
+_ROUNDS = 16  # bodies that a share passes on through in one instant
+NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
+
+
+@dataclass(slots=True)
+class Passage:
+    """An impact over which a share of the answer passed."""
+
+    step: int
+    time: float  # s
+    i: int
+    j: int
+    impulse: float  # N s
+    to_i: float  # share of the answer that passed from j to i, and did not come back
+    to_j: float
+
+
+@dataclass(slots=True)
+class Edge:
+    """All impulses between two ends."""
+
+    i: int
+    j: int
+    first: float  # s
+    last: float  # s
+    impulse: float = 0.0  # N s, Σ |J|
+    count: int = 0  # impulses
+    share: float = 0.0  # of the answer, that passed over it
+
+
+@dataclass(slots=True)
+class Cone:
+    """The bodies behind an answer, how much of it is theirs, and the contacts between them.
+
+    Parameters
+    ----------
+    inverse_mass
+        (n + p,) 1/kg.
+    shares
+        The bodies asked about, and the share of each.
+    """
+
+    inverse_mass: FloatArray
+    count: int  # of bodies
+    shares: FloatArray  # (n,) of the answer, that each body carries at the present moment
+    reached: NDArray[np.bool_]  # (n,) whether it could have had an effect
+    since: FloatArray  # (n,) s, the last moment at which it could; NaN for bodies outside
+    from_forces: FloatArray  # (n,) share that forces on each body gave
+    edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
+    passages: list[Passage] = field(default_factory=list)  # the latest first
+    pairs: list[IntArray] = field(default_factory=list)  # (k, 2) bodies each, all that touched so far
+
+    @classmethod
+    def of(cls, inverse_mass: FloatArray, count: int, shares: dict[int, float], time: float) -> Cone:
+        """Begin at a moment in s."""
+        carried, since = np.zeros(count), np.full(count, np.nan)
+        for body, share in shares.items():
+            carried[body], since[body] = share, time
+        return cls(inverse_mass, count, carried, ~np.isnan(since), since, np.zeros(count))
+
+    def take(self, step: Step, rows: Rows, velocity: FloatArray, kicked: bool) -> None:
+        """Go back over a step, or its beginning.
+
+        Parameters
+        ----------
+        rows
+            Its impulses up to the moment, in order.
+        velocity
+            (n, 3) m/s, right after the last of them.
+        kicked
+            Whether forces act.
+        """
+        between = rows["j"] < self.count
+        self.pairs.append(np.stack([rows["i"][between], rows["j"][between]], axis=1))
+        begins = np.flatnonzero(np.diff(rows["instant"], prepend=-1)).tolist()
+        instants = [slice(*ends) for ends in pairwise([*begins, len(rows)])][::-1]
+        inside = np.zeros(len(rows), dtype=bool)
+        for instant in instants:
+            inside[instant] = self.reach(rows[instant])
+        acts = (rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0)
+        impact = acts & rows["impact"]
+        impacts, bearing = rows[impact], rows[acts & ~impact]
+        before = velocity.copy()
+        self._undo(bearing, before)
+        forces = np.zeros_like(velocity)
+        if kicked:
+            forces = before - step.before
+            self._undo(impacts, forces)
+            before -= forces
+        self._bear(bearing[inside[acts & ~impact]], forces, before, velocity)
+        for instant in instants:
+            some = rows[instant][impact[instant]]
+            if len(some):
+                self._strike(some, inside[instant][impact[instant]], before)
+
+    def reach(self, rows: Rows) -> NDArray[np.bool_]:
+        """Add the bodies that touch one of the cone in an instant, directly or not; return which rows are of these."""
+        if len(rows) == 1:  # the usual case, five times as fast
+            i, j = int(rows["i"][0]), int(rows["j"][0])
+            ends = [end for end in (i, j) if end < self.count]
+            inside = any(self.reached[end] for end in ends)
+            for end in ends if inside else ():
+                if not self.reached[end] and self.inverse_mass[end] > 0.0:
+                    self.reached[end], self.since[end] = True, rows["time"][0]
+            return np.array([inside])
+        known = np.append(self.reached, np.zeros(len(self.inverse_mass) - self.count, dtype=bool))
+        while True:
+            own: NDArray[np.bool_] = known[rows["i"]] | known[rows["j"]]
+            new = np.unique(np.concatenate((rows["i"][own], rows["j"][own])))
+            new = new[(new < self.count) & (self.inverse_mass[new] > 0.0)]
+            new = new[~known[new]]
+            if not len(new):
+                return own
+            known[new] = self.reached[new] = True
+            self.since[new] = rows["time"][0]
+
+    def closed(self) -> NDArray[np.bool_]:
+        """Return which bodies touched one of the cone before the moment, directly or not, (n,).
+
+        A body outside the cone can still matter, if it kept one of the cone from touching another. The others cannot.
+        """
+        pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *self.pairs])
+        graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(self.count, self.count))
+        _, label = connected_components(graph, directed=False)
+        inside: NDArray[np.bool_] = np.isin(label, label[self.reached])
+        return inside
+
+    def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
+        """Return the shares of the answer that other bodies passed on to some bodies, one for each impact."""
+        return [to for p in self.passages for end, to in ((p.i, p.to_i), (p.j, p.to_j)) if end in bodies and to > 0.0]
+
+    def _undo(self, rows: Rows, velocity: FloatArray) -> None:
+        """Undo the effect of impulses on velocities, (n, 3) m/s."""
+        J, body = _vectors(rows), rows["j"] < self.count
+        np.add.at(velocity, rows["i"], self.inverse_mass[rows["i"], None] * J)
+        np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
+
+    def _bear(self, rows: Rows, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
+        """Pass on what the forces of a step, and the contacts that it held, gave; velocities (n, 3) m/s."""
+        n, m = self.count, len(rows)
+        bodies = np.flatnonzero(self.shares > NEGLIGIBLE)
+        net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
+        rate = np.zeros(len(self.inverse_mass))  # share given by a component of 1 m/s
+        net[bodies] = _units(after[bodies] - before[bodies])
+        to, J = np.concatenate((rows["i"], rows["j"])), np.concatenate((-_vectors(rows), _vectors(rows)))
+        given: FloatArray = self.inverse_mass[to] * np.maximum(0.0, (J * net[to]).sum(axis=1))  # m/s
+        by_forces = np.maximum(0.0, (forces * net[:n]).sum(axis=1))
+        whole = np.bincount(to, weights=given, minlength=len(rate))[:n] + by_forces
+        gain = np.zeros(n)
+        acting = np.sqrt((forces * forces).sum(axis=1))
+        acting += np.bincount(to, weights=self.inverse_mass[to] * np.sqrt((J * J).sum(axis=1)), minlength=len(rate))[:n]
+        gain[bodies] = gained(before[bodies], after[bodies], acting[bodies])
+        rate[:n] = self.shares * np.divide(gain, whole, out=np.zeros(n), where=whole > 0.0)
+        self.shares *= 1.0 - gain
+        self.from_forces += rate[:n] * by_forces
+        if m:
+            flow, none = given * rate[to], np.zeros(2 * m)
+            _, returned = self._divide(rows, flow, none, before)
+            self._note(rows, flow, flow - returned, holds=True)
+
+    def _strike(self, rows: Rows, inside: NDArray[np.bool_], velocity: FloatArray) -> None:
+        """Undo the impacts of an instant, and pass shares on over those that are of the cone; velocities (n, 3) m/s."""
+        ends, local = np.unique(np.concatenate((rows["i"], rows["j"])), return_inverse=True)
+        bodies = ends < self.count
+        after, before = np.zeros((2, len(ends), 3))
+        after[bodies] = velocity[ends[bodies]]
+        self._undo(rows, velocity)
+        before[bodies] = velocity[ends[bodies]]
+        rows, chosen = rows[inside], np.flatnonzero(np.tile(inside, 2))
+        if not len(rows):
+            return
+        # each impulse twice: as taken by i from j, and by j from i
+        to, m = local[chosen], len(rows)
+        origin = np.roll(to, m)
+        J = np.concatenate((_vectors(rows), _vectors(rows))) * self.inverse_mass[ends[to], None]
+        taken = np.sqrt((J * J).sum(axis=1))
+        total = np.bincount(to, weights=taken, minlength=len(ends)).astype(np.float64)
+        along = directions(after, before, total)
+        given, kept = components(J, along[to]), components(before, along)
+        whole = kept + np.bincount(to, weights=given, minlength=len(ends))
+        shares = np.zeros(len(ends))
+        shares[bodies] = self.shares[ends[bodies]]
+        rate = np.divide(shares, whole, out=np.zeros(len(ends)), where=whole > 0.0)
+        self.shares[ends[bodies]] = np.where(whole > 0.0, rate * kept, shares)[bodies]
+        flow: FloatArray = given * rate[to]
+        opposite = np.roll(np.arange(2 * m), m)
+        further = np.maximum(0.0, total[origin] - taken[opposite])
+        further[~bodies[origin] | (further <= NEGLIGIBLE * total[origin])] = 0.0
+        passed, back_again = np.zeros(2 * m), np.zeros(2 * m)
+        for _ in range(_ROUNDS):
+            passed += flow
+            onward, returned = self._divide(rows, flow, further, velocity)
+            back_again += returned
+            if onward.sum() < NEGLIGIBLE:
+                break
+            flow = self._onward(to, origin, taken, total, onward, opposite)
+        else:
+            self._arrive(ends[origin], flow)
+        self._note(rows, passed, passed - back_again, holds=False)
+
+    def _divide(
+        self, rows: Rows, flow: FloatArray, further: FloatArray, before: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Divide what passes over contacts between their ends; return what goes on, and what went back.
+
+        Parameters
+        ----------
+        flow
+            (2k,) share of the answer, of i over each contact, then of j.
+        further
+            (2k,) m/s, by the other impulses on the other end.
+        before
+            (n, 3) m/s, velocities before the impulses.
+        """
+        to, origin = np.concatenate((rows["i"], rows["j"])), np.concatenate((rows["j"], rows["i"]))
+        along = _units(_vectors(rows))
+        moves = to < self.count
+        back: FloatArray = np.zeros(len(to))  # m/s, speed of the taker along the impulse
+        back[moves] = np.abs((before[to[moves]] * np.concatenate((along, along))[moves]).sum(axis=1))
+        is_free = (origin < self.count) & (self.inverse_mass[origin] > 0.0)
+        own = np.where(is_free, np.roll(back, len(rows)), 0.0)
+        whole = own + back + further
+        scale = np.divide(flow, whole, out=np.zeros(len(to)), where=whole > 0.0)
+        returned = np.where(whole > 0.0, back * scale, np.where(is_free, 0.0, flow))
+        self._arrive(origin, np.where(whole > 0.0, own * scale, np.where(is_free, flow, 0.0)))
+        self._arrive(to, returned)
+        return further * scale, returned
+
+    def _onward(
+        self,
+        to: IntArray,
+        origin: IntArray,
+        taken: FloatArray,
+        total: FloatArray,
+        onward: FloatArray,
+        opposite: NDArray[np.integer],
+    ) -> FloatArray:
+        """Divide what goes on through the other ends among their further impulses, not back over the same."""
+        others = np.maximum(total[origin] - taken[opposite], 0.0)
+        rate = np.divide(onward, others, out=np.zeros(len(onward)), where=others > 0.0)
+        arriving = np.bincount(origin, weights=rate, minlength=len(total))  # per unit of impulse, at each end
+        flow: FloatArray = np.maximum(0.0, taken * (arriving[to] - rate[opposite]))
+        return flow
+
+    def _arrive(self, ends: IntArray, parts: FloatArray) -> None:
+        bodies = ends < self.count
+        np.add.at(self.shares, ends[bodies], parts[bodies])
+
+    def _note(self, rows: Rows, passed: FloatArray, kept: FloatArray, holds: bool) -> None:
+        m, size = len(rows), np.sqrt((_vectors(rows) ** 2).sum(axis=1))
+        for k, row in enumerate(rows):
+            i, j, time = int(row["i"]), int(row["j"]), float(row["time"])
+            edge = self.edges.get((i, j))
+            if edge is None:
+                edge = self.edges[i, j] = Edge(i, j, time, time)
+            edge.first = time
+            edge.impulse += float(size[k])
+            edge.count += 1
+            edge.share += float(passed[k] + passed[m + k])
+            to_i, to_j = float(kept[k]), float(kept[m + k])
+            if not holds and max(to_i, to_j) > NEGLIGIBLE:
+                self.passages.append(Passage(int(row["step"]), time, i, j, float(size[k]), to_i, to_j))
+
+
+def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatArray:
+    """Return the fractions of speeds, (k,), that the changes of velocities, (k, 3) m/s, made.
+
+    A change is rounding if what acts, (k,) m/s in all, cancels.
+    """
+    change = after - before
+    squared, gain = (after * after).sum(axis=1), (change * after).sum(axis=1)
+    counts = (change * change).sum(axis=1) > (NEGLIGIBLE * acting) ** 2
+    fraction = np.divide(gain, squared, out=np.zeros(len(gain)), where=counts & (gain > NEGLIGIBLE * squared))
+    result: FloatArray = np.minimum(fraction, 1.0)
+    return result
+
+
+def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> FloatArray:
+    """Return the directions of velocities after impacts, (k, 3); zeros where the impacts, of (k,) m/s, stop a body."""
+    speed = np.sqrt((after * after).sum(axis=1))
+    stops = speed <= NEGLIGIBLE * (np.sqrt((before * before).sum(axis=1)) + total)
+    result: FloatArray = np.where(stops[:, None], 0.0, _units(after))
+    return result
+
+
+def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
+    """Return the sizes of components of vectors along directions, (k, 3) each; whole sizes where these are zeros."""
+    whole = np.sqrt((vectors * vectors).sum(axis=1))
+    result: FloatArray = np.where(along.any(axis=1), np.abs((vectors * along).sum(axis=1)), whole)
+    return result
+
+
+def _vectors(rows: Rows) -> FloatArray:
+    """Return impulses on j, (k, 3) N s."""
+    return np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+
+
+def _units(vectors: FloatArray) -> FloatArray:
+    """Return vectors of length 1, (k, 3); zeros stay."""
+    length = np.sqrt((vectors * vectors).sum(axis=1))[:, None]
+    result: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
+    return result

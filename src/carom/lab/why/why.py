@@ -1,0 +1,208 @@
+"""Answers why a body of a recording moves as it does, by running a window before that moment again."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.lab.why.account import Account, impacts_by_step, impulses_on
+from carom.lab.why.answer import Answer
+from carom.lab.why.chain import chain_of
+from carom.lab.why.cone import Cone
+from carom.lab.why.history import History, Step, Watcher
+from carom.lab.why.question import Question
+from carom.recording.errors import RecordingError
+from carom.recording.read.moment import tolerance
+from carom.recording.read.recording import Recording
+from carom.runs.error import ExperimentError
+from carom.scene.units.dimension import TIME
+
+FloatArray = NDArray[np.float64]
+Rows = NDArray[np.void]
+
+MOST_BODY_STEPS = 100_000  # that are run again without being asked for more; about a second of 500 bodies in a pile
+
+
+def why(
+    recording: Recording, question: Question, start: float | None = None, watch: Watcher = lambda status: None
+) -> Answer:
+    """Answer a question.
+
+    Parameters
+    ----------
+    recording
+        What it is about.
+    question
+        The question.
+    start
+        s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
+        to the last checkpoint before the moment asked about.
+    watch
+        Called after every step with where the replay stands.
+
+    Raises
+    ------
+    RecordingError, SceneError
+        If the recording cannot be run again.
+    ExperimentError
+        If the window does not have what is asked about.
+    """
+    return answer_from(question, _histories(recording, question, start, watch), recording.bodies.mass)
+
+
+def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
+    """Answer a question from windows, the latest first, the first of which has the moment; masses (n,) in kg."""
+    windows = iter(histories)
+    back = _Backwards(question, next(windows), mass)
+    for history in windows:
+        back.go_on(history)
+    return back.finish()
+
+
+def _histories(recording: Recording, question: Question, start: float | None, watch: Watcher) -> Iterator[History]:
+    """Run windows again, the latest first, up to the moment of the question."""
+    end = question.time - tolerance(question.time)
+    for begin in _windows(recording, question.time, start):
+        checkpoint = recording.checkpoint(begin)
+        yield History.replay(recording, checkpoint, end, question.bodies, watch)
+        end = checkpoint.time
+
+
+def _windows(recording: Recording, time: float, start: float | None) -> list[int]:
+    """Return the steps of the checkpoints to begin at, the latest first."""
+    times = recording.checkpoint_times
+    if not times:
+        raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
+    if start is not None and start > time:
+        units = recording.units
+        begin, moment = units.text(start, TIME, "g"), units.text(time, TIME, ".9g")
+        raise ExperimentError(f"--from {begin} is after {moment}, the moment asked about")
+    earlier = [step for step, at in times.items() if at < time - tolerance(time)] or [next(iter(times))]
+    chosen = [earlier.pop()]
+    frames = recording.fingerprints()
+    row = min(int(np.searchsorted(frames["time"].to_numpy(), time)), frames.num_rows - 1)
+    last, count = int(frames["step"][row].as_py()), len(recording.bodies.mass)
+    while earlier:
+        if start is None and (last - earlier[-1]) * count > MOST_BODY_STEPS:
+            break
+        if start is not None and times[chosen[-1]] <= start:
+            break
+        chosen.append(earlier.pop())
+    return chosen
+
+
+class _Backwards:
+    """Goes back through the windows, the latest first."""
+
+    def __init__(self, question: Question, history: History, mass: FloatArray) -> None:
+        self._question = question
+        self._count = len(mass)
+        bodies = question.bodies
+        if not history.inverse_mass[list(bodies)].all():
+            raise ExperimentError("a fixed body has no velocity; ask about one that moves")
+        self._differs = history.differs
+        self._impacts = impacts_by_step(history)
+        step, rows, kicks, late = _moment(question, history)
+        self._step, velocity = step, step.after.copy()
+        for row in late[::-1]:
+            _undo(row, velocity, history.inverse_mass, self._count)
+        for kick in step.kicks[len(kicks) :]:
+            velocity[list(bodies)] -= kick
+        self._time = float(late["time"][0]) if len(late) else step.time
+        self._accounts = [Account.at(body, float(mass[body]), velocity[body]) for body in bodies]
+        self._cone = Cone.of(history.inverse_mass, self._count, self._shares(late, velocity), self._time)
+        if len(late):
+            self._cone.reach(late[late["instant"] == late["instant"][0]])
+        self._take(history, step, rows, kicks, velocity)
+        self._rest(history, step.step - history.steps[0].step)
+
+    def go_on(self, history: History) -> None:
+        """Go back through the window before."""
+        self._differs = history.differs if self._differs is None else self._differs
+        self._rest(history, len(history.steps))
+
+    def finish(self) -> Answer:
+        """Return the answer."""
+        begin = self._begin
+        same = "with the same bits" if self._differs is None else f"with other bits from step {self._differs} on"
+        return Answer(
+            question=self._question,
+            time=self._time,
+            step=self._step.step,
+            begin=begin.begin.time,
+            begin_step=begin.begin.step,
+            source=f"replayed from step {begin.begin.step}, {same}",
+            accounts=self._accounts,
+            cone=self._cone,
+            chain=chain_of(self._cone, self._question.bodies),
+        )
+
+    def _rest(self, history: History, end: int) -> None:
+        self._begin, self._impacts = history, impacts_by_step(history)
+        for step in history.steps[end - 1 :: -1] if end > 0 else []:
+            self._take(history, step, step.impulses, step.kicks, step.after.copy())
+
+    def _take(self, history: History, step: Step, rows: Rows, kicks: list[FloatArray], velocity: FloatArray) -> None:
+        impacts = self._impacts.get(step.step, history.impacts[:0])
+        contacts = step.contacts if rows is step.impulses else step.contacts[:0]
+        for place, account in enumerate(self._accounts):
+            own = [kick[place] for kick in kicks]
+            account.take(step, impulses_on(account.body, rows), own, impacts, contacts)
+        self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
+
+    def _shares(self, late: Rows, velocity: FloatArray) -> dict[int, float]:
+        """Divide the answer between the bodies asked about: of an impact, as their speeds along the impulse."""
+        bodies = self._question.bodies
+        if len(bodies) == 1 or not len(late):
+            return dict.fromkeys(bodies, 1.0 / len(bodies))
+        own = late[(late["i"] == bodies[0]) & (late["j"] == bodies[1])][0]
+        normal = np.array([own["x"], own["y"], own["z"]])
+        speeds = np.abs(velocity[list(bodies)] @ normal)
+        total = float(speeds.sum())
+        return {b: float(s) / total if total > 0.0 else 0.5 for b, s in zip(bodies, speeds, strict=True)}
+
+
+def _moment(question: Question, history: History) -> tuple[Step, Rows, list[FloatArray], Rows]:
+    """Return the step asked about, its impulses and kicks before the moment, and the impulses from it on."""
+    time = question.units.text(question.time, TIME, ".9g")
+    if not history.steps:
+        raise ExperimentError(f"t = {time} is not after the beginning of the recording: nothing is known before it")
+    last = history.steps[-1]
+    if question.ends is None:
+        return last, last.impulses, last.kicks, last.impulses[:0]
+    place = bisect_left(history.steps, question.time - tolerance(question.time), key=lambda step: step.time)
+    near = history.steps[max(0, place - 1) : place + 2]
+    found = [(step, row) for step in near for row in _rows_of(step, question.ends)]
+    if not found:
+        raise ExperimentError(
+            f"{question.event}: nothing passed between the two bodies at t = {time} when it is run again"
+        )
+
+    def off(one: tuple[Step, int]) -> tuple[float, bool]:
+        row = one[0].impulses[one[1]]
+        return abs(float(row["time"]) - question.time), bool(row["holds"])
+
+    step, row = min(found, key=off)
+    first = int(np.searchsorted(step.impulses["instant"], step.impulses["instant"][row]))
+    late = step.impulses[first:]
+    kicks = step.kicks if late["time"][0] >= step.time else step.kicks[:1]
+    return step, step.impulses[:first], kicks, late
+
+
+def _rows_of(step: Step, ends: tuple[int, int]) -> list[int]:
+    """Return which impulses of a step acted between two ends."""
+    rows = step.impulses
+    own = (
+        (rows["i"] == ends[0]) & (rows["j"] == ends[1]) & ((rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0))
+    )
+    return [int(row) for row in np.flatnonzero(own)]
+
+
+def _undo(row: np.void, velocity: FloatArray, inverse_mass: FloatArray, count: int) -> None:
+    impulse = np.array([row["x"], row["y"], row["z"]])
+    velocity[row["i"]] += inverse_mass[row["i"]] * impulse
+    if row["j"] < count:
+        velocity[row["j"]] -= inverse_mass[row["j"]] * impulse

@@ -1,0 +1,1 @@
+"""Runs: from a scene to a recording, and again from a recording."""

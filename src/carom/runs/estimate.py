@@ -1,0 +1,268 @@
+"""Estimates the cost of a run, by part and entity, from a few steps and frames and a coarse run."""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from carom.physics.forces.gravity import gravity_of
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
+from carom.physics.frame import Frame
+from carom.physics.look_ahead.budget import Watcher
+from carom.physics.parallel.thread_team import Team
+from carom.physics.schedule import at, every
+from carom.physics.space import Space
+from carom.physics.step import WARM_UP_STEPS
+from carom.plan.auto import frame_interval
+from carom.plan.features import Requirements
+from carom.plan.limits import memory_estimate
+from carom.private_folder import temporary_folder
+from carom.recording.schema.inventory import Content, contents
+from carom.recording.write.impact_plan import FILE_BYTES
+from carom.recording.write.size_probe import Taken, probe
+from carom.runs.outlook import estimate_steps
+from carom.runs.run import header_of, kept_accuracy, recording_space, shortfall_text
+from carom.scene.forces import FORCES
+from carom.scene.parts import Part
+from carom.scene.schema import Scene
+
+TRIAL_SECONDS = 1.0
+TRIAL_STEPS = 200
+LOADING_STEPS = 3
+PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
+KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
+FRAME_BYTES = 250  # per body in a frame
+
+# The part of the model for each mark of a step's profile; the second counts if a scene does not have the first.
+MARKS = {
+    "timestep": ("adaptive-step", "integrator"),
+    "orientation": ("orientation", "integrator"),
+    "integrate": ("integrator", "integrator"),
+    "impacts": ("time-of-impact", "integrator"),
+    "search": ("broad-phase", "contact"),
+    "colouring": ("colouring", "contact"),
+    "stabilisation": ("stabilisation", "contact"),
+    **{kind.short_name: (kind.name, "integrator") for kind in FORCES},
+    "resting": ("resting-contacts", "contact"),
+    "sleep": ("resting-contacts", "contact"),
+    "response": ("contact", "integrator"),
+    "torque": ("torque", "contact"),
+    "ledger": ("energy", "energy"),
+    "energy": ("energy", "energy"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class PartCost:
+    """A part of the model, and its cost."""
+
+    name: str
+    modelled: bool
+    why: str
+    share: float | None  # of the time of a run; None if it is not modelled or not measured separately
+    within: str | None  # the part whose share includes this one
+
+
+@dataclass(frozen=True, slots=True)
+class EntityCost:
+    """An entity of the recording, and its size."""
+
+    path: str
+    recorded: bool
+    why: str
+    share: float | None  # of the bytes of a recording; None if it is not recorded
+    bytes: float  # of the whole recording
+    seconds: float  # of the whole run, in the recorder's thread
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """Estimated cost of a run."""
+
+    steps: int
+    fewest_steps: int  # lower end of the estimated range
+    most_steps: int
+    limits: dict[str, float]  # share of the steps that each limit sets, the largest first
+    looked_until: float  # s; the end of the run, unless the coarse run took too long
+    seconds: float
+    memory: int  # bytes, without the interpreter
+    frames: int
+    frame_seconds: float  # to record a frame, in a thread of its own
+    size: int  # bytes of the recording
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Parts, entities and cost of a run."""
+
+    parts: list[PartCost]
+    entities: list[EntityCost]
+    cost: Cost
+    accuracy: dict[str, float]  # see `kept_accuracy`
+    shortfall: str  # why the accuracy is not promised to the end; empty if it is
+
+
+def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
+    """Run the first steps of a scene for about a second, record a few frames, and run it coarsely.
+
+    For ``watch_look_ahead`` see `Space`.
+
+    Raises
+    ------
+    SceneError, PhysicsError
+        If the scene cannot run.
+    """
+    space = recording_space(scene, None, watch_look_ahead)
+    _load_kernels(space)
+    began = time.perf_counter()
+    few = _first_frames(space)
+    spent = time.perf_counter() - began
+    scene = space.scene  # with the step that its accuracy takes
+    flight = flight_seconds(space)
+    each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
+    outlook = estimate_steps(scene, each, flight)
+    steps = outlook.steps
+    interval = frame_interval(scene)
+    frames = 1 + (steps if interval == 0.0 else min(steps, round(scene.time.duration / interval)))
+    header = header_of(space)
+    with temporary_folder() as folder:
+        taken = probe(folder / "trial.rrd", header, few)
+    entities = [_entity_cost(content, taken, frames) for content in contents(header, space.requirements)]
+    size = sum(entity.bytes for entity in entities)
+    return Estimate(
+        parts=_part_costs(space, steps, frames),
+        entities=[_with_share(entity, size) for entity in entities],
+        cost=Cost(
+            steps=steps,
+            fewest_steps=outlook.fewest,
+            most_steps=outlook.most,
+            limits=outlook.limits,
+            looked_until=outlook.seen * scene.time.duration,
+            seconds=outlook.seconds,
+            memory=memory_estimate(scene),
+            frames=frames,
+            frame_seconds=sum(each.seconds for each in taken.values()),
+            size=FILE_BYTES + round(size),
+        ),
+        accuracy=kept_accuracy(space.scene),
+        shortfall=shortfall_text(space.scene),
+    )
+
+
+def _load_kernels(space: Space) -> None:
+    """Take a few steps and go back, since the first steps compile or load kernels, which is no part of a run's cost."""
+    start = space.frame().checkpoint
+    for step in range(1, LOADING_STEPS + 1):
+        if space.time < space.scene.time.duration:
+            space.compute_dynamics(step)
+    space.restore(start)
+    space.profile.clear()
+
+
+def _first_frames(space: Space) -> list[Frame]:
+    """Run the first steps; return their last few frames."""
+    deadline = time.perf_counter() + TRIAL_SECONDS
+    room = max(1, min(KEPT_FRAMES, KEPT_BYTES // (FRAME_BYTES * len(space.state))))
+    wanted = every(frame_interval(space.scene))
+
+    def over() -> bool:
+        return space.step >= TRIAL_STEPS or time.perf_counter() > deadline
+
+    frames: list[Frame] = []
+    for frame in space.run(schedule=lambda step, before, now: wanted(step, before, now) or over()):
+        frames = [*frames, frame][-room:]
+        if space.step > 0 and over():
+            break
+    return frames
+
+
+def flight_seconds(space: Space) -> float:
+    """Return the time of a step where nothing touches, with its part of a check and a frame.
+
+    A run takes many of these steps in one call. It is infinite for many bodies, whose steps are taken one by one.
+    """
+    if len(space.state) > MAX_IN_ONE_BLOCK:
+        return math.inf
+    apart = max(1, min(FLIGHT_STEPS, round(frame_interval(space.scene) / space.dt)))  # steps from frame to frame
+    flying, paces, began = Space(space.scene), list[float](), math.inf
+    step, touched = 0, 0
+    for _ in flying.run(schedule=at(range(apart, apart * FLIGHT_ROUNDS + 1, apart))):
+        now = time.perf_counter()
+        if flying.step > step and flying.extremes.total_contacts == touched:
+            paces.append((now - began) / (flying.step - step))
+        if flying.step >= apart * FLIGHT_ROUNDS or now - began > FLIGHT_SECONDS:
+            break
+        step, touched, began = flying.step, flying.extremes.total_contacts, now
+    return statistics.median(paces) if paces else math.inf
+
+
+def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
+    """Divide the time of a run among the parts."""
+    needs = space.requirements
+    modelled = {part.name for part in needs.parts if part.modelled}
+    seconds = dict.fromkeys(modelled, 0.0)  # a step
+    for mark, spent in space.profile.seconds().items():
+        part, otherwise = MARKS[mark]
+        seconds[part if part in modelled else otherwise] += spent / space.step
+    checks = 1.0 / space.scene.record.check_every
+    if needs.potential.modelled:
+        more = _more_for_the_potential(space)
+        seconds["potential"] = more * min(1.0, checks + frames / steps)
+        seconds["gravity"] = max(0.0, seconds["gravity"] - seconds["potential"])
+    if needs.warm_up.modelled:
+        seconds["warm-up"] = sum(seconds.values()) * WARM_UP_STEPS / steps
+    whole = sum(seconds.values())
+    return [_part_cost(part, _within(part.name, needs), seconds, whole) for part in needs.parts]
+
+
+def _more_for_the_potential(space: Space) -> float:
+    """Measure how much longer gravity takes with the potential, in s, by medians of interleaved calls."""
+    gravity = gravity_of(space.scene, space.state.mass, Team(space.threads))
+    if gravity is None:
+        return 0.0
+    acceleration = np.empty_like(space.state.acceleration)
+    spent: dict[bool, list[float]] = {False: [], True: []}
+    deadline = time.perf_counter() + PULL_SECONDS
+    for _ in range(PULL_ROUNDS):
+        for potential, times in spent.items():
+            began = time.perf_counter()
+            gravity.accelerate(space.state.position, acceleration, potential)
+            times.append(time.perf_counter() - began)
+        if time.perf_counter() > deadline:
+            break
+    return max(0.0, statistics.median(spent[True]) - statistics.median(spent[False]))
+
+
+def _within(name: str, needs: Requirements) -> str | None:
+    """Name the part that is computed together with this one, so that their times cannot be separated."""
+    match name:
+        case "narrow-phase":
+            return "broad-phase"
+        case "tree":
+            return "gravity"
+        case "restitution" | "friction":
+            return "contact"
+        case "spin":
+            return "contact" if needs.friction.modelled else "energy"
+    return None
+
+
+def _part_cost(part: Part, within: str | None, seconds: dict[str, float], whole: float) -> PartCost:
+    if not part.modelled or within:
+        return PartCost(part.name, part.modelled, part.why, None, within if part.modelled else None)
+    return PartCost(part.name, True, part.why, seconds[part.name] / whole if whole else 0.0, None)
+
+
+def _entity_cost(content: Content, taken: dict[str, Taken], frames: int) -> EntityCost:
+    each = taken.get(content.path, Taken(0, 0.0, 0.0))
+    return EntityCost(*content, None, each.once + each.bytes * frames, each.seconds * frames)
+
+
+def _with_share(entity: EntityCost, whole: float) -> EntityCost:
+    share = entity.bytes / whole if entity.recorded else None
+    return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)

@@ -1,0 +1,283 @@
+"""Compares a replayed frame with everything recorded of it, row by row and bit for bit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+from carom.recording.edit.selection import Selection
+from carom.recording.read.damage import reading
+from carom.recording.read.recorded_rows import RecordedRows
+from carom.recording.read.recording import Recording
+from carom.recording.rrd.messages import Chunk
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.event_kinds import CLOSING
+from carom.recording.schema.header import Header
+from carom.recording.schema.series import SERIES, Past
+from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.frame_chunks import checkpoints_of, rows_of
+from carom.runs.environment import versions
+from carom.runs.impact_check import ImpactCheck
+from carom.runs.mismatch import Mismatch, different, same
+
+Told = tuple[int, str, str, str]  # step, level, text and kind of an event
+
+# compared together: encoding one frame costs as much as a batch of a hundred
+_MOST_FRAMES, _MOST_BODIES = 128, 20_000
+
+REPAIRED = "; repaired, "  # in the outcome of a repaired recording, of which pieces may be lost
+
+_LED = "what led to the first frame (contacts, torques, dt, events)"
+_LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"
+
+# a checkpoint does not contain the step that led to it
+_BEFORE = {
+    *(paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION),
+    *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
+}
+_DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
+_ADDED = {series.path for series in SERIES}  # some of which a recording of an earlier version may lack
+_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
+
+# values that depend on earlier frames, such as errors relative to the largest energy so far
+_RELATIVE = {
+    **{series.path: None for series in SERIES if series.past in (Past.INTERVAL, Past.RUN)},
+    paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
+    paths.CHECKPOINT: ("books", "energy_scale", "digest"),
+}
+
+
+class FrameCheck:
+    """Compares the rows of frames, from the one that a replay begins with.
+
+    Parameters
+    ----------
+    recording
+        What was recorded.
+    header
+        Of the replayed space; it determines which entities must exist.
+    steps
+        Those of the recorded frames that will be compared, rising.
+    begin
+        The step of the checkpoint that the replay begins with.
+    all_frames
+        Whether the replay makes exactly the same frames as the run from ``begin`` on.
+    """
+
+    def __init__(
+        self, recording: Recording, header: Header, steps: NDArray[np.int64], begin: int, all_frames: bool
+    ) -> None:
+        self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared, in order
+        self._path = recording.path
+        self._rows = RecordedRows(recording)
+        self._clock = Clock(float(recording.info["time_scale"]))
+        references = {name: float(value) for name, value in recording.arrow_references.items()}
+        header = header if recording.records_contacts else replace(header, record_impacts="none")
+        self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
+        self._arrows = references.keys()
+        self._steps, self._begin, self.all_frames = steps, begin, all_frames
+        self._shown, self._n = recording.shown, header.bodies
+        self._box = header.box
+        self._impacts = None
+        self._same_words = recording.versions == versions()
+        self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
+        # a series has a style from the start; those that were added later have none in an older recording
+        self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
+        self._is_clip = bool(recording.clip)
+        if header.records_contacts:
+            whole = all_frames and begin == 0 and self._same_words and is_whole(recording)
+            self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
+            self.skipped = self._impacts.skipped
+        self._states = {
+            paths.PHASE: _States.of(recording.phases()),
+            paths.DT_LIMIT: _States.of(recording.dt_limits()),
+        }
+        events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
+        logged = [(row[STEP], row["level"], row["text"], row["kind"]) for row in events]
+        self._events = [event for event in logged if event[-1] not in CLOSING]
+        self.closing = sorted(event for event in logged if event[-1] in CLOSING)
+        self._colours_bodies = header.coloured_by in ("graph", "island")
+        self._checkpoints = set(recording.checkpoint_steps)
+        self._waiting: list[Frame] = []
+        self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
+
+    def strays(self) -> Mismatch | None:
+        """Find a row of a step without a recorded frame, which the viewer would nevertheless show."""
+        last = int(self._steps[-1]) if len(self._steps) else self._begin
+        for path in self._rows.entities:
+            for steps in self._rows.steps(path):
+                inside = steps[(steps >= self._begin) & (steps <= last)]
+                stray = inside[~np.isin(inside, self._steps)]
+                if len(stray):
+                    return Mismatch(int(stray[0]), f"rows of /{path} where there is no frame", len(stray), 0)
+        return None
+
+    def gather(self, frame: Frame) -> None:
+        """Take the impacts and events up to a frame into account, whether it was recorded or not."""
+        if self._impacts:
+            self._impacts.gather(frame)
+
+    def see(self, frame: Frame) -> Mismatch | None:
+        """Add a frame; compare the queued frames once there are enough of them."""
+        if self._impacts:
+            found = self._impacts.see(frame)
+            if found:
+                return found
+        self._waiting.append(frame)
+        full = len(self._waiting) >= self._room or frame.step == self._begin
+        return self.finish() if full else None
+
+    def finish(self) -> Mismatch | None:
+        """Compare the queued frames; return the first difference."""
+        frames, self._waiting = self._waiting, []
+        if not frames:
+            return None
+        first = frames[0].step == self._begin and self._begin > 0
+        few = self._few()
+        found: list[Mismatch] = []
+        seen = {paths.CHECKPOINT}
+        for replayed in rows_of(frames, self._encoder, self._clock):
+            path = replayed.entity_path
+            seen.add(path)
+            chunk = replayed if few is None else few.of(replayed)
+            if first and path in _BEFORE:
+                self.skipped[_LED] = None
+            elif path in (paths.TORQUE, paths.ANGULAR_ACCELERATION) and path not in self._arrows and self._begin > 0:
+                self.skipped[f"/{path}"] = None
+            else:
+                found += self._rows_differ(chunk, first)
+        exact = [frame for frame in frames if frame.step in self._checkpoints]
+        if exact:
+            found += self._rows_differ(checkpoints_of(exact, self._encoder, self._clock), first)
+        for path in self._rows.entities:
+            if path not in seen:
+                self.skipped[f"/{path}"] = None
+        for frame in frames:
+            found += self._state(frame, first) + self._logged(frame, first)
+        return min(found, key=lambda mismatch: mismatch.step, default=None)
+
+    def _few(self) -> Selection | None:
+        """Return what reduces rows to the bodies of a clip; None if it shows all."""
+        return None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
+
+    def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
+        """Compare the rows of an entity at once; if they differ, find the first row that does."""
+        path, steps = replayed.entity_path, np.array(replayed.batch[STEP].to_numpy())
+        compared = [name for name in replayed.components if not self._skips(path, name, first)]
+        block = self._rows.block(path, steps)
+        if block is not None and all(name in block.components for name in compared):
+            columns = [SIM_TIME, *compared]
+            if all(same(block.batch[name], replayed.batch[name]) for name in columns):
+                return []
+        with reading(self._path):
+            for k, step in enumerate(steps):
+                if found := self._row(path, int(step), replayed.batch.slice(k, 1), compared):
+                    return [found]
+        return []
+
+    def _skips(self, path: str, name: str, first: bool) -> bool:
+        """Tell whether a component cannot be compared, and remember that it was not."""
+        if name == "impact_count":  # `ImpactCheck` looks at it
+            return True
+        if path in _RELATIVE and not self.all_frames and name in (_RELATIVE[path] or (name,)):
+            self.skipped[_LARGEST] = None
+            return True
+        if first and self._colours_bodies and path == paths.BODIES and name.endswith("colors"):
+            self.skipped[_LED] = None
+            return True
+        return False
+
+    def _row(self, path: str, step: int, replayed: pa.RecordBatch, compared: list[str]) -> Mismatch | None:
+        found = self._rows.at(path, step)
+        if not found:
+            is_there = path in self._rows.entities or path in self._styled
+            if self._complete and (is_there or path not in _ADDED):
+                return Mismatch(step, f"rows of /{path}", 0, 1)
+            self.skipped[f"/{path}, {'rows of which are missing' if is_there else 'which the recording lacks'}"] = None
+            return None
+        if len(found) > 1:
+            return Mismatch(step, f"rows of /{path}", len(found), 1)
+        (recorded,) = found
+        if path in _LARGEST_FIRST:
+            replayed = _as_many(replayed, recorded.batch)
+        times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
+        if times[0] != times[1]:
+            return Mismatch(step, f"sim_time of /{path} (ns)", times[0], times[1])
+        for name in compared:
+            if name not in recorded.components and self._complete and name != _DIGEST:
+                return Mismatch(step, f"{name} of /{path}", 0, 1)
+            if name not in recorded.components:
+                self.skipped[f"{name} of /{path}, which is not there"] = None
+            elif off := different(step, path, name, recorded.batch[name], replayed[name]):
+                # rows of a clip have the bodies that it shows only
+                return off if off.body is None else replace(off, body=self._shown[off.body])
+        return None
+
+    def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
+        for path, state in ((paths.PHASE, frame.phase), (paths.DT_LIMIT, frame.dt_limit)):
+            recorded = self._states[path].at(frame.step)
+            if recorded is None and self._complete and not self._is_clip:
+                return [Mismatch(frame.step, f"/{path}", "nothing", state)]
+            if recorded is None or (first and path == paths.DT_LIMIT):
+                self.skipped[_LED] = None
+            elif recorded != state:
+                return [Mismatch(frame.step, f"/{path}", recorded, state)]
+        return []
+
+    def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
+        """Compare the events since the previous frame; compare their texts if the versions are the same."""
+        if first or not self.all_frames:
+            self.skipped[_LED if first else _LARGEST] = None
+            return []
+        before = self._steps[np.searchsorted(self._steps, frame.step) - 1] if frame.step > self._steps[0] else -1
+        recorded = sorted(event for event in self._events if before < event[0] <= frame.step)
+        replayed = sorted((event.step, event.level, event.text, event.kind) for event in frame.events)
+        words = 4 if self._same_words else 2
+        if [event[:words] for event in recorded] != [event[:words] for event in replayed]:
+            return [Mismatch(frame.step, "/events", told(recorded, replayed), told(replayed, recorded))]
+        return []
+
+
+def is_whole(recording: Recording) -> bool:
+    """Tell whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
+    return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
+
+
+def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:
+    """Keep as many values of each list as were recorded: those of the largest impulses, which come first."""
+    columns = {}
+    for name in replayed.schema.names:
+        column = replayed[name]
+        if pa.types.is_list(column.type) and name in recorded.schema.names:
+            kept = column[0].values[: len(recorded[name][0].values)]
+            column = pa.ListArray.from_arrays(pa.array([0, len(kept)], pa.int32()), kept, type=column.type)
+        columns[name] = column
+    return pa.record_batch(list(columns.values()), schema=replayed.schema)
+
+
+@dataclass(frozen=True, slots=True)
+class _States:
+    """A state that is recorded only when it changes."""
+
+    step: NDArray[np.int64]
+    name: list[str]
+
+    @classmethod
+    def of(cls, table: pa.Table) -> _States:
+        return cls(table[STEP].to_numpy(), table["state"].to_pylist())
+
+    def at(self, step: int) -> str | None:
+        place = int(np.searchsorted(self.step, step, side="right")) - 1
+        return self.name[place] if place >= 0 else None
+
+
+def told(events: list[Told], others: list[Told]) -> str:
+    """Name the event that the others lack."""
+    only = [event for event in events if event not in others]
+    return f"{only[0][1]} at step {only[0][0]}: {only[0][2]}" if only else "nothing else"

@@ -1,0 +1,240 @@
+"""Compares the impacts of a replay with those recorded, and the bodies drawn at them, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.physics.contact.impact_store import MOST_IMPACTS
+from carom.physics.frame import Frame
+from carom.recording.edit.selection import Selection
+from carom.recording.read.damage import reading
+from carom.recording.read.impacts import bodies_by_number, impacts_by_number, impacts_until
+from carom.recording.read.recorded_rows import RecordedRows
+from carom.recording.read.recording import Recording
+from carom.recording.read.tables import Column, flat
+from carom.recording.rrd.messages import Chunk
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.frame_chunks import chunk_of
+from carom.recording.write.impact_frames import orientations_at, positions_at
+from carom.recording.write.impact_plan import ImpactPlan, largest
+from carom.recording.write.impact_rows import impact_rows
+from carom.runs.mismatch import Mismatch, different, same
+
+LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
+FIRST_BODIES = "bodies drawn at impacts before the first frame"
+OF_OTHERS = "impacts of bodies that the clip does not show"
+
+IntArray = NDArray[np.int64]
+
+
+class _Interval(NamedTuple):
+    """The impacts between two recorded frames, as a replay finds them."""
+
+    frame: Frame  # at its end
+    before: Frame | None  # at its beginning
+    impacts: NDArray[np.void]  # (k,) CONTACT_ROW, in order of time
+    kept: int | None  # how many of them should be recorded; None if that cannot be told
+    numbers: IntArray  # (k,)
+    begin: int  # the impacts of the run before it
+    end: int  # and up to its end
+
+
+class ImpactCheck:
+    """Compares impacts between one recorded frame and the next.
+
+    Parameters
+    ----------
+    recording
+        What was recorded.
+    encoder
+        Of the replayed frames.
+    rows
+        The rows of the recording.
+    few
+        The bodies of a clip that does not show all.
+    whole
+        Whether all frames that were recorded since the start of the run are replayed, which tells how many impacts
+        there was room for.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        encoder: BatchEncoder,
+        rows: RecordedRows,
+        few: Selection | None = None,
+        *,
+        whole: bool = False,
+    ) -> None:
+        self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
+        self._path = recording.path
+        self._numbers, self._recorded = impacts_by_number(recording)
+        self._drawn_at, self._drawn = bodies_by_number(recording)
+        self._rows, self._encoder, self._few = rows, encoder, few
+        self._clock = Clock(float(recording.info["time_scale"]))
+        self._references = {name: float(value) for name, value in recording.arrow_references.items()}
+        steps = recording.fingerprints()[STEP]
+        self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it
+        self._last_step = int(steps[-1].as_py()) if len(steps) else -1
+        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # a clip has that of the run
+        self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
+        self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
+        if self._leaves_out and self._plan is None:
+            self.skipped[LEFT_OUT] = None
+        if few:
+            self.skipped[OF_OTHERS] = None
+        self._since: list[NDArray[np.void]] = []
+        self._missed = 0  # that the replay left out itself
+        self._before: tuple[Frame, int | None] | None = None  # the recorded frame before, and the impacts up to it
+
+    def gather(self, frame: Frame) -> None:
+        """Take the impacts that led to a frame, recorded or not."""
+        if frame.impacts is not None and len(frame.impacts):
+            self._since.append(frame.impacts)
+        self._missed += frame.impacts_left_out
+
+    def see(self, frame: Frame) -> Mismatch | None:
+        """Compare the impacts gathered up to a recorded frame."""
+        impacts = np.concatenate([np.empty(0, CONTACT_ROW), *self._since])
+        found = len(impacts) + self._missed
+        before, counted = self._before or (None, None)
+        count = self._count_at(frame.step)
+        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
+        kept = None if self._plan is None else _room(self._plan, frame, len(impacts))
+        self._since, self._missed, self._before = [], 0, (frame, count)
+        if count is None:
+            self.skipped[f"impacts, where rows of /{paths.CONTACTS} are missing"] = None
+            return None
+        if counted is not None and count - counted != found:
+            return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
+        numbers = count - found + 1 + np.arange(len(impacts))
+        interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
+        other = self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
+        return other or self._counts_differ(frame.step, count)
+
+    def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
+        recorded = _within(self._numbers, interval)
+        own = self._numbers[recorded]
+        if interval.kept is not None:
+            chosen = largest(interval.impacts, interval.kept)
+        elif self._few or (self._leaves_out and interval.before is None):
+            chosen = np.flatnonzero(np.isin(interval.numbers, own))
+        elif self._leaves_out:
+            chosen = largest(interval.impacts, max(1, len(own)))
+        else:
+            chosen = np.flatnonzero(interval.impacts["step"] >= self._first_step)
+        numbers, impacts = interval.numbers[chosen], interval.impacts[chosen]
+        if not np.array_equal(numbers, own):
+            return _other_choice(interval.frame.step, paths.IMPACTS, own, numbers)
+        if not len(own):
+            return None
+        encoder = self._encoder
+        rows = impact_rows(impacts, numbers, self._references, encoder.header.radius, encoder.origin)
+        replayed = chunk_of(rows, self._clock)
+        columns = [STEP, SIM_TIME, *replayed.components]
+        return self._differ(impacts["step"], self._recorded.slice(recorded.start, len(own)), replayed, columns)
+
+    def _bodies_differ(self, interval: _Interval) -> Mismatch | None:
+        """Compare the bodies that are drawn at the first of the recorded impacts."""
+        drawn = _within(self._drawn_at, interval)
+        own = self._drawn_at[drawn]
+        if not len(own):
+            return None
+        if interval.before is None and interval.frame.step > 0:
+            self.skipped[FIRST_BODIES] = None
+            return None
+        recorded = self._numbers[_within(self._numbers, interval)]
+        expected = recorded[np.isin(recorded, own)] if self._few else recorded[: len(own)]
+        if interval.before is None or not np.array_equal(own, expected):
+            return _other_choice(interval.frame.step, f"{paths.BODIES} at impacts", own, expected)
+        impacts, header = interval.impacts, self._encoder.header
+        chosen = impacts[np.isin(interval.numbers, own)]
+        box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+        places = positions_at(chosen["time"], interval.before, interval.frame, impacts, header.radius, box)
+        turned = orientations_at(chosen["time"], interval.before, interval.frame)
+        replayed = chunk_of(self._encoder.bodies_at_impacts(own, places, turned), self._clock)
+        replayed = replayed if self._few is None else self._few.of(replayed)
+        rows = self._drawn.slice(drawn.start, len(own))
+        return self._differ(chosen["step"], rows, replayed, [IMPACT, *replayed.components])
+
+    def _differ(self, steps: IntArray, recorded: pa.Table, replayed: Chunk, columns: list[str]) -> Mismatch | None:
+        with reading(self._path):
+            for name in columns:
+                if name not in recorded.column_names:
+                    return Mismatch(int(steps[0]), f"{name} of /{replayed.entity_path}", "nothing", "values")
+                one, other = _whole(recorded[name]), _whole(replayed.batch[name])
+                if not same(one, other):
+                    return _first_that_differs(steps, replayed.entity_path, name, one, other)
+        return None
+
+    def _stray(self, step: int, count: int) -> Mismatch | None:
+        """Find rows of impacts after the last frame."""
+        if step == self._last_step:
+            for path, numbers in ((paths.IMPACTS, self._numbers), (f"{paths.BODIES} at impacts", self._drawn_at)):
+                if len(numbers) and numbers[-1] > count:
+                    return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
+        return None
+
+    def _counts_differ(self, step: int, count: int) -> Mismatch | None:
+        """Compare the numbers of impacts in the outcome with the rows, after the last frame."""
+        if step == self._last_step:
+            for name, found in asdict(RecordedImpacts(len(self._numbers), count - len(self._numbers))).items():
+                said = self._closing.get(f"impacts.{name}")
+                if said is not None and not np.array_equal(said, found):
+                    shown = said if isinstance(said, int | float) else str(said)
+                    return Mismatch(step, f"impacts.{name} of the property outcome", shown, found)
+        return None
+
+    def _count_at(self, step: int) -> int | None:
+        """Return how many impacts the recording has counted up to a frame; None if it does not say."""
+        with reading(self._path):
+            for chunk in self._rows.at(paths.CONTACTS, step):
+                if "impact_count" in chunk.components:
+                    return int(flat(chunk, "impact_count", Column(pa.int64()))[0].as_py())
+        return None
+
+
+def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> int:
+    """Return how many of the impacts since the frame before a plan records."""
+    contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
+    counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
+    return int(plan.choose(frame.position[None], *counts).impacts[0])
+
+
+def _within(numbers: IntArray, interval: _Interval) -> slice:
+    """Return which of rising numbers are those of impacts in an interval."""
+    first, last = np.searchsorted(numbers, [interval.begin, interval.end], side="right")
+    return slice(int(first), int(last))
+
+
+def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) -> Mismatch:
+    """Name the first impact that is recorded and should not be, or the other way round."""
+    number = int(np.setxor1d(recorded, expected)[0])
+    values = ("nothing", "a row") if number in expected else ("a row", "nothing")
+    return Mismatch(step, f"impact {number} in /{path}", *values)
+
+
+def _whole(column: pa.Array | pa.ChunkedArray) -> pa.Array:
+    whole = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    return whole.cast(pa.int64()) if pa.types.is_duration(whole.type) else whole
+
+
+def _first_that_differs(
+    steps: IntArray, path: str, name: str, recorded: pa.Array, replayed: pa.Array
+) -> Mismatch | None:
+    for row, step in enumerate(steps.tolist()):
+        found = different(step, path, name, recorded.slice(row, 1), replayed.slice(row, 1))
+        if found:
+            return found
+    return None

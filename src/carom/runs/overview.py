@@ -1,0 +1,117 @@
+"""An overview of a recording in rows of text, and its moments in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
+from carom.recording.read.recording import Recording
+from carom.runs.contact_counts import counts_text, overlap_text
+from carom.runs.ending import error_text, in_words
+from carom.scene.counted import counted
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
+
+MOMENTS = {
+    "impact": "hardest impact, {value} of approach (½ μ v_n²)",
+    "overlap": "deepest overlap, {value:.3g}% of the smaller radius",
+    "contacts": "most contacts, {value:.0f}",
+    "energy_error": "largest integration error, {value:.2e} of the energy scale",
+}
+OF_ENGINES = {"energy_error": "largest change of the energy without contact, {value:.2e} of the energy scale"}
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A time at which something was largest."""
+
+    name: str  # of `MOMENTS`; empty for another moment
+    text: str  # the quantity, and the bodies
+    step: int
+    time: float  # s
+
+
+def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
+    """Put the moments of a recording's summary into words."""
+    found = []
+    for name, wording in (MOMENTS | (OF_ENGINES if summary["scene"].get("engine") else {})).items():
+        moment = summary["moments"].get(name)
+        if moment and is_worth_a_look(name, summary):
+            between = f", {moment['between']}" if moment["between"] else ""
+            value = value_shown(name, moment["value"], units)
+            found.append(Moment(name, wording.format(value=value) + between, moment["step"], moment["time"]))
+    return found
+
+
+def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
+    """Tell whether a moment of a recording's summary shows anything.
+
+    An overlap by rounding, an error of 0 and the fastest approach of contacts at rest, which are no impacts, do not.
+    """
+    if name == "impact":
+        return bool(summary["contacts"].get("impacts") != 0)
+    least = ROUNDED_OVERLAP if name == "overlap" else 0.0
+    return bool(summary["moments"][name]["value"] > least)
+
+
+def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
+    """Return the value of a moment as it is printed: an impact with its unit, an overlap in per cent."""
+    if name == "impact":
+        return units.text(value, ENERGY, ".4g")
+    return 100.0 * value if name == "overlap" else value
+
+
+def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
+    """Say how the energy changed, and what is known of the reasons.
+
+    Of another engine's run only states are known. Without its impulses, nothing tells what its contacts took from what
+    it got wrong meanwhile.
+    """
+    energy = summary["energy"]
+    first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
+    texts, worst = [f"{first} at first, {last} at last"], error_text(energy["max_error"])
+    if not summary["scene"].get("engine"):
+        return [*texts, f"integration error at most {worst} of the energy scale"]
+    if summary["contacts"]["total"] or energy["change_in_contact"]:
+        change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
+        unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""
+        texts.append(f"{change} while bodies touched{unjudged}: by contacts and errors of the engine, not told apart")
+    if not energy["max_error"]:
+        return [*texts, "no change without contact"]
+    change = units.text(energy["change_without_contact"], ENERGY, "+.4g")
+    return [*texts, f"{change} without contact, an error: at most {worst} of the energy scale"]
+
+
+def overview(recording: Recording) -> list[tuple[str, str]]:
+    """Return names and texts: command, outcome, length, energy, contacts, promises, versions, machine."""
+    whole, units = recording.summary(), recording.units
+    contacts = whole["contacts"]
+    impacts = contacts.get("impacts"), contacts.get("impacts_counted")
+    counts = counts_text(contacts["total"], *impacts, contacts["summed_over"])
+    return [
+        ("command", str(recording.properties.get("command", ""))),
+        ("outcome", in_words(whole["outcome"])),
+        (
+            "run",
+            f"{counted(whole['bodies'], 'body')}, {counted(whole['steps'], 'step')}, "
+            f"{units.text(whole['sim_time'], TIME)} simulated",
+        ),
+        ("energy", "; ".join(energy_texts(whole, units))),
+        ("contacts", "; ".join(filter(None, (counts, overlap_text(contacts["max_overlap"] or 0.0))))),
+        *((f"promise {name}", _promise(verdict)) for name, verdict in whole["expect"].items()),
+        ("versions", ", ".join(f"{package} {version}" for package, version in recording.versions.items())),
+        ("machine", f"{recording.properties.get('cpu', '')}, {recording.properties.get('platform', '')}"),
+    ]
+
+
+def promise_text(verdict: dict[str, Any]) -> str:
+    """Say what was measured and promised."""
+    return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}"
+
+
+def _promise(verdict: dict[str, Any]) -> str:
+    kept = "kept" if verdict["met"] else "MISSED"
+    if not verdict.get("judged", True):
+        kept = "not judged, the run ended elsewhere"
+    return f"{promise_text(verdict)}: {kept}"

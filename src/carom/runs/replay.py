@@ -1,0 +1,324 @@
+"""Runs a recording again and compares every frame with the recorded one, bit for bit."""
+
+from __future__ import annotations
+
+import math
+import time as clock
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carom.physics.frame import Frame
+from carom.physics.schedule import at, every
+from carom.physics.space import Space
+from carom.recording.read.moment import interval, tolerance
+from carom.recording.read.recording import Recording
+from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.write.recorder import Recorder
+from carom.runs.environment import versions
+from carom.runs.expectation import judge
+from carom.runs.frame_check import FrameCheck, is_whole, told
+from carom.runs.mismatch import Mismatch, Value
+from carom.runs.output import claimed_output, refuse_itself, refuse_output
+from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
+from carom.scene.data.sources import changed_files
+from carom.scene.forces import FORCES
+from carom.scene.names import body_called
+from carom.scene.units.dimension import OF_UNIT, TIME
+from carom.scene.units.system import SI, UnitSystem
+
+_OUTCOME = "the outcome and its numbers (another version recorded them, or more frames than are compared)"
+TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
+
+Consent = Callable[[float], bool]  # s that the rest will take → whether to continue
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first frame that differs from the recording, and what differs most in it."""
+
+    step: int
+    time: float  # s, recorded
+    quantity: str
+    body: int | None  # None if the value belongs to no single body
+    recorded: Value
+    replayed: Value
+    name: str = ""  # of the body
+    unit: str = ""  # of both values, in SI; empty if they have none
+
+    @property
+    def by(self) -> float | None:
+        """Size of the difference; None if it is not a number."""
+        if isinstance(self.recorded, str) or isinstance(self.replayed, str):
+            return None
+        return self.replayed - self.recorded
+
+    def __str__(self) -> str:
+        return self.text(SI)
+
+    def text(self, units: UnitSystem) -> str:
+        """Say what differs, in the units that are printed."""
+        dimension = OF_UNIT.get(self.unit)
+
+        def shown(value: Value, form: str = "") -> str:
+            if dimension is None or isinstance(value, str):
+                return f"{value:{form}}" if form else repr(value)
+            return units.text(value, dimension, form)
+
+        what = self.quantity + ("" if self.body is None else f" of {body_called(self.body, self.name)}")
+        off = "" if self.by is None else f", off by {shown(self.by, '.3g')}"
+        values = f"recorded {shown(self.recorded)}, replayed {shown(self.replayed)}"
+        return f"step {self.step}, t = {units.text(self.time, TIME, '.9g')}: {what}, {values}{off}"
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """Result of a replay."""
+
+    begin: int  # the step of the checkpoint that it began at
+    frames: int  # recorded frames from there to the end of the window
+    compared: int
+    difference: Difference | None
+    ended: str  # why it ended before the window did; empty if it did not
+    seconds: float
+    recorded_with: dict[str, str]
+    replayed_with: dict[str, str] = field(default_factory=versions)
+    dense: Path | None = None  # the recording of every step
+    not_compared: list[str] = field(default_factory=list)  # descriptions of data that could not be compared
+    changed_files: list[str] = field(default_factory=list)  # data files that are no longer those of the recording
+
+    @property
+    def same(self) -> bool:
+        """Whether every frame was compared, and all that was recorded of it had the same bits."""
+        return self.difference is None and self.compared == self.frames
+
+
+def replay(
+    recording: Recording,
+    begin: float = 0.0,
+    end: float = np.inf,
+    *,
+    threads: int | None = None,
+    dense: Path | None = None,
+    force: bool = False,
+    consent: Consent = lambda seconds: True,
+    watch: Watcher = lambda status: None,
+) -> Replay:
+    """Run a recording again, from the last checkpoint before the window to its end.
+
+    Parameters
+    ----------
+    recording
+        The recording to run again.
+    begin, end
+        s; the window.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    dense
+        Where to record every step of the window, if anywhere.
+    force
+        Whether ``dense`` may replace a file.
+    consent
+        Called once, after a second of stepping, with the time that the rest will take; returns whether to continue.
+    watch
+        Called after every frame with the progress of the run.
+
+    Raises
+    ------
+    SceneError, RecordingError, PhysicsError
+        If the recording cannot be run or holds no frame, the window lies outside of it, or the state is no longer
+        finite.
+    """
+    if dense is not None:
+        refuse_output(dense, force)
+        refuse_itself(dense, recording.path)
+    begin, end = interval(recording, begin, end)
+    scene = recorded_scene(recording)
+    checkpoint = checkpoint_before(recording, begin)
+    records = recording.records_contacts or (dense is not None and scene.record.impacts != "none")
+    space = space_of(recording, scene, checkpoint, threads, record_contacts=records)
+    run = _Comparison(recording, header_of(space), checkpoint.step, end, dense is None)
+    began = clock.perf_counter()
+    with ExitStack() as stack:
+        recorder = None
+        if dense is not None:
+            stack.enter_context(claimed_output(dense, force))
+            recorder = stack.enter_context(Recorder(dense, header_of(space)))
+        ended = _run_again(space, run, recorder, begin, consent, watch)
+        if recorder is not None:
+            recorder.finish(ended or "completed")
+    found = [run.difference or run.rest(), None if ended else run.stray()]
+    if not (ended or any(found)) and run.compared == len(run.fingerprints):
+        found.append(run.outcome(space))
+    first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
+    return Replay(
+        begin=checkpoint.step,
+        frames=len(run.fingerprints),
+        compared=run.compared,
+        difference=first or (None if ended else run.missing(space)),
+        ended=ended,
+        seconds=clock.perf_counter() - began,
+        recorded_with=recording.versions,
+        dense=dense,
+        not_compared=list(run.check.skipped),
+        changed_files=changed_files(scene.bodies, [Path(), recording.path.parent]),
+    )
+
+
+def _run_again(
+    space: Space, run: _Comparison, recorder: Recorder | None, begin: float, consent: Consent, watch: Watcher
+) -> str:
+    """Run up to the end of the window or the first difference; return why it ended before, empty if it did not.
+
+    ``recorder`` gets every step from ``begin`` on, in s.
+    """
+    began, first, asked = math.inf, run.begin, False  # the pace is that after the first step, which may compile
+    schedule = at(run.fingerprints) if recorder is None else every(0.0)
+    try:
+        for frame in space.run(schedule=schedule):
+            watch(space.status)
+            if frame.time > run.end:  # a step beyond the window
+                break
+            run.see(frame)
+            if recorder is not None and frame.time >= begin and (frame.step == 0 or frame.step > run.begin):
+                recorder.put(frame)
+            if began == math.inf and frame.step > run.begin:
+                began, first = clock.perf_counter(), frame.step
+            spent = clock.perf_counter() - began
+            if not asked and spent > TRIAL_SECONDS:
+                asked = True
+                if not consent(spent * run.left(space.step) / max(1, space.step - first)):
+                    return "declined"
+            if run.difference or frame.step >= (run.last if recorder is None else run.last_recorded):
+                break
+    except KeyboardInterrupt:
+        return "stopped by the user"
+    return ""
+
+
+class _Comparison:
+    """Compares frames with the recorded ones."""
+
+    def __init__(self, recording: Recording, header: Header, begin: int, end: float, only_recorded: bool) -> None:
+        table = recording.fingerprints()
+        self.end = end = end + tolerance(end)
+        rows = zip(*(table[name].to_pylist() for name in ("step", "fingerprint", "time")), strict=True)
+        inside = [(step, bits, time) for step, bits, time in rows if step >= begin and time <= end]
+        self.fingerprints = {step: bits for step, bits, _ in inside}
+        self._times = {step: time for step, _, time in inside}
+        self.begin, self.last = begin, max(self.fingerprints, default=begin)
+        self.last_recorded = int(table["step"][-1].as_py())
+        self.compared = 0
+        self.difference: Difference | None = None
+        self._recording = recording
+        steps = np.array(list(self.fingerprints), dtype=np.int64)
+        self.check = FrameCheck(recording, header, steps, begin, only_recorded and begin in self.fingerprints)
+
+    def see(self, frame: Frame) -> None:
+        """Compare a frame, if it was recorded."""
+        self.check.gather(frame)
+        bits = self.fingerprints.get(frame.step)
+        if bits is None:
+            return
+        self.compared += 1
+        differs = bits != frame.fingerprint
+        found = self.check.finish() if differs else self.check.see(frame)
+        if found:
+            self.difference = self._other(found)
+        elif differs:
+            self.difference = _difference(self._recording, frame, self._times[frame.step])
+
+    def rest(self) -> Difference | None:
+        """Compare the queued frames."""
+        found = self.check.finish()
+        return None if found is None else self._other(found)
+
+    def stray(self) -> Difference | None:
+        """Report rows that belong to no frame."""
+        found = self.check.strays()
+        return None if found is None else self._other(found)
+
+    def outcome(self, space: Space) -> Difference | None:
+        """Compare how the run ended, if this was the whole of it."""
+        recording = self._recording
+        whole = self.begin == 0 and self.last == self.last_recorded and not recording.clip
+        if not (whole and recording.closing and is_whole(recording)):
+            return None
+        if recording.versions != versions() or not self.check.all_frames:
+            self.check.skipped[_OUTCOME] = None
+            return None
+        extremes = space.named_extremes()
+        verdicts = judge(space.scene, extremes, space.time)
+        replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
+        if space.time >= space.scene.time.duration:  # otherwise the user or the machine ended it
+            replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
+        for name, value in replayed.items():
+            recorded = recording.closing.get(name)
+            if not name.startswith("profile.") and not _alike(recorded, value):
+                one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
+                return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
+        level = "INFO" if recording.outcome == "completed" else "WARN"
+        ending = (self.last, level, f"end: {recording.outcome}", "end")
+        extremes_at = [(each.step, each.kind) for each in space.highlights()]  # versions word them differently
+        found = self.check.closing
+        recorded_at = sorted((step, kind) for step, _, _, kind in found if kind != ending[-1])
+        if [each for each in found if each[-1] == ending[-1]] != [ending] or recorded_at != sorted(extremes_at):
+            texts = told(found, [ending]), told([ending], found)
+            return Difference(self.last, self._times[self.last], "/events at the end", None, *texts)
+        return None
+
+    def _other(self, found: Mismatch) -> Difference:
+        time = self._times.get(found.step, np.nan)
+        name = "" if found.body is None else self._recording.bodies.name[found.body]
+        return Difference(
+            found.step, time, found.quantity, found.body, found.recorded, found.replayed, name, found.unit
+        )
+
+    def left(self, step: int) -> int:
+        """Return the number of remaining steps."""
+        return max(0, self.last - step)
+
+    def missing(self, space: Space) -> Difference | None:
+        """Report a run that ended earlier than the recorded one."""
+        if self.compared == len(self.fingerprints):
+            return None
+        step = min(step for step in self.fingerprints if step > space.step)
+        return Difference(step, self._times[step], "the run ended at step", None, step, space.step)
+
+
+def _alike(recorded: Any, replayed: Scalar) -> bool:
+    """Return whether two values of the outcome are the same bits; texts and lists that are empty are not recorded."""
+    if recorded is None:
+        return replayed == ""
+    if isinstance(replayed, float) and isinstance(recorded, float):
+        return recorded == replayed or (math.isnan(recorded) and math.isnan(replayed))
+    return bool(recorded == replayed)
+
+
+def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
+    """Find the largest difference in the first quantity that differs: time, positions, then energies."""
+    if frame.time != time:
+        return Difference(frame.step, time, "time", None, time, frame.time, unit="s")
+    recorded = recording.drawn_positions(frame.step)
+    if recorded is not None and len(recorded) == len(frame.position):
+        shown = (frame.position - recording.origin).astype(np.float32)
+        off = np.abs(shown.astype(np.float64) - recorded).max(axis=1)
+        if off.max() > 0.0:
+            body = int(off.argmax())
+            axis = int(np.abs(shown[body] - recorded[body]).argmax())
+            values = float(recorded[body, axis]), float(shown[body, axis])
+            name = f"{'xyz'[axis]} (as drawn)"
+            return Difference(frame.step, time, name, body, *values, recording.bodies.name[body], "m")
+    energy = recording.energy()
+    rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
+    row = int(rows[0]) if len(rows) else 0
+    for name in ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential)):
+        if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
+            value = float(energy[name][row].as_py())
+            return Difference(frame.step, time, f"{name} energy", None, value, frame.energy.term(name), unit="J")
+    return Difference(frame.step, time, "bits that show in neither drawn positions nor energies", None, 0.0, 0.0)

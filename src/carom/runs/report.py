@@ -1,0 +1,265 @@
+"""Packs a bundle for a bug report: a clip around the time in question, the scene, versions and measurements."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from carom.physics.contact.limits import OVERLAPS
+from carom.physics.error import PhysicsError
+from carom.private_folder import temporary_folder
+from carom.recording.edit import bundle
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene
+from carom.runs.ending import in_words
+from carom.runs.environment import environment
+from carom.runs.excerpt import excerpt
+from carom.runs.overview import energy_texts, is_worth_a_look, overview, promise_text, value_shown
+from carom.runs.replay import Replay, replay
+from carom.scene.command import command
+from carom.scene.counted import counted
+from carom.scene.error import SceneError
+from carom.scene.forces import FORCES
+from carom.scene.names import escaped
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
+from carom.show.picture import try_to_render
+from carom.show.request import Request
+
+FRAMES = 120  # of the clip, half of them before the time in question
+ROOM = 7_000_000  # bytes, largest size of the clip before compression
+REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
+ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
+MOST_WARNINGS = 50
+NOT_FINITE = "law-not-finite"  # what the audit of another engine found; a run of carom fails
+LAWS = ("energy", "law-")  # how the kinds of events about broken laws begin
+WORST = {  # subjects of a report if nothing went wrong
+    "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
+    "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
+}
+LEDGER = ("restitution", "friction", "stabilisation", *(kind.loss for kind in FORCES if kind.loss))
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """Description of a bundle."""
+
+    path: Path
+    size: int  # bytes
+    time: float  # s, the time in question
+    why: str  # what happened at that time
+    frames: int
+    replayed: str  # a sentence
+    picture: str  # empty, or why there is none
+    replays: bool  # whether `carom replay` takes it
+
+
+def report(recording: Recording, path: Path, at: float | None = None) -> Report:
+    """Pack a bundle of less than 10 MB.
+
+    Parameters
+    ----------
+    recording
+        A whole run, or a clip.
+    path
+        The ``.zip`` to write.
+    at
+        s, the time in question; by default the worst of the run.
+
+    Raises
+    ------
+    RecordingError
+        If the path does not end in .zip, the recording has no frame, one frame of one body is too large, or the bundle
+        cannot be written.
+    """
+    if path.suffix != ".zip":
+        raise RecordingError(f"{path}: a report is a .zip")
+    moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
+    with temporary_folder() as folder:
+        cut = folder / bundle.CLIP
+        excerpt(recording, moment, cut, FRAMES, ROOM)
+        small = Recording.open(cut)
+        replayed = _replay(small)
+        picture = folder / "picture.png"
+        hardest = why.startswith(WORST["impact"].partition("{")[0])
+        missing = try_to_render(cut, Request(event="impact") if hardest else Request(moment), picture)
+        surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
+        text = _summary(recording, small, moment, why, replayed, not missing, path.name)
+        members: dict[str, bytes | Path] = {
+            "README.md": text.encode(),
+            "scene.toml": recording.scene_toml.encode(),
+            "environment.json": json.dumps(surroundings, indent=2).encode(),
+            bundle.CLIP: cut,
+        }
+        if not missing:
+            members["picture.png"] = picture
+        size = bundle.pack(path, members)
+        if size > bundle.LARGEST:
+            path.unlink()
+            raise RecordingError(f"{recording.path}: with one frame alone the bundle would have {size / 1e6:.3g} MB")
+        return Report(path, size, moment, why, small.frames, replayed, missing, not (small.engine or small.is_partial))
+
+
+def worst_moment(recording: Recording) -> tuple[float, str]:
+    """Return the time in s that a report is about, and what happened then.
+
+    That is the worst that went wrong: a state that is not finite or a run that failed, then a broken law, a missed
+    promise, another warning, and at last the extremes of a run in which nothing did.
+    """
+    recording.require_frames()
+    summary = recording.summary()
+    moments: dict[str, Any] = summary["moments"]
+    last = float(recording.fingerprints()["time"][-1].as_py())
+    if recording.outcome.startswith(("failed", "disk")):
+        return last, in_words(recording.outcome)
+    warnings = recording.warnings()
+    broken = [event for event in warnings if event.kind.startswith(LAWS)]
+    for event in sorted(broken, key=lambda event: event.kind != NOT_FINITE):
+        return event.time, event.text.rstrip(".")
+    for name, verdict in summary["expect"].items():
+        if verdict.get("judged", True) and not verdict["met"]:
+            return _missed(name, verdict, moments, last)
+    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a step that changes fast harms least
+        deepest = moments.get("overlap")
+        if event.text.startswith(OVERLAPS) and deepest:
+            return deepest["time"], _extreme("overlap", moments, recording.units)
+        return event.time, event.text.rstrip(".")
+    error = moments.get("energy_error")
+    if error and error["value"] > ENERGY_ERROR:
+        what = "change of the energy without contact" if recording.engine else "integration error"
+        return error["time"], f"the {what} is largest, {error['value']:.3g} of the energy scale"
+    for name in WORST:
+        if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
+            return moments[name]["time"], _extreme(name, moments, recording.units)
+    moment = recording.moment()
+    return moment, "the last frame" if moment == last else "the frame in which contacts did most"
+
+
+def _missed(name: str, verdict: dict[str, Any], moments: dict[str, Any], last: float) -> tuple[float, str]:
+    """Return when a promise was broken worst, in s, and that in words."""
+    worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
+    between = f", {worst['between']}" if worst.get("between") else ""
+    return worst.get("time", last), f"the promise {name} was missed: {promise_text(verdict)}{between}"
+
+
+def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
+    between = f", {moments[name]['between']}" if moments[name]["between"] else ""
+    return WORST[name].format(value=value_shown(name, moments[name]["value"], units)) + between
+
+
+def _replay(recording: Recording) -> str:
+    if recording.engine:
+        return f"Recorded from {_literal(recording.engine)}; it cannot be replayed."
+    if recording.is_partial:
+        shown, bodies = len(recording.shown), recording.info["bodies"]
+        return (
+            f"It shows {shown} of {bodies} bodies, those nearest to what happened, and has no exact states: only the "
+            "whole recording can be replayed."
+        )
+    try:
+        result = replay(recording, consent=lambda seconds: seconds <= REPLAY_AT_MOST)
+    except (SceneError, RecordingError, PhysicsError) as error:
+        return f"It could not be replayed: {_literal(str(error))}"
+    return _in_words(result, recording.units)
+
+
+def _in_words(result: Replay, units: UnitSystem) -> str:
+    if result.same:
+        return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
+    if result.difference is None:
+        done = f"{result.compared} of {result.frames} frames"
+        return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
+    return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(units))}."
+
+
+def _summary(
+    recording: Recording, clip: Recording, moment: float, why: str, replayed: str, picture: bool, name: str
+) -> str:
+    times, units = clip.fingerprints()["time"].to_numpy(), recording.units
+    shown = units.shown(moment, TIME)
+    lines = [
+        f"# {_literal(recording.title)}",
+        "",
+        f"**{_literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
+        "",
+        *_description(recording),
+        *(["![The moment](picture.png)", ""] if picture else []),
+        "| | |",
+        "|---|---|",
+        *(
+            f"| {_literal(name)} | {_code(text) if name == 'command' else _literal(text)} |"
+            for name, text in overview(recording)
+        ),
+        "",
+        f"The clip: {counted(clip.frames, 'frame')} from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
+        "",
+        *_ledger(clip),
+        *_warned(recording),
+        "## Look at it",
+        "",
+        "```sh",
+        *(
+            []
+            if clip.engine or clip.is_partial
+            else [f"{command('replay', name)}    # are the bits the same on your machine?"]
+        ),
+        f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{shown:.9g}')}",
+        "```",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _ledger(clip: Recording) -> list[str]:
+    """Describe the energy balance within the clip."""
+    energy = clip.energy()
+    if clip.engine:
+        texts = energy_texts(clip.summary(), clip.units)
+        return ["## Where energy went in the clip", "", *(f"- {_literal(text)}" for text in texts), ""]
+    rows = [(name, "taken out" if name != "stabilisation" else "put in") for name in LEDGER]
+    rows = [*rows, ("integration_error", "the integrator's error")]
+    changes = [(name, what, energy[name].to_numpy()) for name, what in rows if name in energy.column_names]
+    shown = [(name.replace("_", " "), what, clip.units.text(v[-1] - v[0], ENERGY, "+.4g")) for name, what, v in changes]
+    table = [f"| {name} | {what} | {change} |" for name, what, change in shown]
+    return ["## Where energy went in the clip", "", "| | | |", "|---|---|---|", *table, ""]
+
+
+def _description(recording: Recording) -> list[str]:
+    """Quote what the scene says of itself."""
+    try:
+        description = recorded_scene(recording).description.strip()
+    except (SceneError, RecordingError):  # of another engine, or of a newer version
+        return []
+    return [*(f"> {_literal(line)}".rstrip() for line in description.splitlines()), ""] if description else []
+
+
+def _warned(recording: Recording) -> list[str]:
+    """List all warnings."""
+    warnings = recording.warnings()
+    if not warnings:
+        return []
+    told = [f"t = {recording.units.text(e.time, TIME, '.9g')}: {e.text}" for e in warnings[:MOST_WARNINGS]]
+    more = [f"… and {len(warnings) - MOST_WARNINGS} more"] if len(warnings) > MOST_WARNINGS else []
+    return [f"## Warnings ({len(warnings)})", "", *(f"- {_literal(text)}" for text in [*told, *more]), ""]
+
+
+def _literal(text: str) -> str:
+    """Write a text of a recording as one line of Markdown that shows its characters, and obeys none of them."""
+    line = re.sub(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)", r"\\\g<0>", " ".join(escaped(text).split()))
+    return re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", line)  # lists and underlined headings
+
+
+def _code(text: str) -> str:
+    """Write a text of a recording as code within a row of a table."""
+    line = " ".join(escaped(text).split()).replace("|", "\\|")
+    fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
+    return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
+
+
+def _plain(properties: Any) -> dict[str, Any]:
+    return {key: value for key, value in properties.items() if isinstance(value, str | int | float)}

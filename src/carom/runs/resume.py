@@ -1,0 +1,202 @@
+"""Resumes a run; the result has the same bits as one uninterrupted run."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.space import Space
+from carom.recording.errors import RecordingError
+from carom.recording.read.continuation import Continuation
+from carom.recording.read.recording import Recording
+from carom.recording.read.restore import recorded_scene, space_of
+from carom.recording.schema.header import Scalar
+from carom.recording.write.claim import Claim
+from carom.runs.continued_scene import continued_scene
+from carom.runs.environment import environment
+from carom.runs.output import claimed_output, refuse_name, refuse_output
+from carom.runs.replay import replay
+from carom.runs.run import Outcome, Watcher, simulate
+from carom.scene.command import command
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+
+UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
+
+
+@dataclass(frozen=True)
+class ResumableRun:
+    """A recording that can be resumed: its scene, and where the checkpoint is that it starts from."""
+
+    recording: Recording
+    scene: Scene
+    step: int  # of the checkpoint
+    time: float  # s, likewise
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # until a space has its state
+
+    def space(self, threads: int | None = None) -> Space:
+        """Build the space, which compiles kernels if need be."""
+        records = self.recording.records_contacts  # so that the whole file has the same entities
+        checkpoint = self._read.pop() if self._read else self.recording.checkpoint(self.step)
+        return space_of(self.recording, self.scene, checkpoint, threads, record_contacts=records)
+
+
+def resumable_run(recording: Recording, until: float | None = None) -> ResumableRun:
+    """Find the checkpoint from which a recording can be resumed.
+
+    Parameters
+    ----------
+    recording
+        A clip cannot be continued, because the run before it is missing.
+    until
+        s of simulated time, by default the duration of the scene. Frames keep the interval that they had.
+
+    Raises
+    ------
+    SceneError, RecordingError
+        If there is nothing to do, or no checkpoint to resume from.
+    """
+    recording.refuse_some_bodies()
+    scene, path = recorded_scene(recording), recording.path
+    cut = scene.time.duration
+    recording.require_frames()
+    if recording.fingerprints()["step"][0].as_py() != 0:
+        raise RecordingError(f"{path} does not begin at step 0: resume the recording that it was cut from")
+    done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
+    if end == done and not recording.closing:
+        raise RecordingError(f"{path} has all its frames and lacks only its end; `{command('repair', path)}` writes it")
+    if end <= done:
+        hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
+        raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
+    if end != cut:
+        scene = continued_scene(recording, scene, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
+    # the last step of a run that has got to its end was cut short, which a longer run would not have done
+    steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
+    if not steps:
+        raise RecordingError(f"{path} has no checkpoint to resume from")
+    checkpoint = recording.checkpoint(steps[-1])
+    return ResumableRun(recording, scene, checkpoint.step, checkpoint.time, [checkpoint])
+
+
+@contextlib.contextmanager
+def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[Claim]:
+    """Claim the files that a resumed run will write, and refuse existing ones, before anything is read.
+
+    Parameters
+    ----------
+    source
+        The recording to continue.
+    output
+        Another ``.rrd`` to write; by default the recording itself.
+    force
+        Whether to replace another file, and what an earlier attempt left.
+
+    Raises
+    ------
+    RecordingError
+        If a file is in the way, or another process writes it.
+    """
+    if output is not None:
+        refuse_name(output)
+    in_place = output is None or output.resolve() == source.resolve()
+    target = source if output is None else output
+    if under_way(target).resolve() == source.resolve():
+        raise RecordingError(f"{target} would be written as {source} until it is complete; name another file")
+    with claimed_output(target, force or in_place) as claim:
+        refuse_output(under_way(target), force)
+        yield claim
+
+
+def resume(
+    run: ResumableRun,
+    space: Space,
+    output: Path | None = None,
+    *,
+    force: bool = False,
+    claim: Claim | None = None,
+    live: str | None = None,
+    watch: Watcher | None = None,
+) -> Outcome:
+    """Resume a run and record the whole of it.
+
+    The new recording is called ``NAME.resumed.rrd`` until it is complete. If the disk runs full it keeps that name, and
+    the old recording is unchanged.
+
+    Parameters
+    ----------
+    run, space
+        As made by `resumable_run` and `ResumableRun.space`.
+    output
+        The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
+    force
+        Whether to replace another file, and what an earlier attempt left.
+    claim
+        From `claimed_target`, where the caller claimed before it opened the recording.
+    live, watch
+        As for `simulate`.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be written at all, or has changed since it was opened.
+    """
+    source = run.recording.path
+    with contextlib.nullcontext(claim) if claim else claimed_target(source, output, force):
+        if Recording.open(source).store != run.recording.store:
+            raise RecordingError(f"{source} has changed since it was opened; resume it again")
+        if "scene_sha256" not in run.recording.info:
+            _refuse_altered(run, space.threads)
+        return _resume(run, space, output or source, force, live, watch)
+
+
+def _resume(
+    run: ResumableRun, space: Space, target: Path, force: bool, live: str | None, watch: Watcher | None
+) -> Outcome:
+    source, part = run.recording.path, under_way(target)
+    outcome = simulate(
+        space,
+        part,
+        force=force,
+        live=live,
+        watch=watch,
+        continued=Continuation(run.recording, run.step),
+        properties=_properties(run, space.threads),
+    )
+    if outcome.frames <= run.recording.frames:
+        part.unlink(missing_ok=True)
+        raise RecordingError(f"{source} is unchanged: {outcome.status}: {outcome.reason}")
+    if outcome.status == "disk":
+        return replace(outcome, reason=f"{outcome.reason}; {source} is unchanged, and {part} has the new frames")
+    part.replace(target)
+    return replace(outcome, path=target)
+
+
+def _refuse_altered(run: ResumableRun, threads: int) -> None:
+    """Refuse a recording that does not continue as it began: an older one, without a digest of its scene.
+
+    The frames from the checkpoint before the last one are run again.
+    """
+    times = [time for time in run.recording.checkpoint_times.values() if time < run.time]
+    found = replay(run.recording, times[-1] if times else 0.0, threads=threads)
+    if found.difference:
+        units = run.scene.unit_system
+        raise RecordingError(
+            f"{run.recording.path} cannot be resumed: run again, it differs at {found.difference.text(units)}. "
+            "It was altered, or recorded by a version with other physics, of which "
+            f"`{command('fork', run.recording.path)}` can go on from a state"
+        )
+
+
+def under_way(target: Path) -> Path:
+    """Return the path to which a resumed run is recorded until it is complete."""
+    return target.with_name(target.stem + UNDER_WAY)
+
+
+def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
+    """Return properties that say where both parts of the run were computed."""
+    first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
+    now = {f"resumed.{key}": value for key, value in environment(threads).items()}
+    return first | now | {"resumed.step": run.step, "resumed.time": run.time}

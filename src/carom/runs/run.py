@@ -1,0 +1,424 @@
+"""Runs a scene: physics in one thread, the recorder in another; the caller can watch and stop it."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from carom.physics.diagnostics.extremes import Extremes
+from carom.physics.error import PhysicsError
+from carom.physics.event import Event
+from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
+from carom.physics.space import Space
+from carom.physics.status import StepStatus
+from carom.recording.errors import RecordingError
+from carom.recording.read.continuation import Continuation
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header, Scalar, SweepMember
+from carom.recording.schema.impacts import RecordedImpacts
+from carom.recording.schema.materials import ShownMaterials
+from carom.recording.write.claim import Claim
+from carom.recording.write.recorder import Recorder
+from carom.runs.closing import closing_of
+from carom.runs.contact_counts import EACH, ONCE_A_STEP
+from carom.runs.environment import environment
+from carom.runs.expectation import Verdict, judge
+from carom.runs.interrupts import Interrupts
+from carom.runs.memory import garbage_sought_seldom
+from carom.runs.output import claimed_output, default_output, refuse_name
+from carom.runs.progress_bar import progress_bar
+from carom.scene.half_space import planes_of
+from carom.scene.schema import Scene
+from carom.scene.schema.time import LARGEST_ACCURACY
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
+
+POLL = 0.1  # s between two looks at a run under way
+
+Watcher = Callable[[StepStatus], None]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended."""
+
+    path: Path
+    status: str  # "completed", "expectation missed", "interrupted", "disk" or "failed"
+    reason: str  # a sentence; empty when completed
+    frames: int
+    steps: int
+    sim_time: float  # s
+    wall_time: float  # s, of the part from `begin` on
+    size: int  # bytes
+    payload: int  # bytes of the arrays alone
+    moments: Extremes = field(repr=False)
+    verdicts: list[Verdict] = field(default_factory=list)
+    warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
+    impacts_counted: str = EACH  # see `contact_counts`
+    impacts: RecordedImpacts | None = None  # None: none were to be recorded
+    accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was asked for
+    begin: float = 0.0  # s, from which on a resumed run was simulated
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run went to its end and kept its promises."""
+        return self.status == "completed"
+
+
+def run(
+    scene: Scene | str | Path,
+    path: str | Path | None = None,
+    *,
+    force: bool = False,
+    threads: int | None = None,
+    watch: Watcher | None = None,
+    progress: bool = False,
+) -> Recording:
+    """Simulate a scene and record it.
+
+    Parameters
+    ----------
+    scene
+        What to simulate: a scene, a file or the name of a bundled scene.
+    path
+        The ``.rrd`` to write; by default one in the folder ``recordings`` with the name of the scene's file.
+    force
+        Whether to replace a file that exists.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    watch
+        Called several times a second, and at the end, with a `StepStatus`: step, time in s, dt, contacts, energy error.
+    progress
+        Whether to show a progress bar, in a terminal or a notebook.
+
+    Returns
+    -------
+    recording
+        The file, opened.
+
+    Raises
+    ------
+    SceneError, RecordingError, PhysicsError
+        If the scene cannot run, the file cannot be written, or the state stops being finite.
+    ValueError
+        If the number of threads is not whole or less than 1.
+    KeyboardInterrupt
+        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
+    """
+    loaded = scene if isinstance(scene, Scene) else Scene.load(scene)
+    if path is None:
+        path = default_output("scene" if isinstance(scene, Scene) else Path(scene).stem)
+    refuse_name(Path(path))
+    watchers = [watch] if watch else []
+    with (
+        claimed_output(Path(path), force) as claim,
+        progress_bar(loaded) if progress else contextlib.nullcontext() as bar,
+    ):
+        watchers += [bar] if bar else []
+        space = recording_space(loaded, threads)
+        outcome = simulate(space, path, claim=claim, watch=lambda status: _tell(watchers, status))
+        _tell(watchers, space.status)
+    if outcome.status == "disk":
+        raise RecordingError(outcome.reason)
+    if outcome.status == "failed":
+        raise PhysicsError(outcome.reason)
+    if outcome.status == "interrupted":  # the file is complete up to there; the caller's program ends, too
+        raise KeyboardInterrupt(outcome.reason)
+    return Recording.open(outcome.path)
+
+
+def _tell(watchers: list[Watcher], status: StepStatus) -> None:
+    for watcher in watchers:
+        watcher(status)
+
+
+def recording_space(
+    scene: Scene, threads: int | None = None, watch_look_ahead: LookAheadWatcher | None = None
+) -> Space:
+    """Build a space whose frames carry all that the scene's recording needs; for ``watch_look_ahead`` see `Space`.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot run.
+    """
+    return Space(scene, threads, record_contacts=scene.record.impacts != "none", watch_look_ahead=watch_look_ahead)
+
+
+def simulate(
+    space: Space,
+    path: str | Path,
+    *,
+    force: bool = False,
+    claim: Claim | None = None,
+    live: str | None = None,
+    watch: Watcher | None = None,
+    continued: Continuation | None = None,
+    properties: Mapping[str, Scalar] | None = None,
+    member: SweepMember | None = None,
+) -> Outcome:
+    """Run a space to the end of its scene and record it.
+
+    The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. The interrupt key pressed again raises
+    KeyboardInterrupt, and the file has no end.
+
+    Parameters
+    ----------
+    space
+        At the start of its run.
+    path
+        The ``.rrd`` to write.
+    force
+        Whether to replace a file that exists.
+    claim
+        A claim of the path, if the caller has one and has checked ``force``.
+    live
+        Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
+    watch
+        Called about ten times a second with where the run stands.
+    continued
+        The frames that a resumed run takes over; they are written first.
+    properties
+        Provenance for the recording; by default that of this process.
+    member
+        The run's place in a sweep.
+
+    Raises
+    ------
+    RecordingError
+        If the file exists and ``force`` is not given, another run writes it, or it cannot be written at all.
+    """
+    path = Path(path)
+    claimed = contextlib.nullcontext(claim) if claim else claimed_output(path, force)
+    with Interrupts() as interrupts, claimed, garbage_sought_seldom():
+        return _simulate(space, path, live, watch, continued, properties, member, interrupts)
+
+
+def _simulate(
+    space: Space,
+    path: Path,
+    live: str | None,
+    watch: Watcher | None,
+    continued: Continuation | None,
+    properties: Mapping[str, Scalar] | None,
+    member: SweepMember | None,
+    interrupts: Interrupts,
+) -> Outcome:
+    began, begin = time.perf_counter(), space.time
+    header = header_of(space)
+    if properties is not None:
+        header = replace(header, properties=properties)
+    if member is not None:
+        header = replace(header, member=member, properties={**header.properties, "command": member.command})
+    recorder = Recorder(path, header, live=live, continued=continued)
+    physics = _Physics(space, recorder, continued)
+    try:
+        _wait(physics, watch, interrupts)
+        status, reason = physics.ending(interrupts)
+    except Exception as error:
+        physics.stop()
+        with contextlib.suppress(RecordingError):
+            recorder.finish(f"failed: {type(error).__name__}: {error}")
+        raise
+    except KeyboardInterrupt:  # the interrupt key was pressed again: nobody waits for the step under way
+        physics.space.stop()
+        raise
+    extremes = space.named_extremes()
+    verdicts = judge(space.scene, extremes, space.time)
+    if status == "completed":
+        status, reason = ending_of(verdicts, space.scene.unit_system)
+    summary = {"wall_time": time.perf_counter() - began, **closing_summary(space, extremes, verdicts)}
+    try:
+        recorder.finish(outcome_text(status, reason), summary, space.highlights())
+    except RecordingError as error:
+        status, reason = "disk", str(error)
+    return Outcome(
+        path=path,
+        status=status,
+        reason=reason,
+        frames=recorder.frames,
+        steps=space.step,
+        sim_time=space.time,
+        wall_time=time.perf_counter() - began,
+        size=path.stat().st_size if path.exists() else 0,
+        payload=recorder.payload_bytes,
+        moments=extremes,
+        verdicts=verdicts,
+        warnings=physics.warnings,
+        impacts_counted=_impacts_counted(space),
+        impacts=recorder.impacts,
+        accuracy=kept_accuracy(space.scene),
+        begin=begin,
+    )
+
+
+def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
+    """Return the status and the reason of a run that got to its end, by its promises."""
+    missed = [verdict.text(units) for verdict in verdicts if not verdict.met]
+    return ("expectation missed", "; ".join(missed)) if missed else ("completed", "")
+
+
+def outcome_text(status: str, reason: str) -> str:
+    """Return the outcome as it is recorded."""
+    return f"{status}: {reason}" if reason else status
+
+
+class _Physics:
+    """The physics thread: steps a space and hands its frames to the recorder."""
+
+    def __init__(self, space: Space, recorder: Recorder, continued: Continuation | None) -> None:
+        self.space = space
+        self.warnings = continued.recording.warnings(until=continued.step) if continued else []
+        self._known = continued.step if continued else -1  # the step whose frame the recorder has
+        self._recorder = recorder
+        self._error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """End after the step under way, and wait until it has."""
+        self.space.stop()
+        self._thread.join()
+
+    def wait(self, seconds: float) -> bool:
+        """Wait for the end; tell whether it has come."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def ending(self, interrupts: Interrupts) -> tuple[str, str]:
+        """Return the status and the reason of the end."""
+        at = f"at t = {self.space.scene.unit_system.text(self.space.time, TIME)}"
+        match self._error:
+            case None if interrupts.count and self.space.time < self.space.scene.time.duration:
+                return "interrupted", f"stopped by {interrupts.sender} {at}"
+            case None:
+                return "completed", ""
+            case RecordingError():
+                return "disk", f"{self._error} {at}"
+            case PhysicsError():
+                return "failed", str(self._error)
+            case MemoryError():
+                return "failed", f"out of memory {at}; use fewer bodies, or raise the memory limit (`ulimit -v`)"
+        raise self._error
+
+    def _run(self) -> None:
+        try:
+            for frame in self.space.run(store=self._recorder.store_for(self.space.state)):
+                if frame.step > self._known:
+                    self._recorder.put(frame)
+                    self.warnings += [event for event in frame.events if event.level == "WARN"]
+        except Exception as error:
+            self._error = error
+
+
+def _wait(physics: _Physics, watch: Watcher | None, interrupts: Interrupts) -> None:
+    """Watch the run until it ends, or end it when asked to."""
+    while not physics.wait(POLL):
+        if interrupts.count:
+            physics.space.stop()
+        try:
+            if watch:
+                watch(physics.space.status)
+        except KeyboardInterrupt:  # raised by the calling program's own signal handler
+            if interrupts.count:
+                raise
+            interrupts.count = 1
+
+
+def header_of(space: Space) -> Header:
+    """Return the header of a recording of a space."""
+    scene, needs, state = space.scene, space.requirements, space.state
+    return Header(
+        title=scene.title,
+        description=scene.description,
+        scene_toml=scene.toml,
+        seed=scene.seed,
+        run_id=str(uuid.uuid4()),
+        names=space.names,
+        group=space.groups,
+        mass=state.mass.copy(),
+        radius=state.radius.copy(),
+        inertia=state.inertia.copy(),
+        spins=needs.spin.modelled,
+        has_orientation=needs.orientation.modelled,
+        has_torque=needs.torque.modelled,
+        has_friction=needs.friction.modelled,
+        forces=frozenset(name for name, part in needs.forces.items() if part.modelled),
+        collides=needs.contact.modelled,
+        stabilises=needs.stabilisation.modelled,
+        body_colouring=scene.contact.colouring == "bodies",
+        duration=scene.time.duration,
+        units=scene.unit_system,
+        promises=scene.promise is not None,
+        shortest_dt_hint=space.first_dt,
+        record_impacts=scene.record.impacts if space.records_contacts else "none",
+        box=space.box,
+        walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
+        planes=planes_of(scene) if scene.plane else None,
+        colour_by=scene.record.colour_by,
+        data=scene.data,
+        data_notes=scene.notes,
+        materials=ShownMaterials.of(scene),
+        properties=dict(environment(space.threads)),
+    )
+
+
+def kept_accuracy(scene: Scene) -> dict[str, float]:
+    """Return what was asked for, up to when it is kept in s, and the largest Lyapunov exponent in 1/s.
+
+    ``horizon`` is there only if the promise ends before the run, and ``looked``, in s, only if the budget of the look
+    ahead did.
+    """
+    promise, requested = scene.promise, scene.time.accuracy
+    if promise is None or requested is None:
+        return {}
+    kept = {"requested": requested, "kept_until": promise.kept_until, "lyapunov": promise.lyapunov}
+    kept |= {} if promise.looked is None else {"looked": promise.looked}
+    return kept | ({} if promise.kept_until >= scene.time.duration else {"horizon": promise.kept_until})
+
+
+def shortfall_text(scene: Scene) -> str:
+    """Say why the accuracy of a scene is not promised to the end, and what is; empty if it is."""
+    promise, accuracy, units = scene.promise, scene.time.accuracy, scene.unit_system
+    if promise is None or accuracy is None or promise.horizon is None:
+        return ""
+    if promise.looked is not None:
+        why = f"the budget of the look ahead ended at t = {units.text(promise.looked, TIME, '.4g')}"
+    else:
+        why = "its error grows beyond that"
+    text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
+    text += units.text(promise.horizon, TIME, ".4g")
+    if promise.looked is None and accuracy < promise.error[-1] <= LARGEST_ACCURACY:
+        text += f"; {promise.error[-1]:.1g} could be promised to the end"
+    return text
+
+
+def _impacts_counted(space: Space) -> str:
+    return EACH if space.requirements.impact_time.modelled else ONCE_A_STEP
+
+
+def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -> dict[str, Scalar]:
+    """Return the recording's closing properties, under dotted keys."""
+    summary: dict[str, Scalar] = {
+        "steps": space.step,
+        "sim_time": space.time,
+        "contacts.impacts_counted": _impacts_counted(space),
+    }
+    summary |= closing_of(extremes)
+    summary |= {f"accuracy.{name}": value for name, value in kept_accuracy(space.scene).items()}
+    for part, seconds in space.profile.seconds().items():
+        summary[f"profile.{part}"] = seconds
+    for verdict in verdicts:
+        key = f"expect.{verdict.name}"
+        summary |= {f"{key}.bound": verdict.bound, f"{key}.limit": verdict.limit}
+        summary |= {f"{key}.measured": verdict.measured, f"{key}.met": verdict.met, f"{key}.judged": verdict.judged}
+        if verdict.worst is not None:
+            summary |= {f"{key}.time": verdict.worst.time, f"{key}.between": verdict.worst.between}
+    return summary

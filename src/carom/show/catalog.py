@@ -1,0 +1,68 @@
+"""Rerun's catalogue of many recordings: a table of their properties, each row a link that opens one.
+
+Needs `carom[catalog]`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only at the first request
+from rerun.server import Server
+
+from carom.recording.errors import RecordingError
+from carom.show import keeper
+from carom.show.viewer import Viewer
+
+_HOST = "127.0.0.1"  # Rerun's own default is to listen on all interfaces, without a password
+
+
+@contextlib.contextmanager
+def catalog(name: str, paths: Sequence[Path]) -> Iterator[str]:
+    """Serve recordings as a dataset on this machine; yield the address of its table.
+
+    Each row opens with the layout of the first recording, since runs of one scene have the same layout.
+    """
+    missing = [path for path in paths if not path.is_file()]
+    if missing or not paths:
+        raise RecordingError(f"there is no recording at {missing[0]}" if missing else f"{name}: no recordings yet")
+    with Server(host=_HOST, datasets={name: list(paths)}) as server:
+        dataset = server.client().get_dataset(name)
+        dataset.register_blueprint(f"file://{paths[0].resolve()}")
+        yield f"{server.url()}/dataset/{dataset.id}"
+
+
+def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], alone: bool) -> None:
+    """Open the table in a viewer; without a screen, serve it until the interrupt key.
+
+    Parameters
+    ----------
+    name, paths
+        The dataset and its recordings.
+    say
+        Prints a line.
+    alone
+        Whether no other viewer can reach the server, since this process is in a network namespace of its own.
+
+    Raises
+    ------
+    RecordingError
+        If a recording is missing, or, of a process that is alone, if there is no viewer.
+    """
+    with catalog(name, paths) as address:
+        say(f"{len(paths)} recordings" + ("" if alone else f" at {address}"))
+        try:
+            with Viewer(keep=(keeper.SHARED,)) as viewer:
+                viewer.open(address)
+                say("A click on a row's link opens its recording. Close the window to end.")
+                viewer.wait()
+        except RecordingError as error:
+            if alone:
+                raise
+            say(f"{error}. The address serves a viewer elsewhere on this machine; Ctrl-C ends it.")
+            with contextlib.suppress(KeyboardInterrupt):
+                while True:
+                    time.sleep(1.0)

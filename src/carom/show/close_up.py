@@ -1,0 +1,364 @@
+"""The close-up view: the two bodies of a contact with normal, impulse and spins; all other bodies are faint.
+
+Its entities are not in the file; the viewer gets them in a `Supplement`. The bodies move through all frames, and the
+camera follows them. Edge and arrows belong to one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.physics.frame import Frame
+from carom.physics.periodic_box import minimum_images
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.graph_view import faint_bodies
+from carom.recording.layout.spatial_view import spatial_view
+from carom.recording.layout.surroundings import surroundings
+from carom.recording.read.names import names_of
+from carom.recording.read.positions import DrawnPaths, drawn_paths
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+from carom.recording.style.line_radii import line_radii
+from carom.recording.style.single_precision import single
+from carom.recording.write.columns import Column
+from carom.recording.write.rows import Index, Rows
+from carom.scene.units import dimension
+from carom.scene.units.system import UnitSystem
+from carom.show.pair import Pair
+from carom.show.shown_step import ShownStep
+from carom.show.supplement import Static
+
+FloatArray = NDArray[np.float64]
+
+ROOT = "close_up"
+BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
+FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
+
+_MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
+_MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
+_ASIDE = 0.85  # part of the component along the normal that is taken from the direction to the eye
+_NORMAL = 0.9  # length of the normal, in radii of the smaller body
+_SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
+_IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
+_ROOM = 1.35  # half size of the view around each body, in its radii
+_THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
+_REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
+_SPIN_COLOUR = 0x5CE0B0FF  # the palette's green is hardly seen on the bodies
+_LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
+_TOUCHING = 1e-9  # of a radius; a gap that is rounding
+_UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
+_HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The contact of the two bodies in the step that is shown."""
+
+    point: FloatArray  # (3,) m from the recording's origin
+    normal: FloatArray  # (3,) from i to j
+    approach_speed: float  # m/s
+    impulse: FloatArray  # (3,) N s, on j
+    edge: FloatArray  # (2, 3) m
+
+
+@dataclass(frozen=True, slots=True)
+class _Arrows:
+    """Arrows of one entity, of which the first few have labels."""
+
+    path: str
+    origins: FloatArray  # (n, 3) m
+    vectors: FloatArray  # (n, 3) m
+    labels: list[str]
+    along: float = 1.0  # where the labels stand, from 0 at the origins to 1 at the tips
+
+    def places(self) -> FloatArray:
+        """Return where the labels stand, (labels, 3) m."""
+        count = len(self.labels)
+        return self.origins[:count] + self.along * self.vectors[:count]
+
+
+@dataclass(frozen=True, slots=True)
+class CloseUp:
+    """Two bodies at one step."""
+
+    names: str  # of the bodies, or of the body and the plane
+    bodies: tuple[int, ...]  # only one if it touches a plane
+    step: ShownStep
+    instant: ShownStep | None  # of an impact within the step, at which normal, impulse and spins are drawn
+    position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
+    contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
+    spin: FloatArray | None  # (b, 3) rad/s
+    middle: FloatArray  # (3,) m, of the bodies when the eye looks at them
+    paths: DrawnPaths | None
+    times: FloatArray  # (frames,) s, of the paths
+    origin: FloatArray  # (3,) m, of the recording
+    box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
+    eye: View
+
+    def view(self, header: Header) -> rrb.Spatial3DView:
+        """Return a view of the two bodies as solids, with all others as thin wires."""
+        contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
+        return spatial_view(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header), follows=FOLLOWED)
+
+    def statics(self, header: Header) -> Iterable[Static]:
+        """Yield sizes and colours of the entities."""
+        radius = single(header.radius[list(self.bodies)])
+        small = float(radius.min())
+        yield (
+            BODIES,
+            rr.Ellipsoids3D.from_fields(
+                half_sizes=np.repeat(radius, 3).reshape(-1, 3),
+                colors=_HIGHLIGHTS[: len(radius)],
+                fill_mode="TransparentFillMajorWireframe",
+                line_radii=rr.Radius.ui_points(1.0),
+            ),
+        )
+        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
+        yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=palette.WHITE)
+        yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=palette.YELLOW)
+        yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=_SPIN_COLOUR)
+        # white is legible on the grounds of labels in both themes; on the arrows themselves they had their colours
+        yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.WHITE, show_labels=True)
+
+    def rows(self, header: Header) -> Iterable[Rows]:
+        """Yield the positions of the bodies at all frames, and the contact of the step."""
+        yield from self._bodies()
+        if self.contact is not None:
+            yield from self._arrows(self.contact, header)
+
+    def _bodies(self) -> Iterable[Rows]:
+        """Place the bodies, and the points that the camera follows, at all frames, repeated steps and the instant."""
+        instant = self.instant
+        if instant is not None and instant.frame is not None:
+            turns = instant.frame.orientation
+            turned = None if turns is None else turns[list(self.bodies)].astype(np.float32)
+            yield from self._placed(Index.within_step(instant.time), self.position[None], turned)
+        yield from self._at_steps()
+
+    def _at_steps(self) -> Iterable[Rows]:
+        step, chosen = self.step, list(self.bodies)
+        if self.paths is None:
+            turned = None
+            if step.frame is not None and step.frame.orientation is not None:
+                turned = step.frame.orientation[chosen].astype(np.float32)
+            index = Index(np.array([step.step]), np.array([step.time]))
+            yield from self._placed(index, step.position[None, chosen], turned)
+            return
+        yield from self._placed(Index(self.paths.steps, self.times), self.paths.position, self.paths.orientation)
+        recorded = set(self.paths.steps.tolist())
+        frames = [frame for frame in step.added if frame.step not in recorded]
+        if frames:
+            position = np.stack([frame.position[chosen] - self.origin for frame in frames])
+            turns = [frame.orientation[chosen] for frame in frames if frame.orientation is not None]
+            turned = np.concatenate(turns).astype(np.float32) if turns else None
+            yield from self._placed(Index.of(frames), position, turned)
+
+    def _placed(
+        self, index: Index, position: NDArray[np.floating], turned: NDArray[np.float32] | None
+    ) -> Iterable[Rows]:
+        """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
+        placed = _nearest_images(position.astype(np.float64), self.box)
+        centres = single(placed.reshape(-1, 3))
+        turns = None if turned is None else turned.reshape(-1, 4)
+        columns = rr.Ellipsoids3D.columns(centers=centres, quaternions=turns)
+        yield Rows(BODIES, index, columns.partition([position.shape[1]] * len(position)), centres.nbytes)
+        middle = placed.mean(axis=1) + (self.eye.target - self.middle)
+        corner = np.full(3, self.eye.distance / _REACH / np.sqrt(3.0))
+        ends = single(np.stack([middle - corner, middle + corner], axis=1).reshape(-1, 3))
+        points = rr.Points3D.columns(positions=ends).partition([2] * len(position))
+        yield Rows(FOLLOWED, index, points, ends.nbytes)
+
+    def _arrows(self, contact: Contact, header: Header) -> Iterable[Rows]:
+        """Draw edge, normal, impulse and spins at the step, with labels; clear them at the next frame."""
+        yield from self._once(EDGE, rr.LineStrips3D.columns(strips=[single(contact.edge)]), 1)
+        small = float(header.radius[list(self.bodies)].min())
+        labelled = [
+            self._normal(contact, small, header.units),
+            self._impulses(contact.impulse, header),
+            self._spins(small, header.units),
+        ]
+        for arrows in labelled:
+            if len(arrows.vectors):
+                columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
+                yield from self._once(arrows.path, columns, len(arrows.vectors))
+        texts = [text for arrows in labelled for text in arrows.labels]
+        places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye))
+        yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
+
+    def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
+        speed = units.text(contact.approach_speed, dimension.VELOCITY, ".3g")
+        label = f"normal, {speed}" if contact.approach_speed > 0.0 else "normal"
+        return _Arrows(NORMAL, contact.point[None], _NORMAL * small * contact.normal[None], [label], 0.5)
+
+    def _impulses(self, impulse: FloatArray, header: Header) -> _Arrows:
+        """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
+        size = float(np.linalg.norm(impulse))
+        radius = header.radius[list(self.bodies)]
+        drawn = (radius <= _MOST_UNLIKE * radius.min()) & (size > 0.0)
+        signs = np.array([-1.0, 1.0])[: len(radius)]
+        vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / (size or 1.0)
+        labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
+        return _Arrows(IMPULSE, self.position[drawn], vectors, labels)
+
+    def _spins(self, small: float, units: UnitSystem) -> _Arrows:
+        spin = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
+        speed = np.linalg.norm(spin, axis=1)
+        turning = speed > 0.0
+        vectors = _SPIN * small * spin[turning] / (speed.max() or 1.0)
+        labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
+        return _Arrows(SPIN, self.position[turning], vectors, labels)
+
+    def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
+        """Yield a row at the step, and an empty one at the next step that the viewer has; or at the instant."""
+        if self.instant is not None:
+            empty = Index(np.array([self.step.step]), np.array([self.step.time]))
+            both = [
+                (column.component_descriptor(), column.as_arrow_array()) for column in columns.partition([count, 0])
+            ]
+            for row, index in enumerate((Index.within_step(self.instant.time), empty)):
+                yield Rows(path, index, [Column.of_rows(what, rows.slice(row, 1)) for what, rows in both], 0)
+            return
+        steps, times, each = [self.step.step], [self.step.time], [count]
+        following = next((frame for frame in self.step.added if frame.step > self.step.step), None)
+        later = np.flatnonzero(self.times > self.step.time)
+        if following is not None:
+            steps, times = [*steps, following.step], [*times, following.time]
+        elif self.paths is not None and len(later):
+            row = int(later[0])
+            steps, times = [*steps, int(self.paths.steps[row])], [*times, float(self.times[row])]
+        yield Rows(path, Index(np.array(steps), np.array(times)), columns.partition(each + [0] * (len(steps) - 1)), 0)
+
+
+def close_up(
+    recording: Recording,
+    header: Header,
+    step: ShownStep,
+    pair: Pair,
+    aspect: float,
+    instant: ShownStep | None = None,
+    *,
+    pauses_within: bool = False,
+) -> CloseUp:
+    """Make the close-up view of a pair at a step.
+
+    Parameters
+    ----------
+    aspect
+        Width over height of the view.
+    instant
+        Of an impact of the pair within the step. A pair that touches at the end of the step, too, is shown there.
+    pauses_within
+        Whether the viewer pauses at the instant.
+    """
+    bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
+    places = [recording.shown.index(body) for body in bodies]
+    called = names_of(recording)
+    names = called.pair(bodies) + ("" if pair.plane is None else f" and {called.of(len(called.bodies) + pair.plane)}")
+    at_end = _nearest_images(step.position[places], header.box)
+    if not pauses_within and step.frame is not None:
+        contact = _contact(header, step.frame, pair, at_end, recording.origin)
+        if contact is not None and _touches(contact, at_end, header.radius[places]):
+            instant = None
+    drawn = instant or step
+    frame, spin = drawn.frame, None
+    if frame is not None and frame.angular_velocity is not None:
+        spin = frame.angular_velocity[list(bodies)]
+    position = _nearest_images(drawn.position[places], header.box)
+    contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
+    frames = recording.fingerprints()
+    found, times = None, np.zeros(0)
+    if 28 * len(recording.shown) * recording.frames < _MOST_BYTES:
+        found = drawn_paths(recording, places)
+        own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
+        times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
+    seen = position if pauses_within else at_end
+    return CloseUp(
+        names=names,
+        bodies=tuple(places),
+        step=step,
+        instant=instant,
+        position=position,
+        contact=contact,
+        spin=spin,
+        middle=seen.mean(axis=0),
+        paths=found,
+        times=times,
+        origin=recording.origin,
+        box=header.box,
+        eye=_fit(header.radius[places], seen, contact).view(aspect),
+    )
+
+
+def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool:
+    """Tell whether bodies at (b, 3) m, with radii (b,) m, still touch in a contact of the step."""
+    other = contact.point if len(position) == 1 else position[1]
+    return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
+
+
+def _apart(places: FloatArray, texts: list[str], eye: View) -> FloatArray:
+    """Move labels down on the screen where they would cover one before them; places are (k, 3) m."""
+    axes, height = eye.axes(), eye.height()
+    tall = _LABEL_HEIGHT * height
+    moved = places.copy()
+    for k, text in enumerate(texts):
+        for other in list(range(k)) * k:  # what was moved may cover another one
+            across, up = axes @ (moved[k] - moved[other])
+            if abs(across) < _LETTER_WIDTH * height * (len(text) + len(texts[other])) / 2 and abs(up) < tall:
+                moved[k] -= (tall + up) * axes[1]
+    return moved
+
+
+def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:
+    """Fit the camera to both bodies; if one is many times larger, to the smaller."""
+    normal = None if contact is None else contact.normal
+    if len(radius) == 2 and normal is None:
+        apart = position[1] - position[0]
+        normal = apart / max(float(np.linalg.norm(apart)), np.finfo(float).tiny)
+    if radius.max() > _MOST_UNLIKE * radius.min():
+        place = [int(np.argmin(radius))]
+        return CameraFit(3.0 * radius[place], position[place], to_eye=_aside(normal))
+    return CameraFit(_ROOM * radius, position, to_eye=_aside(normal))
+
+
+def _nearest_images(position: FloatArray, box: FloatArray | None) -> FloatArray:
+    """Return the positions, (..., b, 3) m, of the first body and of the images of the others nearest to it."""
+    if box is None:
+        return position
+    first = position[..., :1, :]
+    return first + minimum_images(position - first, box)
+
+
+def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, origin: FloatArray) -> Contact | None:
+    """Find the contact of a pair at (b, 3) m in a step; with planes, the one of the largest impulse."""
+    rows, n = frame.contact_rows, header.bodies
+    if rows is None:
+        return None
+    found = rows[(rows["i"] == pair.i) & (rows["j"] >= n if pair.j is None else rows["j"] == pair.j)]
+    if len(found) == 0:
+        return None
+    row = found[int(np.argmax(found["normal_impulse"]))]
+    normal = np.array([row["nx"], row["ny"], row["nz"]])
+    place = np.array([row["x"], row["y"], row["z"]]) - origin
+    point = _nearest_images(np.stack([position[0], place]), header.box)[1]
+    end = point if pair.j is None else position[1]
+    impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
+    return Contact(point, normal, float(row["approach_speed"]), impulse, np.stack([position[0], end]))
+
+
+def _aside(normal: FloatArray | None) -> FloatArray | None:
+    """Return a direction to the eye that is nearly at a right angle to the normal; None without a normal."""
+    if normal is None:
+        return None
+    usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])
+    direction = usual - _ASIDE * (usual @ normal) * normal
+    size = float(np.linalg.norm(direction))
+    return np.asarray(direction / size if size > 0.0 else usual)

@@ -1,0 +1,200 @@
+"""The pictures of a movie: a recording at many times."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import cycle
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.recording.errors import RecordingError
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
+from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.canvas import Canvas
+from carom.recording.read.positions import RecordedPositions
+from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import STEP
+from carom.scene.units.dimension import TIME
+from carom.show.picture import headless, stable_picture, window_of
+from carom.show.presentation import asked
+from carom.show.request import Request
+from carom.show.supplement import Supplement
+from carom.show.viewer import Viewer
+
+FloatArray = NDArray[np.float64]
+
+FORMATS = (".mp4", ".gif")
+
+_MOST_VIEWERS = 4
+_FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
+_LOOKS = 50  # frames by which the camera is placed
+_LIMIT = 60.0  # s, in which a picture must settle
+
+
+def frame_times(recording: Recording, start: float, end: float, count: int) -> FloatArray:
+    """Return the times (s) of recorded frames for ``count`` pictures, equally spaced from start to end (s).
+
+    Raises
+    ------
+    RecordingError
+        If there is no frame, or the interval is not in the recording.
+    """
+    recording.moment(start)
+    recording.moment(end)
+    if not start < end:
+        first, last = (recording.units.text(time, TIME, ".9g") for time in (start, end))
+        raise RecordingError(f"from {first} to {last}: a movie goes from an earlier time to a later one")
+    times = recording.fingerprints()["time"].to_numpy()
+    wanted = np.linspace(start, end, count)
+    rows = np.searchsorted(times, wanted * (1.0 + 1e-12), side="right") - 1
+    return np.asarray(times[np.maximum(rows, 0)])
+
+
+def pictures(
+    recording: Recording,
+    times: FloatArray,
+    size: tuple[int, int],
+    view: str = ALL,
+    *,
+    theme: str = "dark",
+    event: str | None = None,
+    bodies: str | None = None,
+) -> Iterator[bytes]:
+    """Return a PNG for each time, in order; they are taken as they are asked for.
+
+    Each comes from a viewer that has settled: two pictures in a row are equal, byte for byte. Several viewers share the
+    work, because each uses one core.
+
+    Parameters
+    ----------
+    recording
+        The recording to show.
+    times
+        s, rising; equal times give the same picture.
+    size
+        Width and height in pixels.
+    view
+        One view that fills the picture, or all of them.
+    theme
+        Of the viewer, "dark" or "light".
+    event
+        Its name; a close-up follows its bodies, by default those of the hardest impact.
+    bodies
+        The bodies that a close-up follows, by numbers or names with a comma between them.
+
+    Raises
+    ------
+    RecordingError
+        If there is no Vulkan driver, a viewer ends, or the recording has nothing to show in the view.
+    """
+    different = list(dict.fromkeys(times.tolist()))
+    supplement = None
+    if view == CLOSE_UP:
+        supplement = asked(recording, Request(event=event, bodies=bodies), Canvas(*size, framed=False), view).supplement
+    elif not recording.is_overlay:
+        supplement = _layout(recording, different, size, view)
+    return _taken(recording, times, size, view, theme, supplement)
+
+
+def _taken(
+    recording: Recording,
+    times: FloatArray,
+    size: tuple[int, int],
+    view: str,
+    theme: str,
+    supplement: Supplement | None,
+) -> Iterator[bytes]:
+    """Take the pictures."""
+    different = list(dict.fromkeys(times.tolist()))
+    count = max(1, min(_MOST_VIEWERS, os.cpu_count() or 1, len(different) // _FRAMES_EACH))
+    with ExitStack() as stack:
+        studios = [_Studio(stack, recording, supplement, size, view, theme) for _ in range(count)]
+        waiting: deque[Future[bytes]] = deque()
+        ahead = zip(different, cycle(studios), strict=False)
+        last, png = np.nan, b""
+        for moment in times:
+            while len(waiting) <= 2 * count and (following := next(ahead, None)):
+                waiting.append(following[1].take(following[0]))
+            if moment != last:
+                last, png = moment, waiting.popleft().result()
+            yield png
+
+
+class _Studio:
+    """A viewer, and the thread that takes its pictures."""
+
+    def __init__(
+        self,
+        stack: ExitStack,
+        recording: Recording,
+        supplement: Supplement | None,
+        size: tuple[int, int],
+        view: str,
+        theme: str,
+    ) -> None:
+        self._recording = recording
+        self._whole = view == ALL or recording.is_overlay
+        self._supplement = supplement
+        self._view: str | None = None
+        self._started = False
+        self._thread = stack.enter_context(ThreadPoolExecutor(1))
+        # at the end the viewer is closed first, so that a thread that waits for a picture fails at once
+        self._viewer: Viewer = stack.enter_context(headless(recording, window_of(size, self._whole), theme))
+        stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
+
+    def take(self, at: float) -> Future[bytes]:
+        """Request a picture at a time (s)."""
+        return self._thread.submit(self._take, at)
+
+    def _take(self, at: float) -> bytes:
+        if self._started:
+            self._viewer.go_to(self._recording, at)
+            return self._picture()
+        self._viewer.show(self._recording)
+        self._viewer.go_to(self._recording, at)
+        if self._supplement is not None:
+            self._viewer.add(self._supplement)
+        self._view = None if self._whole else self._viewer.only_view()
+        self._started = True
+        self._viewer.outlast_note()
+        stable_picture(self._viewer, self._view)
+        return self._picture()
+
+    def _picture(self) -> bytes:
+        """Take pictures until two in a row are equal: the list of events scrolls one picture later than bodies move."""
+        last, end = b"", time.monotonic() + _LIMIT
+        while (png := self._viewer.screenshot(self._view)) != last:
+            last = png
+            if time.monotonic() > end:
+                raise RecordingError(f"the viewer's picture did not settle within {_LIMIT:.0f} s")
+        return png
+
+
+def _layout(recording: Recording, times: Sequence[float], size: tuple[int, int], view: str) -> Supplement:
+    """Lay out the views, with the camera fitted to the bodies of all times."""
+    header, positions = header_of_recording(recording), RecordedPositions(recording)
+    table = recording.fingerprints()
+    some = np.asarray(times)[np.unique(np.linspace(0, len(times) - 1, _LOOKS).astype(int))]
+    steps = table[STEP].to_numpy()[np.searchsorted(table["time"].to_numpy(), some)]
+    drawn = [positions.drawn(int(step)) - recording.origin for step in steps]
+    middling = np.argsort([_extent(position) for position in drawn])[len(drawn) // 2]
+    camera = CameraFit(header.radius, drawn[int(middling)], corners_of(header, recording.origin))
+    for position in drawn:
+        camera.look(position)
+    canvas = Canvas(*size, framed=view == ALL)
+    layout = blueprint(header, camera, recorded_curves(recording), canvas, view)
+    return Supplement(layout, Clock(float(recording.info["time_scale"])))
+
+
+def _extent(position: FloatArray) -> float:
+    """Return the median distance (m) from the middle, which a few escaping bodies do not change."""
+    return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))

@@ -1,0 +1,53 @@
+"""Shows a recording in a notebook. Needs `carom[notebook]`."""
+
+from __future__ import annotations
+
+import numpy as np
+from rerun.error_utils import RerunMissingDependencyError
+from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
+
+from carom.install import install_extra
+from carom.private_folder import temporary_folder
+from carom.recording.errors import RecordingError
+from carom.recording.read.recording import Recording
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.write.rerun_compat import send_to_notebook
+from carom.show.presentation import asked
+from carom.show.request import Request
+from carom.show.supplement import Supplement
+
+
+def show(recording: Recording, request: Request, height: int) -> None:
+    """Display the viewer below the cell; see `Recording.show`."""
+    if recording.is_overlay:
+        moment, extra = recording.moment(request.at), b""
+    else:
+        shown = asked(recording, request, dense=True)
+        moment, extra = shown.time, _bytes_of(recording, shown.supplement)
+    try:
+        viewer = Viewer(width="auto", height=height, use_global_recording=False)
+    except RerunMissingDependencyError:
+        raise RecordingError(f"a notebook needs rerun-notebook: {install_extra('notebook')}") from None
+    shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
+    waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer ignores times until it knows the timeline
+
+    def pause(happened: ViewerEvent) -> None:
+        if type(happened) in waiting:
+            waiting.remove(type(happened))
+            viewer.set_time_ctrl(timeline=SIM_TIME, duration=shown_at, play=False)
+
+    viewer.on_event(pause)
+    viewer.display()
+    send_to_notebook(viewer, recording.path.read_bytes())
+    if extra:
+        send_to_notebook(viewer, extra)
+    viewer.set_time_ctrl(timeline=SIM_TIME, duration=shown_at, play=False)
+
+
+def _bytes_of(recording: Recording, supplement: Supplement) -> bytes:
+    """Return a supplement as a file for the viewer."""
+    with temporary_folder() as folder:
+        path = folder / "moment.rrd"
+        supplement.save(path, recording.store.application_id, recording.store.store_id)
+        return path.read_bytes()

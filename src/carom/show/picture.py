@@ -1,0 +1,198 @@
+"""A picture of a recording, rendered without a screen."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import struct
+import tempfile
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import rerun as rr
+
+from carom.private_folder import private_folder
+from carom.recording.errors import RecordingError
+from carom.recording.layout.blueprint import ALL
+from carom.recording.layout.canvas import Canvas
+from carom.recording.read.recording import Recording
+from carom.recording.write.whole_file import whole_file
+from carom.show.glyphs import has_all_glyphs
+from carom.show.presentation import asked
+from carom.show.request import Request
+from carom.show.shown_step import Watcher
+from carom.show.viewer import Viewer, virtual_screen
+
+_ALIKE = 3  # equal pictures in a row, after which everything is loaded
+_PAUSE = 0.7  # s, between two pictures
+_LIMIT = 120.0  # s
+_NOTE = 6.0  # s after its start, for which a viewer with a window shows notes over the picture
+_SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
+_MARK = b"Software\x00carom picture"  # a text in each PNG
+_HEAD = 33  # bytes of a PNG up to the end of its first chunk
+_BORDER = (7, 71)  # points of a window around a single view: edges, title and title bar
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """The moment that a picture shows."""
+
+    time: float  # s
+    missing: str  # why it shows the frame before the requested step; empty if it shows the step
+
+
+def render(
+    path: str | Path,
+    request: Request,
+    out_png: str | Path,
+    size: tuple[int, int] = (1600, 1000),
+    *,
+    view: str = ALL,
+    theme: str = "dark",
+    watch: Watcher = lambda _: None,
+) -> Picture:
+    """Render a moment of a recording into a PNG.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    request
+        What to show of it.
+    out_png
+        Where to write the picture.
+    size
+        Width and height in pixels.
+    view
+        One view that fills the picture, or all of them.
+    theme
+        Of the viewer, "dark" or "light"; the 3D views are dark in both.
+    watch
+        Called while steps without a frame are repeated.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, there is no Vulkan driver, no Xvfb where one is needed, or a view cannot show
+        what it should.
+    """
+    recording = Recording.open(path)
+    _refuse_unwritable(Path(out_png))
+    whole = view == ALL or recording.is_overlay
+    if recording.is_overlay:
+        moment, extra, missing = recording.moment(request.at), None, ""
+    else:
+        shown = asked(recording, request, Canvas(*size, framed=whole), view, watch=watch)
+        moment, extra, missing = shown.time, shown.supplement, shown.missing
+    with headless(recording, window_of(size, whole), theme) as viewer:
+        viewer.show(recording)
+        viewer.go_to(recording, moment)
+        if extra is not None:
+            viewer.add(extra)
+        viewer.outlast_note()
+        png = stable_picture(viewer, None if whole else viewer.only_view())
+        reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
+    if reports:
+        raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
+    try:
+        with whole_file(Path(out_png)) as part:
+            part.write_bytes(_marked(png))
+    except OSError as error:
+        raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
+    return Picture(moment, missing)
+
+
+def try_to_render(path: Path, request: Request, out_png: Path, size: tuple[int, int] = (1600, 1000)) -> str:
+    """Render a moment of a recording; return the reason if that fails, such as a missing driver, else nothing."""
+    try:
+        render(path, request, out_png, size)
+    except RecordingError as error:
+        return str(error)
+    return ""
+
+
+def is_picture_of_carom(path: Path) -> bool:
+    """Tell whether a file is a picture that `render` wrote, so that it may be replaced."""
+    try:
+        with path.open("rb") as file:
+            return _MARK in file.read(_HEAD + 2 * len(_MARK))
+    except OSError:
+        return False
+
+
+def _marked(png: bytes) -> bytes:
+    """Add a chunk of text to a PNG, behind its header, by which `is_picture_of_carom` knows it."""
+    data = b"tEXt" + _MARK
+    return png[:_HEAD] + struct.pack(">I", len(_MARK)) + data + struct.pack(">I", zlib.crc32(data)) + png[_HEAD:]
+
+
+def _refuse_unwritable(path: Path) -> None:
+    """Raise RecordingError for a file that cannot be written, before a minute of rendering."""
+    if path.is_dir():
+        raise RecordingError(f"cannot write {path}: it is a folder; name a file")
+    if path.suffix.lower() != ".png":
+        raise RecordingError(f"cannot write {path}: a picture is a .png")
+    if not path.parent.is_dir():
+        raise RecordingError(f"cannot write {path}: there is no folder {path.parent}")
+    if not os.access(path if path.exists() else path.parent, os.W_OK):
+        raise RecordingError(f"cannot write {path}: permission denied")
+
+
+def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
+    """Return the size (pixels) of the window that gives the picture this size: all of it, or its only view."""
+    return size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
+
+
+@contextmanager
+def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
+    """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
+
+    Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Nor does that mode
+    use the fonts of the system, and it ends at a character that Rerun's own font lacks. A viewer with a window, on a
+    virtual screen, does both.
+
+    Raises
+    ------
+    RecordingError
+        If there is no Vulkan driver, or no Xvfb where one is needed.
+    """
+    window = ("--window-size", f"{size[0]}x{size[1]}")
+    if theme == "dark" and has_all_glyphs(recording):
+        with Viewer("--headless", *window) as viewer:
+            yield viewer
+        return
+    if shutil.which("Xvfb") is None:
+        what, other = "with these names", "write names of bodies and files in Latin, Greek or Cyrillic letters"
+        if theme == "light":
+            what, other = "in the light theme", "take the dark theme"
+        raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: {virtual_screen()}; or {other}")
+    folder = Path(tempfile.mkdtemp(dir=private_folder()))
+    settings = folder / "rerun" / "app.ron"
+    settings.parent.mkdir()
+    settings.write_text(_SETTINGS.format(theme=theme.capitalize(), version=rr.__version__))
+    kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
+    # RUST_LOG: a viewer with a window shows its log in boxes over the picture
+    environment = {**kept, "XDG_DATA_HOME": str(folder), "RUST_LOG": "off"}
+    # the pointer starts in the middle of the screen: beyond the window, where it hovers over nothing
+    screen = f"{2 * (size[0] + 1)}x{2 * (size[1] + 1)}"
+    with Viewer("--persist-state", *window, screen=screen, folder=folder, environment=environment) as viewer:
+        viewer.note_ends = time.monotonic() + _NOTE
+        yield viewer
+
+
+def stable_picture(viewer: Viewer, view: str | None) -> bytes:
+    """Take pictures until they stay the same, because the viewer loads in parts; return the last."""
+    alike, last = 0, b""
+    end = time.monotonic() + _LIMIT
+    while alike < _ALIKE:
+        if time.monotonic() > end:
+            raise RecordingError(f"the viewer's picture did not settle within {_LIMIT:.0f} s")
+        time.sleep(_PAUSE)
+        png = viewer.screenshot(view)
+        alike = alike + 1 if png == last else 1
+        last = png
+    return last

@@ -1,0 +1,245 @@
+"""`Presentation`: how a recording is shown at one moment: step, camera and layout."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from carom.recording.errors import RecordingError
+from carom.recording.layout.additions import Additions
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
+from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.canvas import Canvas
+from carom.recording.layout.curve import Curve
+from carom.recording.read.body_series import asked_quantities, body_series
+from carom.recording.read.moment import tolerance
+from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+from carom.recording.write.encoder import BatchEncoder, state_rows
+from carom.recording.write.rows import Index, Rows
+from carom.recording.write.statics import plane_grids
+from carom.show.body_plots import BodyPlots
+from carom.show.close_up import close_up
+from carom.show.named_event import NamedEvent, named_event
+from carom.show.pair import Pair, hardest_pair, named_pair, pair_of_step
+from carom.show.recoloured import colour_rows
+from carom.show.request import Request
+from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
+from carom.show.supplement import Supplement
+from carom.show.trails import Trails, has_trails
+
+_ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
+
+_AT_INSTANT = (  # sent for an instant within a step: what the impact changed
+    paths.BODIES,
+    paths.CONTACTS,
+    paths.FORCE_NORMAL,
+    paths.FORCE_FRICTION,
+    paths.TORQUE,
+    paths.ANGULAR_ACCELERATION,
+    "energy/total",
+    "energy/ledger/restitution",
+    "energy/ledger/friction",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Presentation:
+    """A moment of a recording, and what the viewer gets to show it."""
+
+    time: float  # s, at which the viewer pauses
+    missing: str  # why it shows the frame before the step; empty if it shows the step
+    supplement: Supplement
+
+
+def asked(
+    recording: Recording,
+    request: Request,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    *,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> Presentation:
+    """Choose how a request is shown; see `presentation`.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such moment, event or body.
+    """
+    event = request.event
+    if event is None:
+        shown = NamedEvent(recording.moment(request.at), is_impact=request.at is None or only == CLOSE_UP)
+    else:
+        shown = named_event(recording, event)
+    return presentation(
+        recording,
+        shown.time,
+        canvas,
+        only,
+        within=shown.step,
+        at_own_time=shown.is_impact,
+        pair=shown.pair if request.bodies is None else named_pair(recording, request.bodies),
+        plots=_body_plots(recording, request.plot, only, watch),
+        colour_by=request.colour_by,
+        dense=dense,
+        watch=watch,
+    )
+
+
+def _body_plots(recording: Recording, text: str | None, only: str, watch: Watcher) -> BodyPlots | None:
+    """Compute the plots of single bodies that are asked for."""
+    if text is None:
+        if only == PLOT:
+            raise RecordingError("a view of plots shows the curves that plot names, such as 0.speed; none is named")
+        return None
+    quantities = asked_quantities(recording, text, one_unit=only == PLOT)
+    return BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
+
+
+def presentation(
+    recording: Recording,
+    moment: float,
+    canvas: Canvas = WINDOW,
+    only: str = ALL,
+    *,
+    within: int | None = None,
+    at_own_time: bool = False,
+    pair: Pair | None = None,
+    plots: BodyPlots | None = None,
+    colour_by: str | None = None,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> Presentation:
+    """Choose how a moment is shown.
+
+    Parameters
+    ----------
+    recording
+        The recording to show.
+    moment
+        s.
+    canvas
+        The window.
+    only
+        A single view, or all.
+    within
+        The step that the moment belongs to, where one step ends and the next begins.
+    at_own_time
+        Whether to pause within the step, where the pair meets; by default only if the moment is that time, else at
+        the end of the step.
+    pair
+        The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
+    plots
+        Of single bodies.
+    colour_by
+        What colours the bodies, one of `colouring.COLOUR_BY`; by default as recorded.
+    dense
+        Whether to add all steps up to the next recorded frame.
+    watch
+        Called while steps are repeated.
+
+    Raises
+    ------
+    RecordingError
+        If there is no frame, or nothing to show in the view.
+    """
+    header = header_of_recording(recording)
+    step = shown_step(recording, moment, within, dense=dense, watch=watch)
+    camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
+    chosen = pair or _pair(recording, header, step)
+    aspect = close_up_area(header, canvas, only).aspect
+    clock = Clock(float(recording.info["time_scale"]))
+    instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
+    within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
+    paused = instant if instant is not None and within_step else step
+    close = None
+    if chosen is not None:
+        close = close_up(recording, header, step, chosen, aspect, instant, pauses_within=within_step)
+    trails = Trails(recording, header) if has_trails(recording) else None
+    repeated = list(_steps(recording, header, step))
+    rows = [*repeated, *(close.rows(header) if close else [])]
+    if paused is not step:
+        rows += _instant(recording, header, paused)
+    statics = list(close.statics(header)) if close else []
+    if header.walls is None and header.box is None:  # recorded grids lie about the bodies at the start
+        seen = camera.view()
+        statics += plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())
+    if trails is not None:
+        if not _meet(recording, header):  # orbits: the paths must be inside the view
+            trails.show(camera, paused.time)
+        rows += trails.rows()
+        statics += trails.statics()
+    if plots is not None:
+        rows += plots.rows()
+        statics += plots.statics()
+    recoloured = colour_by is not None and colour_by != header.coloured_by
+    if colour_by is not None and recoloured:
+        rows += colour_rows(recording, header, colour_by, step)
+    added = Additions(close, trails is not None, recoloured, plots)
+    layout = blueprint(header, camera, _curves(recording, repeated), canvas, only, added)
+    return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
+
+
+def _meet(recording: Recording, header: Header) -> bool:
+    """Tell whether bodies touched, or may have: a run that was killed has not counted its contacts."""
+    return header.collides and recording.closing.get("contacts.total") != 0
+
+
+def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
+    """Choose the pair of the close-up view."""
+    hardest = hardest_pair(recording)
+    if step.frame is None or recording.closing.get("moments.impact.step") == step.step:
+        return hardest
+    return pair_of_step(step.frame, header.bodies) or hardest
+
+
+def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, Curve]:
+    """Return the outlines of the plotted series with the repeated steps: a peak between two frames must be inside."""
+    curves = recorded_curves(recording)
+    for series in repeated:
+        if series.path in curves:
+            (column,) = series.columns
+            curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
+    return curves
+
+
+def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Rows]:
+    """Yield the rows of the repeated steps, unless all of them are recorded."""
+    recorded = recording.fingerprints()[STEP].to_numpy()
+    if all(np.any(recorded == frame.step) for frame in step.added):
+        return
+    before = None if step.before is None else step.before.checkpoint
+    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before, everything=True)
+    for rows in encoder.rows(step.added):
+        if rows.path not in _ONCE and len(rows.steps):
+            yield rows
+    yield from _states_after(recording, step.added[-1].step)
+
+
+def _instant(recording: Recording, header: Header, instant: ShownStep) -> Iterator[Rows]:
+    """Yield the bodies, contacts and energies of an instant within a step, on the timeline of times only."""
+    assert instant.frame is not None
+    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, everything=True)
+    for rows in encoder.rows([instant.frame]):
+        if rows.path in _AT_INSTANT:
+            yield Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
+
+
+def _states_after(recording: Recording, step: int) -> Iterator[Rows]:
+    """Yield the recorded states at the first frame after a step; frames have rows of them only where they change."""
+    table = recording.fingerprints()
+    later = np.flatnonzero(table[STEP].to_numpy() > step)
+    if len(later):
+        row = int(later[0])
+        frame = Index(table[STEP].to_numpy()[row : row + 1], table["time"].to_numpy()[row : row + 1])
+        for path, state in recording.states_at(int(frame.steps[0])).items():
+            yield state_rows(path, frame, [state])

@@ -1,0 +1,209 @@
+"""`ShownStep`: the step that a moment is in. It is repeated if it has no frame, and for data that frames lack."""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.error import PhysicsError
+from carom.physics.frame import Frame
+from carom.physics.status import StepStatus
+from carom.recording.errors import RecordingError
+from carom.recording.read.moment import frame_of, tolerance
+from carom.recording.read.positions import RecordedPositions
+from carom.recording.read.recording import Recording
+from carom.recording.read.window import Window
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+from carom.recording.write.impact_frames import orientations_at, positions_at
+from carom.show.pair import Pair
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Watcher = Callable[[StepStatus], None]
+
+PATIENCE = 60.0  # s of repeated steps, for a step without a frame
+IMPATIENCE = 10.0  # s of repeated steps, for a step with a frame
+_MOST_BYTES = 50_000_000  # of the frames between two recorded ones
+_BODY_BYTES = 300  # of a frame
+
+
+@dataclass(frozen=True, slots=True)
+class ShownStep:
+    """A step of a recording, as it is shown."""
+
+    step: int
+    time: float  # s, at its end
+    position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
+    frame: Frame | None = None  # the step, if it was repeated
+    before: Frame | None = None  # the frame before those of `added`
+    added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
+    missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
+
+
+def shown_step(
+    recording: Recording,
+    at: float,
+    within: int | None = None,
+    *,
+    dense: bool = False,
+    watch: Watcher = lambda _: None,
+) -> ShownStep:
+    """Find the step that a time (s) is in, and repeat it if that takes no more than a minute.
+
+    Parameters
+    ----------
+    recording
+        The recording to show.
+    at
+        s.
+    within
+        The step to show where one step ends at this time and the next begins; by default the one that ends.
+    dense
+        Whether to add all steps up to the next recorded frame.
+    watch
+        Called while steps are repeated.
+
+    Raises
+    ------
+    RecordingError
+        If there is no frame.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    recording.require_frames()
+    row, goal = frame_of(recording, at), at - tolerance(at)
+    if row is not None and within is not None and steps[row] < within:
+        row, goal = _row_of(within, steps), float(np.nextafter(times[row], np.inf))
+    if row is not None:
+        goal = float(times[row])
+    last = row if row is not None else max(0, int(np.searchsorted(times, goal)) - 1)
+    position = RecordedPositions(recording).drawn(int(steps[last])) - recording.origin
+    drawn = ShownStep(int(steps[last]), float(times[last]), position)
+    if not recording.shows_all:
+        return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
+    try:
+        found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
+    except (RecordingError, PhysicsError) as error:
+        missing = str(error)
+    else:
+        if found is not None:
+            return found
+        missing = f"running it again takes more than {PATIENCE:.0f} s"
+    return drawn if row is not None else replace(drawn, missing=missing)
+
+
+def at_impact(
+    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: Clock
+) -> ShownStep | None:
+    """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
+
+    Its frame has the positions, contacts and the total energy right after the impacts of the instant, and no spins
+    where a body is struck again within the step.
+
+    Parameters
+    ----------
+    step
+        The step.
+    pair
+        Which two meet. Of several impacts the one that is nearest in time is taken, then the fastest.
+    header, origin
+        Of the recording; origin (3,) m.
+    near
+        s.
+    clock
+        Of the recording. An impact at the nanosecond at which the step ends is shown at its end.
+    """
+    frame, n = step.frame, header.bodies
+    earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
+    if frame is None or frame.impacts is None or not earlier:
+        return None
+    before, impacts = earlier[-1], frame.impacts
+    j = pair.j if pair.j is not None else None if pair.plane is None else n + pair.plane
+    partner = impacts["j"] >= n if j is None else impacts["j"] == j
+    is_within = clock.nanoseconds(impacts["time"]) < clock.nanoseconds([frame.time])
+    own = np.flatnonzero((impacts["i"] == pair.i) & partner & is_within)
+    if not len(own):
+        return None
+    off = np.abs(impacts["time"][own] - near)
+    off[off <= tolerance(near)] = 0.0
+    chosen = impacts[own[np.lexsort((-impacts["approach_speed"][own], off))[0]]]
+    time = float(chosen["time"])
+    box = np.zeros(3) if header.box is None else header.box
+    position = positions_at(np.array([time]), before, frame, impacts, header.radius, box)[0]
+    turned = orientations_at(np.array([time]), before, frame)
+    together = impacts[impacts["time"] == time]
+    together = together[np.lexsort((-together["normal_impulse"], together["j"], together["i"]))]
+    pairs, first = np.unique(np.stack([together["i"], together["j"]], axis=1), axis=0, return_index=True)
+    rows = together[first]
+    same = (rows["i"] == chosen["i"]) & (rows["j"] == chosen["j"])
+    rows[same] = chosen
+    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+    graph = CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64))
+    later = impacts[impacts["time"] > time]
+    ends = (pair.i,) if pair.j is None else (pair.i, pair.j)
+    again = np.isin(later["i"], ends) | np.isin(later["j"], ends)
+    ledger = before.energy.ledger.plus(np.array(terms_of(impacts[impacts["time"] <= time])))
+    lost = ledger.balance - before.energy.ledger.balance
+    energy = replace(before.energy, ledger=ledger, translational=before.energy.translational - lost)  # in their sum
+    instant = replace(
+        frame,
+        time=time,
+        position=position,
+        orientation=None if turned is None else turned[0],
+        angular_velocity=None if again.any() else frame.angular_velocity,
+        contacts=graph,
+        contact_rows=rows,
+        energy=energy,
+        impacts=together,
+        events=(),
+        slot=None,
+    )
+    return ShownStep(step.step, time, np.asarray(position - origin), instant, step.before, step.added)
+
+
+def _row_of(step: int, steps: IntArray) -> int | None:
+    """Return the row of a step's frame; None if it has none."""
+    row = int(np.searchsorted(steps, step))
+    return row if row < len(steps) and steps[row] == step else None
+
+
+def _run(
+    recording: Recording, goal: float, times: FloatArray, limit: float, dense: bool, watch: Watcher
+) -> ShownStep | None:
+    """Repeat the steps up to the one that a time (s) is in, or to the next frame; None if that takes too long."""
+    own = int(np.searchsorted(times, goal))
+    earlier = float(times[max(0, own - 1)])
+    until = float(times[own]) if dense and own < len(times) else goal
+    most = max(2, _MOST_BYTES // (_BODY_BYTES * len(recording.shown)))
+    added: list[Frame] = []
+    before, shown = None, None
+    started: float | None = None
+    window = Window(recording, goal, watch=watch, contacts=True)
+    for frame in window.frames(earlier):
+        started = clock.monotonic() if started is None else started
+        if clock.monotonic() - started > limit:
+            return None
+        if frame.time <= earlier and frame.time < goal:
+            before = frame
+            continue
+        if len(added) == most:  # only the last are kept
+            before = added.pop(0)
+        added.append(frame)
+        if shown is None and frame.time >= goal:
+            shown = frame
+        if shown is not None and frame.time >= until:
+            break
+    if window.differs is not None:
+        raise RecordingError(f"run again, it has other bits from step {window.differs} on")
+    if shown is None:
+        return None
+    position = np.asarray(shown.position - recording.origin)
+    return ShownStep(shown.step, shown.time, position, shown, before, added)

@@ -1,0 +1,81 @@
+"""Trails: the paths of a few bodies up to the moment that is shown, in rows that the viewer gets on top of the file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.visible_trails import TRAILS
+from carom.recording.read.positions import drawn_paths
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header
+from carom.recording.schema.timelines import STEP
+from carom.recording.style.colouring import STATIC
+from carom.recording.write.rows import Index, Rows
+from carom.show.supplement import Static
+
+_MOST_BODIES = 40
+_MOST_FRAMES = 2000  # longer paths take every k-th frame
+_POINTS = 1000  # of a path that is drawn as a curve through fewer frames: integrators of high order take long steps
+
+
+class Trails:
+    """The paths of all bodies of a recording, as pieces from frame to frame.
+
+    Where nothing ever touched, a piece is a part of the cubic spline through all frames.
+    """
+
+    def __init__(self, recording: Recording, header: Header) -> None:
+        drawn = drawn_paths(recording, range(len(header.radius)))
+        table = recording.fingerprints()
+        rows = np.minimum(np.searchsorted(table[STEP].to_numpy(), drawn.steps), table.num_rows - 1)
+        every = -(-len(drawn.steps) // _MOST_FRAMES)
+        self._steps = drawn.steps[::every]
+        self._times = table["time"].to_numpy()[rows][::every]
+        self._position = drawn.position[::every]
+        self._box = header.box
+        untouched = recording.closing.get("contacts.total") == 0 and header.box is None
+        self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
+        by = header.coloured_by
+        self._colours = header.static_colours(by if by in STATIC else "group")[recording.shown]
+
+    def show(self, camera: CameraFit, until: float) -> None:
+        """Make the camera include the paths up to a time (s)."""
+        past = self._position[self._times <= until]
+        camera.include(past.reshape(-1, 3).astype(np.float64))
+
+    def statics(self) -> Iterable[Static]:
+        """Yield their colours, those of the bodies."""
+        yield TRAILS, rr.LineStrips3D.from_fields(colors=self._colours, radii=rr.Radius.ui_points(0.75))
+
+    def rows(self) -> Iterable[Rows]:
+        """Yield the pieces, each at the frame where it ends; pieces through the border of a box have no length."""
+        pieces, bodies = len(self._times) - 1, self._position.shape[1]
+        if pieces < 1:
+            return
+        points = self._points(-(-_POINTS // pieces) if self._is_smooth else 1)
+        strips = points.transpose(0, 2, 1, 3).reshape(pieces * bodies, -1, 3)
+        columns = rr.LineStrips3D.columns(strips=list(strips)).partition([bodies] * pieces)
+        yield Rows(TRAILS, Index(self._steps[1:], self._times[1:]), columns, strips.nbytes)
+
+    def _points(self, parts: int) -> NDArray[np.float32]:
+        """Return the points of all pieces, (pieces, parts + 1, n, 3) m."""
+        begin, end = self._position[:-1], self._position[1:]
+        if self._box is not None:
+            end = np.where(np.abs(end - begin) > self._box / 2, begin, end)
+        if parts == 1:
+            return np.stack([begin, end], axis=1)
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, and most commands draw no trails
+
+        times = self._times[:-1, np.newaxis] + np.diff(self._times)[:, np.newaxis] * np.linspace(0.0, 1.0, parts + 1)
+        curve: NDArray[np.float32] = CubicSpline(self._times, self._position)(times).astype(np.float32)
+        return curve
+
+
+def has_trails(recording: Recording) -> bool:
+    """Return whether a recording has few enough bodies for their paths to be legible."""
+    return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
