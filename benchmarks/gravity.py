@@ -20,7 +20,6 @@ from typing import Any
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # FMM3D's, read when it is loaded
 
-import fmm3dpy
 import numpy as np
 import pytreegrav
 import rebound
@@ -115,6 +114,8 @@ def pytreegrav_force(position: FloatArray, mass: FloatArray, theta: float) -> Fo
 
 
 def fmm3d_force(position: FloatArray, mass: FloatArray, tolerance: float) -> Force:
+    import fmm3dpy  # noqa: PLC0415 - the other peers do without
+
     sources = np.asfortranarray(position.T)
 
     def force() -> FloatArray:

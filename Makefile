@@ -1,0 +1,34 @@
+# The one runner: `make check` while you work, `make test` before a push, `.ci/run` before a release.
+.PHONY: help check style types changed test slow docs bench
+
+SINCE ?= # a commit; by default, where this branch left origin/main
+
+help: ## say what there is
+	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /: /'
+
+check: ## style, types, and the tests of what changed (SINCE=COMMIT), in about a minute
+	@$(MAKE) --no-print-directory -j 2 style types changed
+
+style:
+	ruff check .
+	ruff format --check .
+	lint-imports
+
+types:
+	mypy
+
+changed:
+	@chosen=$$(python tests/support/affected.py $(SINCE)) && echo "$$chosen" && \
+	    { [ -z "$$chosen" ] || pytest -q $$chosen; }
+
+test: ## the default tests, on all cores
+	pytest -q
+
+slow: ## the longer tests; those of pictures, pages and engines need the extras of CONTRIBUTING.md
+	pytest -q -m "slow or needs"
+
+docs: ## the site, with its links
+	NO_MKDOCS_2_WARNING=1 mkdocs build --quiet --strict --site-dir "$${TMPDIR:-/tmp}/carom-site"
+
+bench: ## speed beside other engines, compared with the committed ratios; exits with 1 if carom got slower
+	python benchmarks/gate.py

@@ -1,0 +1,109 @@
+"""The gate of `make bench`: carom's time over that of its peers, compared with the committed ratios.
+
+    python benchmarks/gate.py [--save]
+
+Each ratio is of CPU times on one thread, measured in turns in one process, so that a busy machine slows both sides.
+`--save` writes the ratios of this machine to `results/gate.json`; another processor has others. Exits with 1 if one of
+them has grown by more than `TOLERANCE`. A peer that is not installed is left out, and named.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+import measurement
+from measurement import RESULTS, save
+
+TOLERANCE = 0.15  # two runs of the same code on a busy machine differ by up to a tenth
+NAME = "gate"
+
+Ratios = dict[str, float]
+
+
+def few_bodies(module: Any) -> Ratios:
+    """Measure steps of 3 and 10 bodies beside REBOUND's leapfrog and IAS15."""
+    module.COUNTS = (3, 10)
+    ratios = {}
+    for row in module.measure_steps(repeats=5):
+        n = row["bodies"]
+        ratios[f"{n} bodies, leapfrog / REBOUND"] = row["carom, leapfrog"] / row["REBOUND, leapfrog"]
+        ratios[f"{n} bodies, gauss-radau15 / IAS15"] = row["carom, gauss-radau15"] / row["REBOUND, ias15"]
+    return ratios
+
+
+def gravity(module: Any) -> Ratios:
+    """Measure the direct sum beside REBOUND's, and the tree beside pytreegrav's at its error."""
+    ratios = {
+        f"{row['bodies']} bodies, direct sum / REBOUND": 1.0 / row["ratio"]
+        for row in module.compare_direct([1024, 4096], rounds=7)
+    }
+    for row in module.compare_trees([20_000], ["plummer"], ["pytreegrav"], ["tree"], rounds=5):
+        ratios[f"{row['bodies']} bodies, tree / pytreegrav"] = 1.0 / row["ratio"]
+    return ratios
+
+
+def step(module: Any) -> Ratios:
+    """Measure a step of a gas beside REBOUND and MuJoCo."""
+    ratios = {}
+    for row in module.compare_peers(1000, rounds=9):
+        peer = "MuJoCo" if row["peer"] == "MuJoCo" else "REBOUND, tree"
+        ratios[f"gas of {row['bodies']} / {peer}"] = row["ms"]["carom, 1 threads"] / row["ms"][peer]
+    return ratios
+
+
+def heap(module: Any) -> Ratios:
+    """Measure a heap that falls and rests, beside Box3D."""
+    row = module.compare(1000, threads=1, rounds=5, calm=10, only=["carom", "quick"])
+    return {
+        f"heap of {row['bodies']}, {name}, {state} / Box3D": row[f"ms, {state}"][name] / row[f"ms, {state}"]["Box3D"]
+        for state in ("falling", "at rest")
+        for name in ("carom", "quick")
+    }
+
+
+PARTS: tuple[Callable[[Any], Ratios], ...] = (few_bodies, gravity, step, heap)  # each of a benchmark of that name
+
+
+def measured() -> Ratios:
+    """Return the ratios of all peers that are installed."""
+    ratios: Ratios = {}
+    measurement.clock = time.process_time
+    for part in PARTS:
+        try:
+            module = importlib.import_module(part.__name__)
+        except ImportError as error:
+            print(f"left out: {part.__name__} ({error})")
+            continue
+        ratios |= part(module)
+    return ratios
+
+
+def slower(now: Ratios, before: Ratios) -> list[str]:
+    """Return the names of the ratios that have grown by more than the tolerance."""
+    return [name for name, ratio in now.items() if name in before and ratio > (1.0 + TOLERANCE) * before[name]]
+
+
+def main() -> None:
+    """Measure, print a table, and judge."""
+    path = RESULTS / f"{NAME}.json"
+    before: Ratios = json.loads(path.read_text(encoding="utf-8"))["ratios"] if path.exists() else {}
+    now = measured()
+    worse = slower(now, before)
+    print(f"\n{'carom / peer':48} {'committed':>9} {'now':>7} {'change':>7}")
+    for name, ratio in now.items():
+        then = before.get(name)
+        change = f"{ratio / then - 1.0:+7.0%}" if then else f"{'new':>7}"
+        print(f"{name:48} {then or float('nan'):9.3f} {ratio:7.3f} {change}{'  slower' if name in worse else ''}")
+    if "--save" in sys.argv[1:]:
+        print(save(NAME, {"ratios": {name: float(f"{ratio:.4g}") for name, ratio in now.items()}}))
+    elif worse:
+        sys.exit(f"slower by more than {TOLERANCE:.0%}: {', '.join(worse)}")
+
+
+if __name__ == "__main__":
+    main()
