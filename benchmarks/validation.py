@@ -12,10 +12,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+
 from monte_carlo_gas import rough_gas
 from periodic_gas import carnahan_starling, cooling, enskog_rate, measure_equilibrium, rough_ratio
 from poured_packing import contacts_of_a_body, packing_fraction, pour
-
 from published.test_granular_gas import stick_ratio
 from published.test_oblique_impact import slip_after
 from published.test_two_body_bounce import APOCENTRES, AT_REST, BOUNCES, separations

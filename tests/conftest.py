@@ -15,10 +15,10 @@ from collections.abc import Generator
 
 import pytest
 from hypothesis import settings
-from needs import need
-from seeds import VARIABLE, chosen_seed, is_random
 
 from carom.runs.compiling_process import start_on_a_new_installation
+from needs import need
+from seeds import VARIABLE, chosen_seed, is_random
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)
 settings.register_profile("new", deadline=None, print_blob=True)

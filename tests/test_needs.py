@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import needs
 import pytest
+
+import needs
 
 
 @pytest.fixture(autouse=True)

@@ -8,12 +8,12 @@ from typing import Any
 import nbformat
 import pytest
 from nbclient import NotebookClient
-from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.show import notebook
+from scripted_run import ScriptedRun
 
 EXAMPLE = Path(__file__).parents[1] / "docs" / "notebook.ipynb"
 LARGEST = 20_000  # bytes

@@ -6,11 +6,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from scripted_run import ScriptedRun
-from small_scenes import pair
 
 import carom as library
 from carom.recording.write.recorder import Recorder
+from scripted_run import ScriptedRun
+from small_scenes import pair
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,9 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 
 def test_clip_says_what_it_cut_out_and_the_clip_inspects(run_file: Path, tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ import time
 from pathlib import Path
 
 import pytest
-from carom_command import carom, carom_process
 
 from carom.recording.read.recording import Recording
 from carom.recording.schema.impacts import RecordedImpacts
 from carom.runs.report import worst_moment
 from carom.scene.parts import unknown
 from carom.scene.schema import Scene
+from carom_command import carom, carom_process
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"
 

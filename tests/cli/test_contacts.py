@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+
+import carom as library
 from carom_command import carom
 from scripted_run import RUN_ID
 from small_scenes import scene_of
-
-import carom as library
 
 
 def test_impacts_are_printed_with_the_names_of_the_bodies(folder: Path) -> None:

@@ -8,8 +8,6 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from carom_command import carom
-from needs import needed_engine
 
 from carom.lab.crosscheck.crosscheck import Crosscheck
 from carom.lab.crosscheck.runs import Followed, Runs, Task
@@ -17,6 +15,8 @@ from carom.lab.engines.engine import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.bundled import crosscheck_scenes
 from carom.scene.schema import Scene
+from carom_command import carom
+from needs import needed_engine
 
 pytestmark = pytest.mark.slow  # each engine and the reference run once for all of them, some six seconds
 

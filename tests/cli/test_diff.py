@@ -4,14 +4,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from carom_command import carom
-from scripted_run import ScriptedRun
-from small_scenes import pair
 
 from carom import record
 from carom.recording.edit import bundle
 from carom.recording.write.recorder import Recorder
 from carom.runs.run import run
+from carom_command import carom
+from scripted_run import ScriptedRun
+from small_scenes import pair
 
 
 @pytest.fixture

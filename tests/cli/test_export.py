@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 import pytest
-from carom_command import carom
 
 from carom.physics.placement import place
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from carom_command import carom
 
 BALLS = 7
 

@@ -7,10 +7,10 @@ import signal
 from pathlib import Path
 
 import pytest
-from carom_command import carom, carom_process
 
 from carom.lab.fork import fork as forking
 from carom.runs.run import simulate
+from carom_command import carom, carom_process
 
 SEEDED = ("--at", "0.5", "--perturb", "1ulp", "--seeds", "2")
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from carom_command import carom
 from rich.markup import render
 from typer.main import get_command
 
 from carom.cli.main import app
+from carom_command import carom
 
 ROOT: Any = get_command(app)
 COMMANDS: dict[str, Any] = {"carom": ROOT, **ROOT.commands}

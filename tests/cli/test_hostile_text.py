@@ -7,13 +7,13 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
-from carom_command import carom
-from edited_recordings import changed, mapped
 from rich.table import Table
 from rich.text import Text
 
 from carom.cli.terminal import Terminal
 from carom.scene.names import escaped
+from carom_command import carom
+from edited_recordings import changed, mapped
 
 UNSAFE = "\x1b]0;owned\x07[/red] [bold]x[/] \x9b2J \u202egnp.exe \r\b"
 

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from carom_command import carom
 
 from carom.runs.json_numbers import finite
+from carom_command import carom
 
 UNBOUNDED = """
 title = "A promise of what a periodic box does not conserve"

@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 
 @pytest.mark.parametrize("command", ["picture", "view", "report"])

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 import rerun.blueprint as rrb
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
 from carom.show.presentation import presentation
+from carom_command import carom
 
 FALLS = """
 title = "Names"

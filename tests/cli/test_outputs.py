@@ -10,11 +10,11 @@ import time
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.cli.main import main
 from carom.physics.error import PhysicsError
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 QUICK = ("run", "two-spheres", "--set", "time.duration=0.5")
 

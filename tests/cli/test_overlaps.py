@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from carom_command import carom
-from small_scenes import pair
 
 import carom as library
 from carom.recording.read.recording import Recording
 from carom.runs.overview import overview
 from carom.runs.report import worst_moment
 from carom.scene.error import SceneError
+from carom_command import carom
+from small_scenes import pair
 
 TIMINGS = {"exact": "time-of-impact", "late": "end-of-step"}  # of an impact in the middle of a step
 

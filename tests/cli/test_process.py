@@ -13,12 +13,12 @@ import sys
 import time
 from pathlib import Path
 
-import dense_heap
 import pytest
-from carom_command import carom, carom_process
 
+import dense_heap
 from carom.cli.main import COMMANDS
 from carom.recording.read.recording import Recording
+from carom_command import carom, carom_process
 
 LONG = ["run", "elastic-gas", "--set", "time.duration=1e5", "-o", "x.rrd"]
 SHORT = ["run", "two-spheres", "--set", "time.duration=1", "-o", "x.rrd", "--force"]

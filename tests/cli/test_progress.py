@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from carom_command import carom
 
 from carom.cli.progress import Progress
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from carom_command import carom
 
 
 @pytest.mark.parametrize(

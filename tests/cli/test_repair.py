@@ -3,10 +3,10 @@ import os
 from pathlib import Path
 
 import pytest
-from carom_command import carom, carom_process
 
 from carom.recording.read.recording import Recording
 from carom.recording.write.claim import Claim
+from carom_command import carom, carom_process
 
 
 def tear(path: Path) -> bytes:

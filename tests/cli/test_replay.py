@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.physics.error import PhysicsError
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 
 @pytest.fixture(scope="module")

@@ -10,10 +10,10 @@ import time
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
 from carom.runs.stress import extremes
+from carom_command import carom
 
 # at their own moments impacts overlap by nothing
 TOO_DEEP = ("--set", "contact.timing=end-of-step", "--set", "expect.max_overlap=1e-9")

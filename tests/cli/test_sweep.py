@@ -11,8 +11,6 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
-from carom_command import carom, carom_process
-from sweep_runs import fingerprints, manifest, write_scene
 
 from carom.cli.main import main
 from carom.physics.space import Space
@@ -20,6 +18,8 @@ from carom.recording.read.recording import Recording
 from carom.runs.run import simulate
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from carom_command import carom, carom_process
+from sweep_runs import fingerprints, manifest, write_scene
 
 VARY = ("--vary", "contact.restitution=0.2,0.8,2", "--seeds", "2")  # 2 is more than a restitution can be
 BOUNCY = "restitution=0.8,seed=6"

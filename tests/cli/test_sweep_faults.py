@@ -12,6 +12,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from carom.runs.interrupts import SAME_PRESS
 from carom_command import carom_process
 from sweep_runs import (
     SLOW,
@@ -25,8 +27,6 @@ from sweep_runs import (
     until,
     write_scene,
 )
-
-from carom.runs.interrupts import SAME_PRESS
 
 VARY = ("--vary", "contact.restitution=0.1:0.9:3", "--seeds", "4")
 RUNS = 12

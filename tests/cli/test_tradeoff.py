@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from carom_command import carom
 
 QUICK = ("--set", "time.duration=1.0", "--set", "time.fixed_dt=0.01", "--vary", "step=2,1", "--repeats", "1")

@@ -6,10 +6,10 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
-from small_scenes import cloud, pair
 
 from carom.scene.schema import Scene
+from carom_command import carom
+from small_scenes import cloud, pair
 
 QUICK = ("--vary", "time.integrator=leapfrog,yoshida4", "--vary", "step=4,1", "--repeats", "1")
 SHORT = ("--set", "time.duration=1.0", "--set", "record.every=0.1")

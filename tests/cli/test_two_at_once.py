@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from carom_command import carom, carom_process
 
 from carom.recording.read.recording import Recording
+from carom_command import carom, carom_process
 
 LONG = ("--set", "time.duration=1e5")
 

@@ -6,13 +6,13 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.cli.units import count_text
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import PLOTS
 from carom.scene.load import scene_from_text
 from carom.scene.units.system import SI, UnitSystem
+from carom_command import carom
 
 DROPPED = """
 title = "Two balls"

@@ -8,11 +8,11 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 import pytest
-from carom_command import carom
-from scripted_run import ScriptedRun
 
 from carom.recording.write.recorder import Recorder
 from carom.show.web import site
+from carom_command import carom
+from scripted_run import ScriptedRun
 
 
 @pytest.fixture

@@ -6,12 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.cli.warnings import warning_lines
 from carom.physics.event import Event
 from carom.recording.read.recording import Recording
 from carom.scene.units.system import SI
+from carom_command import carom
 
 # Two spheres that overlap at rest: Baumgarte's bias throws them apart, which is a rise of the energy.
 THROWN_APART = """

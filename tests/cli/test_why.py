@@ -6,9 +6,9 @@ import json
 from pathlib import Path
 
 import pytest
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 
 def test_the_answer_names_the_impact_and_the_command_to_look_at_it(folder: Path) -> None:

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
-from main_paths import EXTRAS, FIRST, PATHS, fault_of, without_screen_and_driver
 
 from carom.cli.main import COMMANDS
+from main_paths import EXTRAS, FIRST, PATHS, fault_of, without_screen_and_driver
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,6 @@ import math
 from pathlib import Path
 
 import pytest
-from small_scenes import cloud
 
 from carom.lab.tradeoff.coordinate_descent import excess
 from carom.lab.tradeoff.result import Result
@@ -15,6 +14,7 @@ from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.tune import Tuning, tuned
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene
+from small_scenes import cloud
 
 PRICES = {  # of a step; costs are computed from them, so that a search is the same each time
     "time.integrator=yoshida4": 3.0,

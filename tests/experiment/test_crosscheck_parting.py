@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from small_scenes import scene_of
 
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.tradeoff.reference import Reference, make_reference
@@ -14,6 +13,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.run import recording_space, simulate
 from carom.scene.names import Names
 from carom.show.named_event import named_event
+from small_scenes import scene_of
 
 NAMES = Names(["wall", "ball", "end"], [])
 

@@ -6,9 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited_recordings import changed, without_column
-from scripted_run import ScriptedRun
-from small_scenes import scene_of
 
 from carom.cli.diff import _short
 from carom.lab.diff.diff import Diff, diff, differing, overlay
@@ -19,6 +16,9 @@ from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.runs.run import run
 from carom.scene.schema import Scene
+from edited_recordings import changed, without_column
+from scripted_run import ScriptedRun
+from small_scenes import scene_of
 
 Change = Callable[[float], float]  # simulated time (s) → how far bodies are moved (m)
 

@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carom_command import carom as command
-from needs import needed_engine
 
 import carom
 from carom.recording.errors import RecordingError
@@ -21,6 +19,8 @@ from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.adapters.pybullet import calls_per_frame
 from carom.recording.source.snapshot import Snapshot
 from carom.runs.overview import overview
+from carom_command import carom as command
+from needs import needed_engine
 
 FAULT = 100  # the step from which each fault is planted
 MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then

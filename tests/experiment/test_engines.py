@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from needs import needed_engine
 
 from carom.lab.engines.engine import engine_called
 from carom.lab.engines.rebound import shortest_period
@@ -21,6 +20,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
 from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
+from needs import needed_engine
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
 ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses

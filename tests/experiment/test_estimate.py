@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 from rerun.chunk import RrdReader
-from small_scenes import cloud, pair, scene_of
 
 import carom
 from carom.physics.space import Space
@@ -22,6 +21,7 @@ from carom.runs.outlook import estimate_steps
 from carom.runs.run import header_of, recording_space, run
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
+from small_scenes import cloud, pair, scene_of
 
 SMOOTH = {"static_friction": 0}
 FALLING = {"constant": 0.0, "uniform": [0.0, 0.0, -9.81]}

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import pair, scene_of
 
 from carom.lab.tradeoff.event_driven_reference import solve, why_not
 from carom.lab.tradeoff.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import AT_REST, BOUNCES
+from small_scenes import pair, scene_of
 
 
 def course(scene: Scene, tolerance: float = 1e-13) -> Any:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import cloud, two_planets
 
 import carom
 from carom.lab.fork.branch import Branch, start_of
@@ -23,6 +22,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from carom.show.forecast import shades
+from small_scenes import cloud, two_planets
 
 
 def box_of_balls(duration: float) -> Scene:

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
-from small_scenes import cloud
 
 import carom
 from carom.recording.edit.clip import clip
@@ -20,6 +18,8 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
+from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
+from small_scenes import cloud
 
 WHERE_IT_CHANGES = ("phase", "step/limit")
 

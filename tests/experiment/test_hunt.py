@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carom_command import carom
 
 from carom.lab.hunt.hunt import Hunt, Miss
 from carom.lab.hunt.laws import LAWS, laws_of
@@ -18,6 +17,7 @@ from carom.lab.shrink.budget import OutOfTime
 from carom.physics.diagnostics.audit import Audit
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
+from carom_command import carom
 
 
 def test_most_drawn_scenes_are_valid_and_each_law_applies_to_some() -> None:

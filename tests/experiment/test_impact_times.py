@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.lab.tradeoff.trajectory import follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import BOUNCES
+from small_scenes import scene_of
 
 END = 16.0  # s
 PHASES = 40  # of the moment within a step: the error swings with it

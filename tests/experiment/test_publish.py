@@ -13,16 +13,16 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from browser import chromium, settled, wait_until_loaded
-from carom_command import carom
-from needs import PICTURES
 from PIL import Image
-from scripted_run import ScriptedRun
 
+from browser import chromium, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.write.recorder import Recorder
 from carom.runs import publish as publishing
 from carom.show.web import index_page, site
+from carom_command import carom
+from needs import PICTURES
+from scripted_run import ScriptedRun
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'

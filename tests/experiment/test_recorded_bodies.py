@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carom_command import carom as carom_command
 
 import carom
 from carom.lab.diff.diff import diff
@@ -30,6 +29,7 @@ from carom.runs.report import report
 from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from carom_command import carom as carom_command
 
 SCENE = """
 title = "From a file"

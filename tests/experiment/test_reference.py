@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import cloud, pair, scene_of
 
 from carom.lab.tradeoff import event_driven_reference as exact
 from carom.lab.tradeoff.event_driven_reference import solve
@@ -18,6 +17,7 @@ from carom.lab.tradeoff.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from small_scenes import cloud, pair, scene_of
 
 
 def test_a_few_bodies_have_an_exact_reference() -> None:

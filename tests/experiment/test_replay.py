@@ -12,8 +12,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from edited_recordings import changed, mapped
-from small_scenes import cloud
 
 import carom
 from carom.physics.checkpoint import Checkpoint
@@ -31,6 +29,8 @@ from carom.runs.run import simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
+from edited_recordings import changed, mapped
+from small_scenes import cloud
 
 # parts of their durations
 SHORT = {

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_recordings import changed, mapped
 from markdown_it import MarkdownIt
-from small_scenes import cloud
 
 import carom
 from carom.physics.event import Event
@@ -22,6 +20,8 @@ from carom.runs.replay import replay
 from carom.runs.report import Report, report, worst_moment
 from carom.scene.names import escaped
 from carom.scene.schema import Scene
+from edited_recordings import changed, mapped
+from small_scenes import cloud
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,6 @@ from typing import Any
 
 import pyarrow as pa
 import pytest
-from small_scenes import cloud, two_planets
 
 import carom
 from carom.physics.space import Space
@@ -25,6 +24,7 @@ from carom.runs.resume import claimed_target, resumable_run, resume
 from carom.runs.run import simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
+from small_scenes import cloud, two_planets
 
 LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # a tenth says as much
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import cloud, pair
 
 import carom
 from carom.physics.diagnostics.extremes import Extreme, Extremes
@@ -30,6 +29,7 @@ from carom.runs.run import Outcome, simulate
 from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from small_scenes import cloud, pair
 
 
 def test_the_public_run_returns_the_recording(tmp_path: Path) -> None:

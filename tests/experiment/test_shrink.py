@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from carom_command import carom
 
 from carom.cli.shrink import _print
 from carom.lab.shrink.bodies import cones
@@ -33,6 +32,7 @@ from carom.runs.error import ExperimentError
 from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from carom_command import carom
 
 GAS: dict[str, Any] = {  # a dozen spheres that meet within a second
     "title": "Twelve spheres",

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import cloud
 
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
@@ -17,6 +16,7 @@ from carom.runs.expectation import judge
 from carom.runs.stress import attempt, extremes
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import cloud
 
 SLOW = (
     "coincident",

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import cloud, pair
 
 from carom.lab.tradeoff import tradeoff, trajectory
 from carom.lab.tradeoff.figure import draw
@@ -21,6 +20,7 @@ from carom.recording.read.recording import Recording
 from carom.runs.error import ExperimentError
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import cloud, pair
 
 
 def eight() -> Scene:

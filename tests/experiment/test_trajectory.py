@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scene_strategies import scene_from
-from small_scenes import cloud, pair, scene_of
 
 from carom.lab.tradeoff.error_measures import Scale, compare
 from carom.lab.tradeoff.reference import make_reference, refined
@@ -18,6 +16,8 @@ from carom.lab.tradeoff.settings_grid import vary
 from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from scene_strategies import scene_from
+from small_scenes import cloud, pair, scene_of
 
 
 def test_following_a_run_changes_no_bit() -> None:

@@ -9,7 +9,6 @@ from typing import Any, cast
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import cloud, pair, scene_of
 
 import carom
 from carom.lab.why.answer import Answer
@@ -24,6 +23,7 @@ from carom.scene.schema import Scene
 from carom.scene.start import Start
 from carom.show import causes
 from carom.show.causes import CauseEdge
+from small_scenes import cloud, pair, scene_of
 
 FloatArray = NDArray[np.float64]
 

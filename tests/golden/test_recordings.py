@@ -22,9 +22,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from carom_command import carom
 
 from carom.recording.read.recording import Recording
+from carom_command import carom
 
 RECORDINGS = Path(__file__).parent / "recordings"
 NAMES = ("cloud", "tray")

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
@@ -28,6 +27,7 @@ from carom.runs.run import kept_accuracy
 from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 

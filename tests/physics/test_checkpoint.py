@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene_strategies import documents, scene_from
-from small_scenes import cloud
 
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
+from scene_strategies import documents, scene_from
+from small_scenes import cloud
 
 STEPS = 40
 EXTREMES = ("stack-20", "mass-ratio-squeezed", "friction-ten", "overlapped")

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import cloud, pair, scene_of
 
 from carom.physics.contact import impact_store
 from carom.physics.contact.contact_table import CONTACT_ROW, MODES
@@ -17,6 +16,7 @@ from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from small_scenes import cloud, pair, scene_of
 
 Records = NDArray[np.void]
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_scenes import cloud, scene_of
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from small_scenes import cloud, scene_of
 
 G = 9.81  # m/s²
 FALLING = {"uniform": [0.0, 0.0, -G]}

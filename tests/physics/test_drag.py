@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from small_scenes import scene_of
 
 from carom.physics.forces.drag import exponentials
 from carom.physics.frame import Frame
@@ -21,6 +20,7 @@ from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 Sections = dict[str, Any]
 EPS = np.finfo(float).eps

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import pair, random_bodies, scene_of
 
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
@@ -21,6 +20,7 @@ from carom.runs.expectation import judge
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.names import Names
 from carom.scene.schema import Expect
+from small_scenes import pair, random_bodies, scene_of
 
 SPARSE = {"every": 1e9, "check_every": 1_000_000}  # one frame at the start, one at the end
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gravity_shapes import SHAPES, Shape, ball, errors, masses, plummer, pulled_by, summed, total_pull
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.expansions import BRANCH
@@ -13,6 +12,7 @@ from carom.physics.forces.gravity.tree_build import LEAF
 from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from gravity_shapes import SHAPES, Shape, ball, errors, masses, plummer, pulled_by, summed, total_pull
 
 FloatArray = NDArray[np.float64]
 

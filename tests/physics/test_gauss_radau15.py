@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
-from small_scenes import scene_of
 
 import carom
 from carom.physics.error import PhysicsError
@@ -22,6 +21,7 @@ from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 RADAU = "gauss-radau15"
 PYTHAGOREAN: list[dict[str, Any]] = [  # Burrau (1913): at rest at the corners of a triangle of sides 3, 4 and 5

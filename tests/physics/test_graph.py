@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import random_bodies, solver_of
 
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
 from carom.physics.contact.broad_phase.kd_tree import KdTree
@@ -22,6 +21,7 @@ from carom.physics.contact.constraint_graph import (
 from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
 from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
+from small_scenes import random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

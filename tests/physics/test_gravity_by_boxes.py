@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from gravity_shapes import SHAPES, Shape, ball, masses, plummer, pulled_by, summed, total_pull
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
+from gravity_shapes import SHAPES, Shape, ball, masses, plummer, pulled_by, summed, total_pull
 
 FloatArray = NDArray[np.float64]
 Method = type[TreeGravity] | type[FastMultipoleGravity]

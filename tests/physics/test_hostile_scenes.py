@@ -9,9 +9,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import hostile_scenes
 import pytest
 
+import hostile_scenes
 from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.scene.schema import Scene

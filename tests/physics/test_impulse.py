@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies, scene_of, solver_of
 
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from small_scenes import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 

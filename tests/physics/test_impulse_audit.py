@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
-from scene_strategies import documents, scene_from
-from small_scenes import cloud
 
 from carom.lab.hunt.documents import Document
 from carom.physics.contact.contact_tap import ContactTap, Impulses
@@ -17,6 +15,8 @@ from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes
 from carom.scene.schema import Scene
 from golden.fingerprints import AS_WRITTEN, load, moved, stored
+from scene_strategies import documents, scene_from
+from small_scenes import cloud
 
 ROUNDING = 1e-12  # some 100 impulses a body and 100 iterations each, of 1e-16: the worst case found has 2e-14
 STORED = stored()

@@ -16,13 +16,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_strategies import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
 from scipy.spatial.transform import Rotation
 
 from carom.lab.hunt.documents import Document
 from carom.lab.shrink.invariance import Image
 from carom.physics.frame import Frame
 from carom.physics.space import Space
+from scene_strategies import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
 
 FloatArray = NDArray[np.float64]
 

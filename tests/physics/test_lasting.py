@@ -9,7 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import cloud, pair, random_bodies, scene_of, solver_of
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT
@@ -19,6 +18,7 @@ from carom.physics.parallel.thread_team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
+from small_scenes import cloud, pair, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 

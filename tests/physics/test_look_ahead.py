@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.physics.look_ahead.budget import Budget
 from carom.physics.look_ahead.find_step import with_promise
@@ -16,6 +15,7 @@ from carom.physics.space import Space
 from carom.runs.run import shortfall_text
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 LEAST = "carom.physics.look_ahead.budget.LEAST"
 

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import random_bodies, scene_of, solver_of
 
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.contact.contact_table import SLIDING, STICKING
@@ -21,6 +20,7 @@ from carom.plan.features import require
 from carom.scene.materials import PairCoefficients, kinds_of_contacts, pair_coefficients
 from carom.scene.schema import Coefficients, Scene
 from carom.scene.schema.material import combined
+from small_scenes import random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 Section = dict[str, Any]

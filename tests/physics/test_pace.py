@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from small_scenes import scene_of
-
 from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
+from small_scenes import scene_of
 
 
 def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:

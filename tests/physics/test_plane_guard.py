@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_strategies import EPS, choices, decades, parts, vectors
-from small_scenes import scene_of
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from scene_strategies import EPS, choices, decades, parts, vectors
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 

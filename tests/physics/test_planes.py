@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 import carom
 from carom.lab.tradeoff.event_driven_reference import solve
@@ -24,6 +23,7 @@ from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 

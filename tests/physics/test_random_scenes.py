@@ -13,13 +13,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scene_strategies import EPS, documents, scene_from
 
 from carom.lab.hunt.documents import Document
 from carom.physics.contact.pipeline import MOST_SWEEPS
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from scene_strategies import EPS, documents, scene_from
 
 FloatArray = NDArray[np.float64]
 

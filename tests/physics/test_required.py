@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from scene_strategies import documents, scene_from
-from small_scenes import cloud, pair, scene_of
 
 from carom.lab.hunt.documents import Document
 from carom.physics.frame import Frame
@@ -20,6 +18,8 @@ from carom.plan.features import require
 from carom.scene.error import SceneError
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
+from scene_strategies import documents, scene_from
+from small_scenes import cloud, pair, scene_of
 
 SMOOTH = {"static_friction": 0, "restitution": 0.7}
 STEPS = 40

@@ -9,13 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from small_scenes import scene_of
 
 from carom.physics.contact.constraints import CONTACT_STATE
 from carom.physics.contact.continuous.next_impact import step_by_impacts
 from carom.physics.contact.islands import Islands
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.space import Space
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

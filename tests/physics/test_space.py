@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_scenes import cloud, momentum_of, pair, scene_of
 
 from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
@@ -23,6 +22,7 @@ from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 from carom.scene.schema.time import LARGEST_ACCURACY
+from small_scenes import cloud, momentum_of, pair, scene_of
 
 TOUCHING = [{"position": [-1, 0, 0], "mass": 1.0}, {"position": [1, 0, 0], "mass": 1.0}]
 

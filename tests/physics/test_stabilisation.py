@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of
 
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
@@ -16,6 +15,7 @@ from carom.physics.contact.constraints import RECORDED
 from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from small_scenes import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]
 

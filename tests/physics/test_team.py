@@ -10,7 +10,6 @@ import numba
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import random_bodies, scene_of, solver_of
 
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
@@ -19,6 +18,7 @@ from carom.physics.parallel.atomics import atomic_load, atomic_store
 from carom.physics.parallel.thread_team import Team, sharing_all
 from carom.physics.space import Space
 from carom.scene.half_space import HalfSpaces
+from small_scenes import random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carom_command import carom as command
-from needs import needed_engine
 from numpy.typing import NDArray
 
 import carom
@@ -28,6 +26,8 @@ from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from carom_command import carom as command
+from needs import needed_engine
 
 FloatArray = NDArray[np.float64]
 

@@ -6,20 +6,20 @@ import itertools
 import math
 from typing import Any
 
-import event_driven_oracle
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import cloud, scene_of
 
+import event_driven_oracle
 from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from small_scenes import cloud, scene_of
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]

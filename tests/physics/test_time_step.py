@@ -7,7 +7,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pytest
-from small_scenes import kinetic_energy_of, random_bodies
 
 from carom.physics.batch_step import BatchStepper
 from carom.physics.error import PhysicsError
@@ -19,6 +18,7 @@ from carom.physics.step_rule import BODIES_PER_BLOCK
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
+from small_scenes import kinetic_energy_of, random_bodies
 
 NO_FIELD = np.zeros(3)
 

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 import carom
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
@@ -20,6 +19,7 @@ from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 Bodies = list[dict[str, Any]]

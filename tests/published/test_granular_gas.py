@@ -15,6 +15,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
+
 from monte_carlo_gas import rough_gas
 from periodic_gas import cooling, rough_ratio
 

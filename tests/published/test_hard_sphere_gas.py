@@ -12,6 +12,7 @@ which keep it to a few tenths of a per cent.
 from __future__ import annotations
 
 import pytest
+
 from periodic_gas import carnahan_starling, enskog_rate, measure_equilibrium
 
 

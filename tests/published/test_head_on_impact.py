@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.physics.space import Space
+from small_scenes import scene_of
 
 EPSILON = float(np.finfo(float).eps)
 

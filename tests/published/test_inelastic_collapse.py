@@ -14,9 +14,9 @@ from math import sqrt
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 from carom.physics.space import Space
+from small_scenes import scene_of
 
 COLLAPSE = 7 - 4 * sqrt(3)
 GAPS = (0.3, 0.4)  # m, unequal: the left pair meets first

@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from small_scenes import random_bodies, scene_of
 
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from small_scenes import random_bodies, scene_of
 
 
 def slip_after(psi: float, restitution: float, static_friction: float, kinetic_friction: float) -> tuple[float, float]:

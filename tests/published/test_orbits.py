@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 
 def test_the_figure_eight_returns_after_a_period() -> None:

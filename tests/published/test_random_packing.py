@@ -10,6 +10,7 @@ the faster the packing comes about; Song, Wang & Makse, Nature 453, 629 (2008): 
 from __future__ import annotations
 
 import pytest
+
 from poured_packing import contacts_of_a_body, packing_fraction, pour
 
 

@@ -14,9 +14,9 @@ import math
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.physics.space import Space
+from small_scenes import scene_of
 
 G = 9.81  # m/s²
 

@@ -12,9 +12,9 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import scene_of
 
 from carom.physics.space import Space
+from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
 

@@ -6,9 +6,9 @@ import shutil
 from pathlib import Path
 
 import pytest
-from scripted_run import ScriptedRun
 
 from carom.recording.write.recorder import Recorder
+from scripted_run import ScriptedRun
 
 IMPACT: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2"}
 

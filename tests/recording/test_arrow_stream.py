@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from edited_recordings import assembled, messages_of, stream, with_column
 
 from carom.arrow_claims import claims
 from carom.recording.errors import DamageError
 from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import END
 from carom.recording.rrd.index import Container
+from edited_recordings import assembled, messages_of, stream, with_column
 
 ROWS = 200_000_000
 

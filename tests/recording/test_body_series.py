@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import scene_of
 
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
@@ -15,6 +14,7 @@ from carom.recording.read.body_series import QUANTITIES, asked_quantities, body_
 from carom.recording.read.recording import Recording
 from carom.runs.run import simulate
 from carom.show.body_plots import BodyPlots
+from small_scenes import scene_of
 
 BODIES = [
     {"name": "top", "position": [0, 0, 5], "velocity": [3, 0, 4], "angular_velocity": [0, 3, 4], "radius": 0.1},

@@ -3,10 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scripted_run import ScriptedRun
 
 from carom.recording.layout import camera
 from carom.recording.layout.camera import CameraFit, View, corners_of
+from scripted_run import ScriptedRun
 
 FloatArray = NDArray[np.float64]
 SLOPE = np.tan(np.radians(55 / 2))  # Rerun's eye opens 55° from top to bottom

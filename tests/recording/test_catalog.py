@@ -9,9 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from needs import PICTURES
 from rerun.catalog import CatalogClient
-from small_scenes import pair
 
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
@@ -20,6 +18,8 @@ from carom.runs.run import simulate
 from carom.show import keeper
 from carom.show.catalog import catalog
 from carom.show.viewer import Viewer
+from needs import PICTURES
+from small_scenes import pair
 
 
 def swept(folder: Path, restitution: float) -> Path:

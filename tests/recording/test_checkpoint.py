@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted_run import ScriptedRun
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
@@ -13,6 +12,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint import encode, size
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.recorder import Recorder
+from scripted_run import ScriptedRun
 
 
 def record(path: Path, scripted: ScriptedRun, frames: list[Frame]) -> Recording:

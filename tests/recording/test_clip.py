@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scripted_run import ScriptedRun
 
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import clip
@@ -14,6 +13,7 @@ from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import Recorder
+from scripted_run import ScriptedRun
 
 FIRST, LAST = 45, 73  # steps of the clip that most tests make: frame 45 lies inside a phase, and at no checkpoint
 START, END = 45 * 0.05, 73 * 0.05  # s

@@ -2,7 +2,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import cloud
 
 import carom
 from carom.recording.errors import RecordingError
@@ -16,6 +15,7 @@ from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.show import trails
 from carom.show.presentation import presentation
+from small_scenes import cloud
 
 PAIRS = np.array([[0, 1], [1, 2], [3, 4], [5, 7]])  # of 7 bodies: 7 is a plane
 

@@ -11,10 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
-from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from numpy.typing import NDArray
-from scripted_run import ScriptedRun
-from small_scenes import pair, scene_of
 
 import carom
 from carom.physics.contact.contact_table import CONTACT_ROW
@@ -35,6 +32,9 @@ from carom.runs.impact_check import LEFT_OUT
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.schema import Scene
+from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
+from scripted_run import ScriptedRun
+from small_scenes import pair, scene_of
 
 SINGLE = 1e-6  # relative, of a few roundings to float32
 NUMBERS = ("x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from scripted_run import ScriptedRun
 
 from carom.physics.event import Event
 from carom.recording.read.continuation import Continuation
@@ -18,6 +17,7 @@ from carom.recording.schema import paths
 from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, Rows
+from scripted_run import ScriptedRun
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
 FRAMES = 20

@@ -3,11 +3,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import damage_bytes
-import damage_rows
 import pytest
 
 import carom
+import damage_bytes
+import damage_rows
 from carom.scene.schema import Scene
 
 AT_ONCE = 100  # files a process: Rerun keeps some 2 MB of every stream that wrote one

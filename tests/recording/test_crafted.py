@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pytest
-from edited_recordings import Change, changed, mapped, retyped, with_column, without_column
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
+from edited_recordings import Change, changed, mapped, retyped, with_column, without_column
 
 OUTCOME, ABOUT = "__properties/outcome", "__properties/carom"
 

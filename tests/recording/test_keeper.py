@@ -16,11 +16,11 @@ from pathlib import Path
 
 import psutil
 import pytest
-from needs import PICTURES
-from other_user import as_root, run_as_nobody
 
 from carom.show import keeper
 from carom.show.viewer import Viewer
+from needs import PICTURES
+from other_user import as_root, run_as_nobody
 
 # answers every connection with the number of its user, and leaves a file in the temporary folder
 SERVER = """

@@ -2,13 +2,13 @@ import socket
 from pathlib import Path
 
 import pytest
-from needs import PICTURES
-from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.show.viewer import Viewer
+from needs import PICTURES
+from scripted_run import ScriptedRun
 
 
 def test_nobody_listening_is_told_at_once(tmp_path: Path, scripted: ScriptedRun) -> None:

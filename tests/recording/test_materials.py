@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from carom_command import carom as command
-from small_scenes import scene_of
 
 import carom
 from carom.recording.edit.clip import clip
@@ -22,6 +20,8 @@ from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.scene.schema.material import COLOURS
 from carom.show.presentation import presentation
+from carom_command import carom as command
+from small_scenes import scene_of
 
 SKY, SAND, GREY = palette.SKY, 0xB08968FF, palette.GREY
 

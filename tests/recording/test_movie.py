@@ -16,17 +16,17 @@ import imageio_ffmpeg
 import numpy as np
 import psutil
 import pytest
-from carom_command import carom
-from needs import PICTURES
 from numpy.typing import NDArray
 from PIL import Image
-from scripted_run import ScriptedRun
 
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.show.movie import frame_times
 from carom.show.movie_file import delays_of, require_encoder, write_movie
+from carom_command import carom
+from needs import PICTURES
+from scripted_run import ScriptedRun
 
 SIZE = (64, 48)
 COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]

@@ -4,11 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from carom_command import carom
-from needs import PICTURES
-from picture_pixels import Pixels, of_colour, of_hue, region, view
 from PIL import Image
-from scripted_run import ScriptedRun
 
 from carom import Scene, run
 from carom.physics.placement.initial_state import place
@@ -21,6 +17,10 @@ from carom.show.glyphs import drawable
 from carom.show.picture import _marked, is_picture_of_carom, render
 from carom.show.request import Request
 from carom.show.viewer import broken_off, reason_of
+from carom_command import carom
+from needs import PICTURES
+from picture_pixels import Pixels, of_colour, of_hue, region, view
+from scripted_run import ScriptedRun
 
 SIZE = (1600, 1000)
 

@@ -6,10 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from needs import PICTURES
 from numpy.typing import NDArray
 from PIL import Image
-from scripted_run import ScriptedRun
 
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.legend import place_legend
@@ -20,6 +18,8 @@ from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.write.recorder import Recorder
 from carom.show.picture import render
 from carom.show.request import Request
+from needs import PICTURES
+from scripted_run import ScriptedRun
 
 Pixels = NDArray[np.int64]
 SIZE = (800, 500)

@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from small_scenes import pair, scene_of
 
 import carom
 from carom.physics.contact.contact_table import CONTACT_ROW
@@ -25,6 +24,7 @@ from carom.show.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.show.presentation import asked, presentation
 from carom.show.request import Request
 from carom.show.trails import Trails
+from small_scenes import pair, scene_of
 
 
 @pytest.fixture(scope="module")

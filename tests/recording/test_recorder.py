@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-import scripted_run
 from rerun.chunk import RrdReader
-from scripted_run import ScriptedRun
 
+import scripted_run
 from carom.physics.space import Space
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -26,6 +25,7 @@ from carom.recording.write.rows import Index, frame_rows
 from carom.recording.write.stream import Stream
 from carom.runs.run import header_of
 from carom.scene.schema import Scene
+from scripted_run import ScriptedRun
 
 SUPPORT = str(Path(scripted_run.__file__).parent)
 

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rerun as rr
-from scripted_run import ScriptedRun
 
 from carom.physics.event import Event
 from carom.recording.errors import RecordingError
@@ -14,6 +13,7 @@ from carom.recording.schema import paths
 from carom.recording.write import encoder as entities
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, Rows
+from scripted_run import ScriptedRun
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
 HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}

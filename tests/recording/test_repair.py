@@ -6,8 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited_recordings import changed, mapped
-from scripted_run import ScriptedRun
 
 from carom.recording.edit.repair import repair
 from carom.recording.edit.restored_blueprint import new_layout
@@ -20,6 +18,8 @@ from carom.recording.schema.clock import Clock
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.stream import Stream
 from carom.runs.replay import replay
+from edited_recordings import changed, mapped
+from scripted_run import ScriptedRun
 
 
 def without_footer(path: Path) -> int:

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from needs import PICTURES
-from picture_pixels import Pixels, of_colour, of_hue, view
 from PIL import Image
 
 import carom
@@ -14,6 +12,8 @@ from carom.recording.style import impulse_scale
 from carom.scene.schema import Scene
 from carom.show.picture import render
 from carom.show.request import Request
+from needs import PICTURES
+from picture_pixels import Pixels, of_colour, of_hue, view
 
 SIZE = (1600, 1000)
 SHARES = (3.0, 2.2, 2.0)  # widths of the views of bodies, graph and close-up

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted_run import ScriptedRun
 
 from carom.recording.layout.curve import Curve
 from carom.recording.layout.plot_views import shown_series
@@ -15,6 +14,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import Recorder
+from scripted_run import ScriptedRun
 
 DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
 

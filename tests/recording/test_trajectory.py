@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from small_scenes import scene_of
 
 import carom
 from carom.physics.frame import Frame
@@ -15,6 +14,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
+from small_scenes import scene_of
 
 FLOAT32 = 2.0**-23  # rounding of a float32, relative
 

@@ -19,11 +19,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import psutil
 import pytest
-from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
-from other_user import as_root, run_as_nobody
 from playwright.sync_api import Page
 
 import carom
+from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
 from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
@@ -32,6 +31,7 @@ from carom.show.presentation import presentation
 from carom.show.viewer import binary
 from carom.show.web import server, site
 from carom.show.web.server import Hosted, hosted
+from other_user import as_root, run_as_nobody
 
 
 @pytest.fixture(scope="module")

@@ -15,9 +15,7 @@ import pyarrow.csv
 import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
-from needs import needed_engine
 from numpy.typing import NDArray
-from seeds import chosen_seed
 
 from carom.physics.placement import place
 from carom.plan.features import require
@@ -27,6 +25,8 @@ from carom.scene.data import table
 from carom.scene.error import SceneError
 from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Scene
+from needs import needed_engine
+from seeds import chosen_seed
 
 POSITION = np.array([[0.0, 0.0, 0.1], [3.0, 0.0, 0.2], [0.0, 3.0, 0.3]])
 VELOCITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0 / 3.0, 0.0], [0.0, 0.0, 0.0]])

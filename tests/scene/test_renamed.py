@@ -6,13 +6,13 @@ import warnings
 from pathlib import Path
 
 import pytest
-from carom_command import carom as command
 
 import carom
 from carom.runs.replay import replay
 from carom.scene.error import SceneError
 from carom.scene.renamed import OldNameWarning
 from carom.scene.schema import Scene
+from carom_command import carom as command
 
 BODY = "[[body]]\nradius = 1.0\n"
 OLD, NEW = f"{BODY}[record]\nlog_freq = 7\n", f"{BODY}[record]\ncheck_every = 7\n"

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from small_scenes import cloud, pair, scene_of
 
 from carom.lab.engines.rebound import _refuse as refuse_for_rebound
 from carom.lab.engines.translation import problem_of
@@ -33,6 +32,7 @@ from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
 from carom.scene.schema import Promise, Scene
+from small_scenes import cloud, pair, scene_of
 
 MOVING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]
 RESTING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0]}]

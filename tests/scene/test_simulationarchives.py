@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from needs import needed_engine
 
 from carom.physics.space import Space
 from carom.scene.error import SceneError
 from carom.scene.schema import Scene
+from needs import needed_engine
 
 rebound = needed_engine("rebound")
 

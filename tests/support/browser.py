@@ -7,10 +7,11 @@ import io
 from collections.abc import Iterator
 
 import numpy as np
-from needs import BROWSER, CHROMIUM, need
 from numpy.typing import NDArray
 from PIL import Image
 from playwright.sync_api import Page, TimeoutError, sync_playwright
+
+from needs import BROWSER, CHROMIUM, need
 
 OPTIONS = (
     *("--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync"),

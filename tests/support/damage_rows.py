@@ -18,8 +18,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
-from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 
 from carom.cli.contacts import _json, _print
 from carom.cli.inspect import _moments, _overview, _profile
@@ -37,6 +35,8 @@ from carom.runs.replay import replay
 from carom.show.movie import _layout, frame_times
 from carom.show.presentation import asked
 from carom.show.request import Request
+from damage_bytes import SLOWEST, attempt, mended, peak, read_all, tell
+from edited_recordings import assembled, messages_of, repacked, stream, with_column, without_column
 
 LONG = 3_000_000  # values of a bomb
 TEXTS = ["", "[/red]", "\x1b[2J", "x" * 100_000, "[" * 100_000, "a." * 50_000, "[[" * 3000, "1,2,", "end: ", "nan"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+
 from periodic_gas import DIAMETER, INERTIA, MASS
 
 FASTEST = 7.0  # thermal speeds; the approach of a pair is Gaussian with √2 of them, so 5 standard deviations

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sweep_runs import write_scene
 
 from carom.lab.sweep.conductor import GONE, INTERRUPTED, Conductor
 from carom.lab.sweep.folder import Folder
@@ -14,6 +13,7 @@ from carom.lab.sweep.manifest import FAILED, PENDING, Manifest
 from carom.lab.sweep.plan import plan
 from carom.runs.interrupts import Interrupts
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
+from sweep_runs import write_scene
 
 
 class Processes:

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sweep_runs import write_scene
 
 from carom.lab.sweep.folder import Folder, put
 from carom.lab.sweep.manifest import DONE, Manifest, read, stored_runs
 from carom.lab.sweep.plan import plan
 from carom.lab.sweep.table import rows_of
 from carom.runs.error import ExperimentError
+from sweep_runs import write_scene
 
 
 def begin(folder: Path, runs: int = 3) -> Manifest:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from sweep_runs import SCENE, write_scene
 
 from carom.lab.sweep.plan import plan
 from carom.runs.error import ExperimentError
 from carom.scene.error import SceneError
+from sweep_runs import SCENE, write_scene
 
 
 def names(folder: Path, *vary: str, seeds: int | None = None, zipped: bool | None = None) -> list[str]:

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from sweep_runs import write_scene
 
 from carom.lab.sweep import task as made
 from carom.lab.sweep.folder import Folder, put
@@ -14,6 +13,7 @@ from carom.lab.sweep.plan import plan
 from carom.lab.sweep.task import Task, execute
 from carom.recording.read.recording import Recording
 from carom.runs.environment import versions
+from sweep_runs import write_scene
 
 
 def task_in(folder: Path, *overrides: str) -> tuple[Task, Folder]:
