@@ -28,14 +28,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError, SceneError
 from carom.lab.tradeoff.settings_grid import Point, knobs
-from carom.physics.error import PhysicsError
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.auto import integrator
-from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

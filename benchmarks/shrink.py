@@ -12,10 +12,10 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+from carom.errors import ExperimentError
 from carom.lab.shrink.condition import condition_from
 from carom.lab.shrink.reducer import Reducer
 from carom.lab.shrink.text import commented
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from planted_faults import FAULTS, Fault
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 import carom as library
+from carom.errors import SceneError
 from carom.recording.read.recording import Recording
 from carom.runs.overview import overview
 from carom.runs.report import worst_moment
-from carom.scene.error import SceneError
 from carom_command import carom
 from small_scenes import pair
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.recording.read.recording import Recording
 from carom_command import carom
 

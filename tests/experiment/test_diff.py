@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from carom.cli.diff import _short
+from carom.errors import RecordingError
 from carom.lab.diff.diff import Diff, diff, differing, overlay
 from carom.lab.diff.impact_divergence import _nearest_in_order, impact_divergence
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.runs.run import run

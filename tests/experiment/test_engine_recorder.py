@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import carom
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of

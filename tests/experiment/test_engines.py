@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.errors import ExperimentError
 from carom.lab.engines.engine import engine_called
 from carom.lab.engines.rebound import shortest_period
 from carom.lab.engines.stepped import Simulation
@@ -18,7 +19,6 @@ from carom.lab.tradeoff.tradeoff import Study
 from carom.lab.tradeoff.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from needs import needed_engine
 

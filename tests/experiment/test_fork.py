@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.errors import ExperimentError
 from carom.lab.fork.branch import Branch, start_of
 from carom.lab.fork.chance import Chance, chances
 from carom.lab.fork.ensemble import Ensemble, ensemble
@@ -19,7 +20,6 @@ from carom.lab.fork.path import outcome_of
 from carom.lab.fork.perturbed import Result, Task, by_seed, execute
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from carom.show.forecast import shades
 from small_scenes import cloud, two_planets

@@ -12,8 +12,8 @@ import pyarrow as pa
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.runs.replay import replay

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import carom
+from carom.errors import SceneError
 from carom.recording.read.restore import recorded_scene
 from carom.runs.replay import replay
 from carom.runs.report import report
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
 

@@ -16,7 +16,7 @@ import pytest
 from PIL import Image
 
 from browser import chromium, settled, wait_until_loaded
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.write.recorder import Recorder
 from carom.runs import publish as publishing
 from carom.show.web import index_page, site

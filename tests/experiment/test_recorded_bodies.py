@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.errors import RecordingError, SceneError
 from carom.lab.diff.diff import diff
 from carom.lab.sweep.folder import Folder
 from carom.lab.sweep.manifest import Manifest
@@ -17,7 +18,6 @@ from carom.lab.sweep.plan import plan
 from carom.lab.sweep.task import Task, execute
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.export.export import write
 from carom.recording.export.snapshot import snapshots
 from carom.recording.read.recording import Recording
@@ -27,7 +27,6 @@ from carom.runs.environment import versions
 from carom.runs.replay import replay
 from carom.runs.report import report
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from carom_command import carom as carom_command
 

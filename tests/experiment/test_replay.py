@@ -14,13 +14,13 @@ import pyarrow as pa
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.plan.auto import frame_interval
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint, paths
 from carom.runs.mismatch import different

@@ -11,9 +11,9 @@ import pytest
 from markdown_it import MarkdownIt
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.event import Event
 from carom.recording.edit import bundle
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.runs import report as reports
 from carom.runs.replay import replay

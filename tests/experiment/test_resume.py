@@ -14,11 +14,11 @@ import pyarrow as pa
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.runs.resume import claimed_target, resumable_run, resume
 from carom.runs.run import simulate

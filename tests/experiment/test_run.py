@@ -16,11 +16,11 @@ import numpy as np
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.runs.expectation import judge

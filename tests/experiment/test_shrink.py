@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from carom.cli.shrink import _print
+from carom.errors import ExperimentError
 from carom.lab.shrink.bodies import cones
 from carom.lab.shrink.budget import OutOfTime
 from carom.lab.shrink.condition import condition_from
@@ -28,7 +29,6 @@ from carom.lab.shrink.trials import Trials
 from carom.lab.shrink.whole_run import CommandShows
 from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
-from carom.runs.error import ExperimentError
 from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

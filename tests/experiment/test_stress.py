@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.errors import SceneError
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.runs.expectation import judge
 from carom.runs.stress import attempt, extremes
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import cloud
 

@@ -9,16 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.errors import ExperimentError, PhysicsError, RecordingError, SceneError
 from carom.lab.tradeoff import tradeoff, trajectory
 from carom.lab.tradeoff.figure import draw
 from carom.lab.tradeoff.overlay import record
 from carom.lab.tradeoff.settings_grid import default_settings, vary
 from carom.lab.tradeoff.tradeoff import Study
-from carom.physics.error import PhysicsError
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.runs.error import ExperimentError
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import cloud, pair
 

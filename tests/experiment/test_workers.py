@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
-from carom.runs.error import ExperimentError
+from carom.errors import ExperimentError
 from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
 
 NOBODY = 65534

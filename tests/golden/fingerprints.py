@@ -27,12 +27,12 @@ from typing import Any
 import numpy as np
 import xxhash
 
+from carom.errors import SceneError
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.data.sources import DataFiles
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 

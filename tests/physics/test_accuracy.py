@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.radau_tolerance import tolerance
@@ -24,7 +25,6 @@ from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require
 from carom.runs.run import kept_accuracy
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from small_scenes import scene_of

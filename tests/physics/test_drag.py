@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from carom.errors import SceneError
 from carom.physics.forces.drag import exponentials
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space

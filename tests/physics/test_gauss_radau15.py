@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 import carom
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError, SceneError
 from carom.physics.integrators.radau_nodes import NODES
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

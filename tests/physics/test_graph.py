@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
 from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.broad_phase.pair_list import PairList
@@ -19,7 +20,6 @@ from carom.physics.contact.constraint_graph import (
     colour_contacts,
 )
 from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
-from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from small_scenes import random_bodies, solver_of
 

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import hostile_scenes
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 

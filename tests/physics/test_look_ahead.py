@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.errors import SceneError
 from carom.physics.look_ahead.budget import Budget
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.runs.run import shortfall_text
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

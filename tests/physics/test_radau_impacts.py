@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.errors import SceneError
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.lab.tradeoff.trajectory import follow
 from carom.physics.contact.contact_table import IMPACT_MODE
@@ -21,7 +22,6 @@ from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

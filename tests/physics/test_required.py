@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
+from carom.errors import SceneError
 from carom.lab.hunt.documents import Document
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.features import require
-from carom.scene.error import SceneError
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
 from scene_strategies import documents, scene_from

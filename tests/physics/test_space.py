@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.physics.step_rule import LIMIT_NAMES

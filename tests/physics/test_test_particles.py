@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.errors import SceneError
 from carom.lab.shrink.literal import literal
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
@@ -24,7 +25,6 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from carom_command import carom as command
 from needs import needed_engine

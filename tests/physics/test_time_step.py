@@ -8,8 +8,8 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from carom.errors import PhysicsError
 from carom.physics.batch_step import BatchStepper
-from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from carom.physics.pull_time import PullTime, step_of_largest
 from carom.physics.space import Space

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.errors import SceneError
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
@@ -17,7 +18,6 @@ from carom.plan.features import require
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

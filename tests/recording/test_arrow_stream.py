@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 
 from carom.arrow_claims import claims
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import END
 from carom.recording.rrd.index import Container

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.errors import RecordingError
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.layout.canvas import Area
 from carom.recording.read.body_series import QUANTITIES, asked_quantities, body_series, needs_replay
 from carom.recording.read.recording import Recording

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from rerun.catalog import CatalogClient
 
+from carom.errors import RecordingError
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.schema.header import SweepMember
 from carom.runs.run import simulate
 from carom.show import keeper

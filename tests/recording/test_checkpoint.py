@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint import encode, size
 from carom.recording.write.checkpoint_plan import CheckpointPlan

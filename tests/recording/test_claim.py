@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.claim import Claim
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.recorder import Recorder
@@ -202,7 +202,7 @@ def test_a_full_disk_leaves_the_clip_that_was_there(recorded: Path, tmp_path: Pa
     code = f"""
 import resource
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))
 try:
     clip({str(recorded)!r}, {str(tmp_path / "clip.rrd")!r})

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.lab.fork.branch import Branch, start_of
 from carom.lab.why.question import question_of
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 

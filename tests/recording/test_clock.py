@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.schema.clock import Clock
 
 

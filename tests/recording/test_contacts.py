@@ -14,11 +14,11 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.moment import frame_of
 from carom.recording.read.recording import Recording

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from edited_recordings import Change, changed, mapped, retyped, with_column, without_column

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.arrow_stream import LARGEST
 from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_FOOTER, Message, messages

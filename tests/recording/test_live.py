@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.show.viewer import Viewer

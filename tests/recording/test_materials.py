@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from carom import Scene, run
+from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
-from carom.recording.errors import RecordingError
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
 from carom.recording.write.recorder import Recorder

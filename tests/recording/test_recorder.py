@@ -13,8 +13,8 @@ import rerun as rr
 from rerun.chunk import RrdReader
 
 import scripted_run
+from carom.errors import RecordingError
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Container
 from carom.recording.schema.clock import Clock
@@ -353,7 +353,7 @@ from pathlib import Path
 sys.path.insert(0, {tests!r})
 from scripted_run import ScriptedRun
 from carom.recording.write.recorder import Recorder
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 scripted = ScriptedRun(200)
 path = Path({path!r})
 {before}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import rerun as rr
 
+from carom.errors import RecordingError
 from carom.physics.event import Event
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder as entities

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom.errors import RecordingError
 from carom.recording.edit.repair import repair
 from carom.recording.edit.restored_blueprint import new_layout
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, messages
 from carom.recording.rrd.index import Container

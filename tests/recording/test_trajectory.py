@@ -8,10 +8,10 @@ import pyarrow as pa
 import pytest
 
 import carom
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from small_scenes import scene_of

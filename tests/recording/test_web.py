@@ -23,7 +23,7 @@ from playwright.sync_api import Page
 
 import carom
 from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from carom.show.keeper import free_port

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.physics.placement.growth import densest
 from carom.physics.placement.lattice import CELLS
-from carom.scene.error import SceneError
 from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 from carom.scene.start import Start

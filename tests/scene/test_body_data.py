@@ -17,12 +17,12 @@ import pyarrow.parquet as pq
 import pytest
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.hierarchy import heaviest
 from carom.scene.body_names import JoinedNames, NumberedNames
 from carom.scene.data import table
-from carom.scene.error import SceneError
 from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Scene
 from needs import needed_engine

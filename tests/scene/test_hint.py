@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 from carom.scene.hint import hint
 from carom.scene.load import scene_from_text
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.limits import refuse_impossible
 from carom.scene.bundled import bundled_scenes, starter
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from carom.errors import SceneError
 from carom.physics.placement import packing_fraction, place
-from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
 from carom.scene.load import scene_from_text
 from carom.scene.materials import pair_coefficients

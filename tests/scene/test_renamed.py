@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import carom
+from carom.errors import SceneError
 from carom.runs.replay import replay
-from carom.scene.error import SceneError
 from carom.scene.renamed import OldNameWarning
 from carom.scene.schema import Scene
 from carom_command import carom as command

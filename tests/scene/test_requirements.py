@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from carom.errors import ExperimentError, SceneError
 from carom.lab.engines.rebound import _refuse as refuse_for_rebound
 from carom.lab.engines.translation import problem_of
 from carom.lab.tradeoff.event_driven_reference import why_not
@@ -26,8 +27,6 @@ from carom.plan.auto import (
 )
 from carom.plan.features import require
 from carom.plan.limits import refuse_impossible
-from carom.runs.error import ExperimentError
-from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.errors import SceneError
 from carom.physics.space import Space
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 from needs import needed_engine
 

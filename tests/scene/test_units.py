@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import DIMENSIONS, ENERGY, LENGTH, TIME, Dimension

@@ -15,13 +15,11 @@ from pathlib import Path
 import numpy as np
 from rerun.chunk import RrdReader
 
+from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.lab.diff.diff import diff
-from carom.physics.error import PhysicsError
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.scene.error import SceneError
 
 SLOWEST = 20  # s of CPU for one file; all of them take less than 1 s
 

@@ -16,12 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError, SceneError
 from carom.physics.space import Space
 from carom.plan.limits import refuse_impossible
 from carom.runs.warmup import warm_up
 from carom.scene.bundled import bundled_scenes
-from carom.scene.error import SceneError
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

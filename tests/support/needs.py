@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 
 PICTURES, BROWSER, ENGINES = "pictures", "browser", "engines"
 CHROMIUM = "/usr/bin/chromium"  # Debian's; Playwright's own browser is not downloaded

@@ -96,7 +96,7 @@ def _interval(
     """Return the start and the end of the interval, from either pair of options."""
     from math import inf
 
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     if (around is None) != (window is None) or (around is not None and (start is not None or end is not None)):
         raise RecordingError(

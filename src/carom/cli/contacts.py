@@ -102,7 +102,7 @@ def contacts(
 def _refuse_contradictions(
     at: OptionalTime, impacts: bool, start: OptionalTime, end: OptionalTime, bodies: list[str] | None, forms: int
 ) -> None:
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     if forms > 1:
         raise RecordingError("choose one of --json, --csv and -o")
@@ -124,7 +124,7 @@ def _table(
     again: bool,
 ) -> pa.Table:
     """Ask the recording, and keep the contacts of the bodies."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
     from carom.recording.read.body_names import shown_body
     from carom.recording.read.contact_tables import of_body
 
@@ -174,7 +174,7 @@ def _write(recording: Recording, table: pa.Table, path: Path) -> None:
     import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
     from carom.recording.write.whole_file import whole_file
 
     named = _named(recording, table)

@@ -83,10 +83,10 @@ def crosscheck(
 
     Results are kept; the same command continues where it stopped.
     """
+    from carom.errors import ExperimentError
     from carom.lab.crosscheck.crosscheck import Crosscheck
     from carom.lab.crosscheck.runs import Runs
     from carom.lab.engines.engine import engines_called
-    from carom.runs.error import ExperimentError
     from carom.scene.bundled import bundled_folders
     from carom.scene.schema import Scene
 
@@ -302,10 +302,10 @@ def _number(value: float | None) -> str:
 
 def _draw(check: Crosscheck, quiet: bool) -> None:
     """Leave the figure and the recording of all runs beside the document; say where they are."""
+    from carom.errors import ExperimentError
     from carom.lab.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
     from carom.lab.crosscheck.figure import draw
     from carom.lab.tradeoff.overlay import record
-    from carom.runs.error import ExperimentError
 
     if not any(result.complete for result in check.results):
         return

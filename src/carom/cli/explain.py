@@ -108,7 +108,7 @@ def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:
     """Load a scene with parts switched on, besides those that it switches on by itself."""
     import json
 
-    from carom.scene.error import SceneError
+    from carom.errors import SceneError
     from carom.scene.parts import PARTS, unknown
     from carom.scene.schema import Scene
 

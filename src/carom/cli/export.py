@@ -28,8 +28,8 @@ def export(
     States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
     from carom.cli.replaying import replaying
+    from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.errors import RecordingError
     from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, write
     from carom.recording.export.snapshot import snapshots
     from carom.recording.read.recording import Recording

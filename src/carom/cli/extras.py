@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 
+from carom.errors import ExperimentError
 from carom.install import install_extra
-from carom.runs.error import ExperimentError
 
 
 @contextlib.contextmanager

@@ -79,10 +79,10 @@ def fork(
     Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
     the band that all forks span.
     """
+    from carom.errors import ExperimentError
     from carom.lab.fork.branch import Branch, start_of
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
-    from carom.runs.error import ExperimentError
     from carom.runs.output import refuse_itself, refuse_output
 
     ulps = _ulps(perturb)

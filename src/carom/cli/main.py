@@ -135,10 +135,7 @@ def main() -> None:
     """
     # imported now: at the limit of open files nothing can be imported any more
     from carom.cli.text import say
-    from carom.physics.error import PhysicsError
-    from carom.recording.errors import ExistsError, RecordingError
-    from carom.runs.error import ExperimentError
-    from carom.scene.error import SceneError
+    from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()
     _say_old_names_once()

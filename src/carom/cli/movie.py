@@ -89,7 +89,7 @@ def movie(
 
 def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None:
     """Refuse what no movie can be made of."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
     from carom.show.movie import FORMATS
 
     if path.suffix not in FORMATS:
@@ -104,7 +104,7 @@ def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None
 
 def _check_view(view: MovieView, event: str | None, bodies: str | None) -> None:
     """Refuse the choice of two bodies for a view that does not follow any."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     for option, given in (("--event", event), ("--bodies", bodies)):
         if given is not None and view != MovieView.CLOSE_UP:
@@ -113,7 +113,7 @@ def _check_view(view: MovieView, event: str | None, bodies: str | None) -> None:
 
 def _ends(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
     """Return the times (s) of the first and the last picture."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     times = recording.fingerprints()["time"].to_numpy()
     if len(times) < 2:

@@ -61,7 +61,7 @@ def bundled(incomplete: str) -> list[str]:
 
 def not_a_folder(path: Path) -> Path:
     """Return the path of a recording; refuse a folder, which may have no name for other files to take."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     with suppress(OSError):  # such as for a name that is too long, which is refused when it is opened
         if path.is_dir():

@@ -28,9 +28,9 @@ def repair(
     from contextlib import nullcontext
     from dataclasses import asdict
 
+    from carom.errors import RecordingError
     from carom.recording.edit.repair import repair as mend
     from carom.recording.edit.repair import units_of
-    from carom.recording.errors import RecordingError
     from carom.recording.read.recording import Recording
     from carom.recording.write.claim import Claim
     from carom.runs.output import refuse_output
@@ -61,7 +61,7 @@ def repair(
 
 
 def _path(file: Path, output: Path | None, in_place: bool) -> Path:
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     if in_place and output is not None:
         raise RecordingError("give --in-place or -o, not both")

@@ -62,7 +62,7 @@ def replay(
     FILE may be the zip that `carom report` made.
     """
     from carom.cli.compiling import announce_compilation
-    from carom.physics.error import PhysicsError
+    from carom.errors import PhysicsError
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.runs.replay import replay as run_again

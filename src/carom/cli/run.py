@@ -104,7 +104,7 @@ def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
 
 def live_viewer() -> str | None:
     """Start a viewer and return its address; without a screen, say so and return None."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
     from carom.show.viewer import start_live_viewer
 
     try:

@@ -56,9 +56,9 @@ def new(
     force: ForceOption = False,
 ) -> None:
     """Write a scene file to start from, with comments on the most important keys."""
+    from carom.errors import SceneError
     from carom.recording.write.whole_file import whole_file, write_whole
     from carom.scene.bundled import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
-    from carom.scene.error import SceneError
     from carom.scene.json_schema import without_schema_line
 
     if not Path(name).name or Path(name).is_dir():

@@ -114,7 +114,7 @@ def sweep(
 ) -> None:
     """Run a scene many times with different values and seeds, here or on a Dask cluster; continue where it stopped."""
     from carom.cli import sweep_look as look
-    from carom.runs.error import ExperimentError
+    from carom.errors import ExperimentError
 
     if (scene is not None) + (table is not None) + (catalog is not None) != 1:
         raise ExperimentError("give one of SCENE, --table DIR and --catalog DIR; see carom sweep --help")

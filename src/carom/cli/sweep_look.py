@@ -112,7 +112,7 @@ def _rows(folder: Path) -> tuple[list[Row], dict[str, Any]]:
 
 
 def _axes(plot: tuple[str, str]) -> tuple[str, str]:
-    from carom.runs.error import ExperimentError
+    from carom.errors import ExperimentError
 
     given = dict(part.partition("=")[::2] for part in plot)
     if set(given) != {"x", "y"} or not all(given.values()):

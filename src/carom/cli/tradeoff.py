@@ -157,10 +157,10 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 
 def _draw(study: Study, quiet: bool) -> None:
     """Leave the figure and the recording beside the document; say where they are, or why there is none."""
+    from carom.errors import ExperimentError
     from carom.lab.tradeoff.figure import draw
     from carom.lab.tradeoff.overlay import record
     from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
-    from carom.runs.error import ExperimentError
 
     if not any(result.complete for result in study.results):
         return

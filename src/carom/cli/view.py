@@ -236,7 +236,7 @@ def _say_missing(reason: str) -> None:
 
 def pixels_of(size: str) -> tuple[int, int]:
     """Read WIDTHxHEIGHT."""
-    from carom.recording.errors import RecordingError
+    from carom.errors import RecordingError
 
     width, _, height = size.partition("x")
     if width.isascii() and width.isdigit() and height.isascii() and height.isdigit():

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from carom.errors import PhysicsError
 from carom.physics.diagnostics.pace import remedies_of
-from carom.physics.error import PhysicsError
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from carom.errors import SceneError
 from carom.plan.auto import gravity_method
-from carom.scene.error import SceneError
 from carom.scene.schema import Scene
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from carom.errors import SceneError
 from carom.plan import contacts, pulls
 from carom.plan.auto import (
     BOUNCES_UP_TO,
@@ -29,7 +30,6 @@ from carom.plan.auto import (
 )
 from carom.plan.forced import forced_parts
 from carom.plan.hierarchy import heaviest, orbits_often
-from carom.scene.error import SceneError
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.integrators import AUTO
 from carom.scene.parts import PARTS, Part

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 
+from carom.errors import SceneError
 from carom.plan.accuracy import refuse_coarse_tree
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import dampings, further
 from carom.scene.counted import counted
-from carom.scene.error import SceneError
 from carom.scene.key_places import naming_places
 from carom.scene.lines import KeyPath
 from carom.scene.schema import Scene

@@ -7,7 +7,7 @@ import sys
 import time
 from dataclasses import dataclass
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.step_limits import step_limits

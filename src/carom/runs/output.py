@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from carom.recording.errors import ExistsError, RecordingError
+from carom.errors import ExistsError, RecordingError
 from carom.recording.write.claim import Claim
 
 RECORDINGS = Path("recordings")

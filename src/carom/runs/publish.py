@@ -14,7 +14,7 @@ from pathlib import Path
 
 import xxhash
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.claim import Claim
 from carom.recording.write.whole_file import write_whole

@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.limits import OVERLAPS
-from carom.physics.error import PhysicsError
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene
 from carom.runs.ending import in_words
@@ -23,7 +22,6 @@ from carom.runs.overview import energy_texts, is_worth_a_look, overview, promise
 from carom.runs.replay import Replay, replay
 from carom.scene.command import command
 from carom.scene.counted import counted
-from carom.scene.error import SceneError
 from carom.scene.forces import FORCES
 from carom.scene.names import escaped
 from carom.scene.units.dimension import ENERGY, TIME

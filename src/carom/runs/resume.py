@@ -7,9 +7,9 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import recorded_scene, space_of

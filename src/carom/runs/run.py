@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.errors import PhysicsError, RecordingError
 from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
-from carom.recording.errors import RecordingError
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, SweepMember

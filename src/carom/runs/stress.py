@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from carom.errors import SceneError
 from carom.physics.diagnostics.extremes import Extreme
 from carom.runs.expectation import Verdict
 from carom.runs.run import Outcome, Watcher, recording_space, simulate
 from carom.scene.bundled import EXTREMES, extreme_scenes
-from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
 

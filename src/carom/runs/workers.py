@@ -22,8 +22,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
-from carom.runs.error import ExperimentError
 from carom.runs.interrupts import ENDING
 from carom.runs.memory import keep_freed_memory
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 from carom.scene.lines import KeyPath, lines_of
 
 if TYPE_CHECKING:

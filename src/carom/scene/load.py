@@ -16,9 +16,9 @@ import numpy as np
 import tomlkit
 from pydantic import ValidationError
 
+from carom.errors import SceneError
 from carom.scene.conversion import converted, members_of_list
 from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
-from carom.scene.error import SceneError
 from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
 from carom.scene.key_places import KeyPlaces
 from carom.scene.lines import KeyPath

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

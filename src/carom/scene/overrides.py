@@ -8,7 +8,7 @@ from typing import Any
 
 import tomlkit
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 from carom.scene.hint import hint
 from carom.scene.lines import KeyPath
 from carom.scene.nesting import DEEPEST

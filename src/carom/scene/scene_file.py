@@ -8,9 +8,9 @@ import stat
 import time
 from pathlib import Path
 
+from carom.errors import SceneError
 from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
 from carom.scene.command import command
-from carom.scene.error import SceneError
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 PATIENCE = 30.0  # s, for which a pipe may be silent

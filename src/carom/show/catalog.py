@@ -13,7 +13,7 @@ from pathlib import Path
 import datafusion  # noqa: F401 - Rerun's client needs it, and would fail only at the first request
 from rerun.server import Server
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.show import keeper
 from carom.show.viewer import Viewer
 

@@ -12,7 +12,7 @@ from typing import Any
 import imageio_ffmpeg
 from PIL import Image
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.write.whole_file import whole_file
 
 _QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")  # thin lines on a dark ground stay legible

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.impacts import numbered_impact
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import SIM_TIME, STEP

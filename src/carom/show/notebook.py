@@ -6,9 +6,9 @@ import numpy as np
 from rerun.error_utils import RerunMissingDependencyError
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
+from carom.errors import RecordingError
 from carom.install import install_extra
 from carom.private_folder import temporary_folder
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME

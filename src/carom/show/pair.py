@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
-from carom.recording.errors import RecordingError
 from carom.recording.read.body_names import shown_body, split_at_commas
 from carom.recording.read.recording import Recording
 

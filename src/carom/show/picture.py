@@ -15,8 +15,8 @@ from pathlib import Path
 
 import rerun as rr
 
+from carom.errors import RecordingError
 from carom.private_folder import private_folder
-from carom.recording.errors import RecordingError
 from carom.recording.layout.blueprint import ALL
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recording import Recording

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.layout.additions import Additions
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
 from carom.recording.layout.camera import CameraFit, corners_of

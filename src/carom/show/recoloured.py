@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.positions import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

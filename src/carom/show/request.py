@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 
 
 @dataclass(frozen=True, slots=True)

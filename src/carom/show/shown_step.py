@@ -9,12 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError, RecordingError
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.ledger import terms_of
-from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.status import StepStatus
-from carom.recording.errors import RecordingError
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording

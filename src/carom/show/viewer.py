@@ -19,9 +19,9 @@ from typing import Self, TypeVar
 import numpy as np
 from rerun.experimental import ViewerClient
 
+from carom.errors import RecordingError
 from carom.install import install_packages
 from carom.private_folder import private_folder
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.timelines import SIM_TIME

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from carom.errors import ExperimentError, SceneError
 from carom.lab.sweep.plan import plan
-from carom.runs.error import ExperimentError
-from carom.scene.error import SceneError
 from sweep_runs import SCENE, write_scene
 
 

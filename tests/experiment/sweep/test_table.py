@@ -8,11 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from carom.errors import ExperimentError
 from carom.lab.sweep import figure
 from carom.lab.sweep.folder import Folder
 from carom.lab.sweep.manifest import Run
 from carom.lab.sweep.table import chosen, rows_of, write
-from carom.runs.error import ExperimentError
 
 RUNS = [
     Run("a", {"x": 1.0, "v": [0, 1]}, 1, "done", "completed", results={"e": 3.0, "met": True}),

@@ -13,6 +13,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from carom.errors import ExperimentError, PhysicsError, RecordingError
 from carom.lab.crosscheck.examination import Examination, examined_other, examined_own
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.crosscheck.runs import Runs, Task
@@ -23,11 +24,8 @@ from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.stored_study import result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
-from carom.physics.error import PhysicsError
 from carom.physics.placement import place
-from carom.recording.errors import RecordingError
 from carom.recording.write.whole_file import write_whole
-from carom.runs.error import ExperimentError
 from carom.runs.run import recording_space, simulate
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from carom.errors import ExperimentError
 from carom.lab.crosscheck.crosscheck import Crosscheck
 from carom.lab.crosscheck.parting import PARTED
 from carom.lab.tradeoff.figure import FAINT, LEAST, styled
 from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.result import Result
 from carom.recording.write.whole_file import whole_file
-from carom.runs.error import ExperimentError
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.trajectory import Trajectory
-from carom.recording.errors import RecordingError
 from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.scene.names import Names

@@ -7,12 +7,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from carom.errors import ExperimentError
 from carom.lab.engines.engine import engine_called
 from carom.lab.engines.watched import COMPLETED, Watched, watch
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.trajectory import Trajectory, sample_times
 from carom.physics.parallel.cores import cores
-from carom.runs.error import ExperimentError
 from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
 from carom.scene.schema import Scene
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.lab.diff.divergence import Curve
 from carom.physics.periodic_box import minimum_images
-from carom.recording.errors import RecordingError
 from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
+from carom.errors import ExperimentError
 from carom.lab.engines.box3d import Box3D
 from carom.lab.engines.mujoco import MuJoCo
 from carom.lab.engines.newton import Newton
@@ -14,7 +15,6 @@ from carom.lab.engines.rebound import Rebound
 from carom.lab.engines.stepped import Simulation
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
-from carom.runs.error import ExperimentError
 from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
 

@@ -14,8 +14,8 @@ from typing import Self
 
 import numpy as np
 
+from carom.errors import RecordingError
 from carom.lab.engines.snapshot_writer import SnapshotWriter
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.recording.source.faults import Fault, Tolerances

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from carom.errors import RecordingError
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of
 from carom.lab.engines.translation import problem_of
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.newton import newton as source_of
 from carom.recording.source.adapters.package import engine_package
 from carom.scene.schema import Coefficients, Scene

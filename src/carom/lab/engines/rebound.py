@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.errors import ExperimentError
 from carom.lab.engines.stepped import FINER, Simulation
 from carom.lab.engines.translation import refuse
 from carom.lab.engines.watched import watch
@@ -28,7 +29,6 @@ from carom.plan.hierarchy import DOMINANT
 from carom.plan.pulls import further
 from carom.recording.source.adapters.rebound import rebound as record
 from carom.recording.source.source import Source, State
-from carom.runs.error import ExperimentError
 from carom.scene.half_space import half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Scene

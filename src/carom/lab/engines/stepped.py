@@ -8,14 +8,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from carom.errors import ExperimentError, RecordingError
 from carom.lab.engines.watched import ROUNDING, watch
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.source import Source
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import ExperimentError
 from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.pulls import further
 from carom.recording.source.source import SPHERE, Model
-from carom.runs.error import ExperimentError
 from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.materials import pair_coefficients
 from carom.scene.schema import Coefficients, Scene

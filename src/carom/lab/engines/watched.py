@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from carom.errors import ExperimentError
 from carom.lab.tradeoff.run_bound import RunStoppedError
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory, between
 from carom.physics.diagnostics.extremes import Extremes
@@ -23,7 +24,6 @@ from carom.recording.write.recorder import Recorder
 from carom.runs.closing import closing_of
 from carom.runs.contact_counts import ONCE_A_STEP
 from carom.runs.environment import environment
-from carom.runs.error import ExperimentError
 from carom.runs.output import claimed_output
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

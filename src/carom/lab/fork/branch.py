@@ -7,16 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
+from carom.errors import ExperimentError, RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.features import require
-from carom.recording.errors import RecordingError
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.runs.continued_scene import continued_scene
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import ExperimentError
 from carom.lab.fork.branch import Start
 from carom.lab.shrink.expression import Expression, UnknownNameError
 from carom.lab.shrink.observation import Observation, Touches
 from carom.physics.schedule import Every
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
-from carom.runs.error import ExperimentError
 
 FloatArray = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.lab.hunt.laws import ERROR, Law, laws_of
 from carom.lab.hunt.scenes import drawn
 from carom.lab.shrink.budget import Budget, OutOfTime
@@ -17,16 +18,13 @@ from carom.lab.shrink.observation import said_by
 from carom.lab.shrink.reducer import Reducer
 from carom.lab.shrink.result import key_of, text_of, write
 from carom.lab.shrink.trials import observe
-from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
-from carom.runs.error import ExperimentError
 from carom.runs.interrupts import Interrupts
 from carom.runs.output import output_folder
 from carom.runs.report import report
 from carom.runs.run import recording_space, simulate
 from carom.scene.command import command
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict, scene_from_text
 from carom.scene.schema import Scene
 

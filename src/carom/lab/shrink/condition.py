@@ -6,11 +6,11 @@ import re
 from dataclasses import dataclass, replace
 from typing import Protocol
 
+from carom.errors import ExperimentError
 from carom.lab.shrink.expression import Expression, UnknownNameError
 from carom.lab.shrink.invariance import Varies
 from carom.lab.shrink.observation import LASTING, SUNK, Observation, Pair, end_name
 from carom.lab.shrink.whole_run import ReplayDiffers
-from carom.runs.error import ExperimentError
 from carom.runs.expectation import Verdict
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names

@@ -11,7 +11,7 @@ import operator
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from carom.runs.error import ExperimentError
+from carom.errors import ExperimentError
 from carom.scene.nearest import nearest
 
 LONGEST = 1000  # characters

@@ -18,17 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.lab.shrink.literal import BODIES, Document, with_value
 from carom.lab.shrink.observation import Observation, said_by
-from carom.physics.error import PhysicsError
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.plan.auto import largest_step
 from carom.plan.features import require
-from carom.runs.error import ExperimentError
 from carom.scene.conversion import converted, rescaled
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.space import Space

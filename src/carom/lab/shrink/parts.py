@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from carom.errors import SceneError
 from carom.lab.shrink.literal import BODIES, Document, Path, value_at, with_value
 from carom.lab.shrink.smallest import Smallest
 from carom.plan.features import require
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 
 _KEPT = {("title",), ("time", "duration")}  # keys that a scene has in any case

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from carom.errors import ExperimentError
 from carom.lab.shrink.bodies import leave_out_bodies
 from carom.lab.shrink.budget import Budget, OutOfTime
 from carom.lab.shrink.condition import Condition
@@ -18,7 +19,6 @@ from carom.lab.shrink.time_cut import Chronicle, begin_late, chronicle, cut_both
 from carom.lab.shrink.trials import Trials
 from carom.physics.placement import place
 from carom.physics.space import Space
-from carom.runs.error import ExperimentError
 from carom.runs.interrupts import Interrupts
 from carom.scene.counted import counted
 from carom.scene.schema import Scene

@@ -7,10 +7,10 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.lab.shrink.literal import Document
 from carom.lab.shrink.reducer import Reduction, Stage
 from carom.lab.shrink.text import commented
-from carom.recording.errors import RecordingError
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import versions
 from carom.scene.counted import counted

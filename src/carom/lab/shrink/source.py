@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.physics.placement import place
 from carom.recording.edit.bundle import is_bundle, opened
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.read.restore import checkpoint_before, recorded_scene, start_of
 from carom.scene.load import load_scene

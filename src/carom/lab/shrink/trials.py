@@ -6,18 +6,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from carom.errors import ExperimentError, PhysicsError
 from carom.lab.shrink.budget import Budget, OutOfTime
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.judges import Judges
 from carom.lab.shrink.literal import BODIES, Document
 from carom.lab.shrink.observation import Observation, Touches, said_by
-from carom.physics.error import PhysicsError
 from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.schedule import Every, Schedule
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
-from carom.runs.error import ExperimentError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text

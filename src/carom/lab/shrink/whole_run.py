@@ -6,12 +6,12 @@ import shlex
 import subprocess
 from dataclasses import dataclass, replace
 
+from carom.errors import ExperimentError
 from carom.lab.shrink.observation import Observation, said_by
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.private_folder import temporary_folder
-from carom.runs.error import ExperimentError
 from carom.scene.schema import Scene
 
 PLACE = "{}"  # in a command: where the path of the scene goes

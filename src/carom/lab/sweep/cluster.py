@@ -15,8 +15,8 @@ from typing import Any, Self
 import dask
 from distributed import Client, Future, KilledWorker
 
+from carom.errors import ExperimentError
 from carom.lab.sweep.task import unfit
-from carom.runs.error import ExperimentError
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s

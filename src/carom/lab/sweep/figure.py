@@ -10,10 +10,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from carom.errors import ExperimentError
 from carom.lab.sweep.plan import SEED
 from carom.lab.sweep.table import Row
 from carom.recording.write.whole_file import whole_file
-from carom.runs.error import ExperimentError
 from carom.scene.units.quantity_text import Physical, nearest_float, physical
 
 MOST_LINES = 12  # in the legend

@@ -13,8 +13,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from carom.errors import ExperimentError
 from carom.recording.write.whole_file import new_name
-from carom.runs.error import ExperimentError
 from carom.runs.output import is_link_of_another, output_folder
 
 _ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or its lock

@@ -13,11 +13,11 @@ from typing import Annotated, Any, Self
 
 from pydantic import BaseModel, Field, ValidationError
 
+from carom.errors import ExperimentError
 from carom.lab.sweep.folder import NO_ROOM, Folder, put, put_copy
 from carom.lab.sweep.plan import Plan, Point
 from carom.recording.write.disk_reserve import DiskReserve
 from carom.runs.environment import versions
-from carom.runs.error import ExperimentError
 from carom.runs.output import output_folder
 from carom.scene.nesting import DEEPEST, is_too_deep
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from carom.errors import ExperimentError
 from carom.lab.sweep import table
 from carom.lab.sweep.conductor import Conductor, Watcher
 from carom.lab.sweep.folder import Folder
@@ -14,7 +15,6 @@ from carom.lab.sweep.manifest import FAILED, PENDING, Manifest, Run, read
 from carom.lab.sweep.plan import Plan, Point
 from carom.physics.parallel.cores import cores
 from carom.runs.environment import versions
-from carom.runs.error import ExperimentError
 from carom.runs.interrupts import Interrupts
 from carom.runs.output import output_folder
 from carom.runs.workers import LocalWorkers, Workers

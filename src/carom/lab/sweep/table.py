@@ -13,10 +13,10 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 
+from carom.errors import ExperimentError
 from carom.lab.sweep.folder import Folder, put
 from carom.lab.sweep.manifest import Run
 from carom.lab.sweep.plan import SEED
-from carom.runs.error import ExperimentError
 from carom.scene.nearest import suggestion
 from carom.scene.units.quantity_text import physical
 

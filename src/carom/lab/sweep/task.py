@@ -9,18 +9,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.lab.sweep.folder import Folder, move
 from carom.lab.sweep.manifest import DONE, FAILED
 from carom.lab.sweep.plan import SEED, Point, digest
-from carom.physics.error import PhysicsError
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.runs.environment import versions
 from carom.runs.json_numbers import finite
 from carom.runs.run import recording_space, simulate
 from carom.scene.data.sources import DataFiles
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from carom.errors import ExperimentError
 from carom.install import install_extra
 from carom.lab.tradeoff.pareto_front import pareto_front
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN
 from carom.recording.write.whole_file import whole_file
-from carom.runs.error import ExperimentError
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from carom.runs.error import ExperimentError
+from carom.errors import ExperimentError
 
 TELLING = 5.0  # s between two lines of progress
 

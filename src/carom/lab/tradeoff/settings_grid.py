@@ -6,14 +6,13 @@ import itertools
 import math
 from dataclasses import dataclass
 
+from carom.errors import PhysicsError, SceneError
 from carom.lab.tradeoff.reference import refined
-from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.plan.auto import gravity_method, integrator, smoothing, timing, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import damping
-from carom.scene.error import SceneError
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 from carom.scene.variation import texts_of

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.errors import ExperimentError, PhysicsError
 from carom.lab.engines.engine import engine_called
 from carom.lab.tradeoff.cost import cost_of
 from carom.lab.tradeoff.error_measures import COMPARED, NAMES
@@ -28,11 +29,9 @@ from carom.lab.tradeoff.run_bound import RunBound, RunStoppedError
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, refusal
 from carom.lab.tradeoff.stored_study import reference_entry, reference_of, result_entry, result_of
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory, follow, sample_times
-from carom.physics.error import PhysicsError
 from carom.physics.space import Space
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import environment
-from carom.runs.error import ExperimentError
 from carom.runs.output import output_folder
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

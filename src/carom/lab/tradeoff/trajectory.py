@@ -15,8 +15,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError
 from carom.lab.tradeoff.run_bound import RunBound, RunGuard, RunStoppedError
-from carom.physics.error import PhysicsError
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import every

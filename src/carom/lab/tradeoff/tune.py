@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from carom.errors import ExperimentError, SceneError
 from carom.lab.tradeoff.coordinate_descent import Search, excess, loses_frames, unsure
 from carom.lab.tradeoff.error_measures import COMPARED, NAMES
 from carom.lab.tradeoff.result import Result
@@ -15,10 +16,8 @@ from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, default_points
 from carom.lab.tradeoff.stored_study import result_entry
 from carom.lab.tradeoff.tradeoff import Study, Teller
 from carom.recording.write.whole_file import write_whole
-from carom.runs.error import ExperimentError
 from carom.runs.json_numbers import finite
 from carom.scene.data.moved import toml_for
-from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.units.dimension import TIME
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.body_names import body_number
 from carom.recording.read.names import names_of
 from carom.recording.read.recording import Recording

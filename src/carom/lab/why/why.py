@@ -8,16 +8,15 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import ExperimentError, RecordingError
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.answer import Answer
 from carom.lab.why.chain import chain_of
 from carom.lab.why.cone import Cone
 from carom.lab.why.history import History, Step, Watcher
 from carom.lab.why.question import Question
-from carom.recording.errors import RecordingError
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
-from carom.runs.error import ExperimentError
 from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError
 from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import ContactCheckpoint
@@ -41,7 +42,6 @@ from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
 from carom.physics.contact.torques import Torques
 from carom.physics.diagnostics.profile import Profile
-from carom.physics.error import PhysicsError
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.half_space import HalfSpaces

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
-from carom.physics.error import PhysicsError
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.scene.names import bodies_called

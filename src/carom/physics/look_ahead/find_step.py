@@ -27,6 +27,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.integrators.radau_twin import CONVERGES, Orbits, orbits, part
 from carom.physics.look_ahead.budget import LEAST, Budget, Watcher, radau_work
 from carom.physics.look_ahead.error_curve import between_round_times, kept_until, samples, with_start
@@ -40,7 +41,6 @@ from carom.plan import pulls
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
-from carom.scene.error import SceneError
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.key_places import naming_places
 from carom.scene.schema import Promise, Scene

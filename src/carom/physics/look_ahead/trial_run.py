@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.error import PhysicsError
+from carom.errors import PhysicsError
 from carom.physics.look_ahead.budget import (
     AT_ONCE,
     CALL,

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.error import SceneError
+from carom.errors import SceneError
 from carom.scene.half_space import HalfSpaces
 from carom.scene.lines import KeyPath
 from carom.scene.names import body_called, body_key

@@ -13,13 +13,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.continuous.trajectories import both_ways
 from carom.physics.periodic_box import minimum_images
 from carom.physics.placement.growth_events import BORDER, SPHERE, fly
 from carom.physics.placement.region import half_extent
 from carom.physics.placement.surroundings import Surroundings
-from carom.scene.error import SceneError
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Region
 

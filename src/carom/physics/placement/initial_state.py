@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.placement.check import (
     key_of,
     refuse_immersion,
@@ -31,7 +32,6 @@ from carom.physics.placement.region import (
 from carom.physics.placement.surroundings import Surroundings
 from carom.scene.body_names import NumberedNames
 from carom.scene.data.columns import BodyColumns
-from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
 from carom.scene.key_places import naming_places
 from carom.scene.materials import made_of

@@ -12,8 +12,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.placement.region import bounds, contains, volume
-from carom.scene.error import SceneError
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Group, Region
 from carom.scene.units.dimension import LENGTH

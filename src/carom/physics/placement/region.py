@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.physics.placement.plummer import drawn_distances, mass_within
-from carom.scene.error import SceneError
 from carom.scene.matter import mean_volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, Group, Region

@@ -14,8 +14,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.private_folder import temporary_folder
-from carom.recording.errors import RecordingError
 from carom.recording.write.claim import Claim
 from carom.recording.write.whole_file import whole_file
 

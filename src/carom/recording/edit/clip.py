@@ -14,8 +14,8 @@ import pyarrow.compute as pc
 import rerun as rr
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.recording.edit.selection import Selection
-from carom.recording.errors import RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording

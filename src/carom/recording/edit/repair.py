@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from carom.errors import DamageError, RecordingError
 from carom.recording.edit.restored_blueprint import new_layout
-from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.frame_tables import rising
 from carom.recording.read.recording import Recording

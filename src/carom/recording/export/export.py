@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from carom.recording.errors import ExistsError, RecordingError
+from carom.errors import ExistsError, RecordingError
 from carom.recording.export.arrays import write_npz
 from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.recording.export.snapshot import Snapshot

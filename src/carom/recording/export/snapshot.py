@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
-from carom.recording.errors import RecordingError
 from carom.recording.read.body_states import AXES
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording

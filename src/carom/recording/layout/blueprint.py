@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import rerun.blueprint as rrb
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.layout.additions import NONE, Additions
 from carom.recording.layout.bodies_view import bodies_view
 from carom.recording.layout.camera import CameraFit

@@ -6,7 +6,7 @@ import difflib
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.scene.names import bodies_called, body_called
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.physics.status import StepStatus
-from carom.recording.errors import RecordingError
 from carom.recording.read.body_names import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import STEP

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.schema.timelines import STEP
 from carom.scene.units.dimension import TIME

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
-from carom.recording.errors import RecordingError
 from carom.recording.read.entities import Entities, Values, values_of
 from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import paths

@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.errors import DamageError, RecordingError, SceneError
 from carom.physics.contact.contact_table import MODES
-from carom.recording.errors import DamageError, RecordingError
-from carom.scene.error import SceneError
 
 FloatArray = NDArray[np.float64]
 if TYPE_CHECKING:

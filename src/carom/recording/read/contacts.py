@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.errors import DamageError, RecordingError
 from carom.physics.contact.contact_table import IMPACT_MODE
-from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.contact_tables import check_pairs, finite, modes, of_shown, table_of, table_of_rows
 from carom.recording.read.damage import reading
 from carom.recording.read.moment import frame_of, tolerance

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.rrd.framing import looks_recorded
 from carom.scene.command import command
 

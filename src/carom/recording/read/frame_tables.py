@@ -8,8 +8,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.errors import DamageError, RecordingError
 from carom.physics.event import Event
-from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.events import event_table, warnings_of
 from carom.recording.read.series import scalar_series

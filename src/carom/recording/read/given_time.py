@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from numbers import Real
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 
 
 def check_times(**times: object) -> None:

@@ -6,8 +6,8 @@ import math
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from carom.errors import RecordingError
 from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
-from carom.recording.errors import RecordingError
 from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.errors import DamageError, RecordingError
 from carom.physics.contact.contact_table import CONTACT_ROW
-from carom.recording.errors import DamageError, RecordingError
 from carom.recording.read.body_names import shown_body
 from carom.recording.read.contact_tables import (
     MEASURED,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError, SceneError
 from carom.recording.schema.materials import ShownMaterials
-from carom.scene.error import SceneError
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording

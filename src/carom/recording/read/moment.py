@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.given_time import check_times
 from carom.scene.units.dimension import TIME
 

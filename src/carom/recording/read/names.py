@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError, SceneError
 from carom.recording.read.restore import recorded_scene
-from carom.scene.error import SceneError
 from carom.scene.half_space import half_spaces
 from carom.scene.names import Names
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.read import tables
 from carom.recording.read.body_states import bodies_at
 from carom.recording.read.body_table import BodyTable

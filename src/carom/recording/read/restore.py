@@ -8,14 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.checkpoint import Checkpoint
-from carom.physics.error import PhysicsError
 from carom.physics.space import Space
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import scene_digest
 from carom.scene.data.sources import Found, Wanted
-from carom.scene.error import SceneError
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.start import Start

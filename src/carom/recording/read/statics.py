@@ -9,7 +9,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.read.damage import reading
 from carom.recording.read.entities import Entities
 from carom.recording.rrd.index import Container

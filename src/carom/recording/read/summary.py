@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from carom.recording.errors import DamageError, RecordingError
+from carom.errors import DamageError, RecordingError
 from carom.recording.read.impacts import impacts_until
 from carom.recording.read.materials import materials_of
 from carom.recording.schema.properties import NOTES

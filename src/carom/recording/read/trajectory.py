@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.read.body_names import body_number, shown_body
 from carom.recording.read.body_states import AXES, state_table
 from carom.recording.read.damage import reading

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
+from carom.errors import RecordingError, SceneError
 from carom.physics.frame import Frame
 from carom.physics.status import StepStatus
-from carom.recording.errors import RecordingError
 from carom.recording.read.restore import fixed_of, recorded_scene, space_of
-from carom.scene.error import SceneError
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint

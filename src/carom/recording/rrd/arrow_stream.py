@@ -12,7 +12,7 @@ import ctypes
 import pyarrow as pa
 
 from carom.arrow_claims import Claims, claims
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 
 LARGEST = 1 << 31  # bytes of a chunk; carom writes some 4 MB, and 1.3 GB for the state of 10⁷ bodies that spin
 

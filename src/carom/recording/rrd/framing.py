@@ -16,7 +16,7 @@ from typing import BinaryIO
 
 import xxhash
 
-from carom.recording.errors import DamageError, TornFooterError
+from carom.errors import DamageError, TornFooterError
 
 STREAM_HEADER = 12
 MESSAGE_HEADER = 16

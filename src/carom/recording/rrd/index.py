@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, Self
 
 import pyarrow as pa
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.recording.rrd import framing, protobuf
 from carom.recording.rrd.arrow_stream import LARGEST, record_batch
 from carom.recording.rrd.framing import Message

@@ -13,7 +13,7 @@ from typing import BinaryIO
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.recording.rrd import protobuf
 from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import Message

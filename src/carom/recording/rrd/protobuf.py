@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 
 Fields = dict[int, list["int | memoryview"]]
 

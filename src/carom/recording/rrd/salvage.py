@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from carom.recording.errors import DamageError, TornFooterError
+from carom.errors import DamageError, TornFooterError
 from carom.recording.rrd import framing
 from carom.recording.rrd.arrow_stream import LARGEST
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_FOOTER, STREAM_HEADER, Message

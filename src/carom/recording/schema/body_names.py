@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.scene.body_names import JoinedNames, NumberedNames, joined
 
 Stored = Mapping[str, NDArray[Any] | list[str]]

@@ -13,13 +13,13 @@ import xxhash
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from carom.errors import RecordingError
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
-from carom.recording.errors import RecordingError
 from carom.recording.schema.header import Header
 from carom.recording.schema.timelines import STEP
 from carom.scene.forces import FORCES

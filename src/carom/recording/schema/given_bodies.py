@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.recording.schema.checkpoint import LARGEST
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.mapping import VECTORS

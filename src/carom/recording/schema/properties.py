@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from fnmatch import fnmatchcase
 from typing import Any
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 
 MOST_BODIES = 10_000_000
 

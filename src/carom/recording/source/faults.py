@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
 
+from carom.errors import RecordingError
 from carom.physics.event import Event
-from carom.recording.errors import RecordingError
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
@@ -21,7 +22,6 @@ from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.recording.errors import RecordingError
 from carom.recording.schema.checkpoint import LARGEST
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.audit import Audit

@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.schema.checkpoint import LARGEST
 from carom.recording.source.source import Source, State, time_of
 

@@ -7,8 +7,8 @@ import resource
 from collections.abc import Sequence
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
-from carom.recording.errors import RecordingError
 
 _STATM = Path("/proc/self/statm")
 

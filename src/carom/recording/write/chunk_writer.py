@@ -13,7 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.header import Scalar

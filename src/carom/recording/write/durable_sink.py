@@ -20,7 +20,7 @@ import threading
 import time
 from pathlib import Path
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
 from carom.recording.write.disk_reserve import DiskReserve
 

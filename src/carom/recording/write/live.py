@@ -8,7 +8,7 @@ import warnings
 
 import rerun as rr
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 
 _PROBE = 2.0  # s
 _PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts as hung

@@ -13,10 +13,10 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.physics.bodies import Bodies
 from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
-from carom.recording.errors import RecordingError
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.read.continuation import Continuation

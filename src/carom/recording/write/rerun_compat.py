@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 import rerun.chunk as rrc
 import rerun_bindings
 
-from carom.recording.errors import DamageError
+from carom.errors import DamageError
 from carom.recording.layout.magnification import log_spaces
 from carom.recording.rrd.messages import Chunk
 

@@ -11,8 +11,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.physics.event import Event
-from carom.recording.errors import RecordingError
 from carom.recording.read.continuation import Continuation
 from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import checkpoint, paths

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from carom.errors import SceneError
 from carom.scene.conversion import converted, unit_system
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 from carom.scene.data.read import read_columns
 from carom.scene.data.sources import Found, HeldBodies
 from carom.scene.data.table import Arrays
-from carom.scene.error import SceneError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material

@@ -8,8 +8,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+from carom.errors import SceneError
 from carom.scene.data.table import Raw, Table
-from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 
 _LONGEST_REASON = 200  # characters of what a library says

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from carom.errors import SceneError
 from carom.install import install_extra
 from carom.scene.data.table import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
-from carom.scene.error import SceneError
 
 _MOST_DATASETS = 10_000
 

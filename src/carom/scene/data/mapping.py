@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from carom.errors import SceneError
 from carom.scene.data.table import BODY, STEP
-from carom.scene.error import SceneError
 from carom.scene.nearest import suggestion
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material

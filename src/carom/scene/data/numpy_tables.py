@@ -11,8 +11,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.lib import format as npy
 
+from carom.errors import SceneError
 from carom.scene.data.table import Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
-from carom.scene.error import SceneError
 
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters

@@ -7,10 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.mapping import VECTORS, Mapping, mapping_of, unused_columns, with_material
 from carom.scene.data.table import Raw, Table, flags_of, numbers_of, texts_of
-from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST

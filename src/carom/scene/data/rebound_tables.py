@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import SceneError
 from carom.install import install_extra
 from carom.scene.counted import counted
 from carom.scene.data.mapping import printable
 from carom.scene.data.table import Arrays, Law, Raw, Table, refuse_many_rows
-from carom.scene.error import SceneError
 from carom.scene.units.rebound import units_of_rebound
 
 _GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # ways to sum one law

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple, Protocol
 
+from carom.errors import SceneError
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.formats import open_table
 from carom.scene.data.read import read_columns
 from carom.scene.data.table import Law
-from carom.scene.error import SceneError
 from carom.scene.schema.bodies import BodyData
 from carom.scene.schema.material import Material
 from carom.scene.units.system import SI, UnitSystem

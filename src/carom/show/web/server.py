@@ -17,8 +17,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import urlsplit
 
+from carom.errors import RecordingError
 from carom.private_folder import temporary_folder
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.show.keeper import HOST, is_ours
 from carom.show.supplement import Supplement

@@ -9,8 +9,8 @@ import shutil
 from importlib import resources
 from pathlib import Path
 
+from carom.errors import RecordingError
 from carom.recording.edit.restored_blueprint import new_layout
-from carom.recording.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.write.rerun_compat import StoredLayout

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
 from carom.physics.contact.broad_phase.near import are_near
-from carom.physics.error import PhysicsError
 from carom.physics.parallel.atomics import atomic_add
 from carom.physics.parallel.jit import borrowing, inline, kernel
 from carom.physics.parallel.thread_team import SOLO, Team

@@ -6,7 +6,7 @@ import importlib
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from carom.recording.errors import RecordingError
+from carom.errors import RecordingError
 
 
 def engine_package(name: str, distribution: str | None = None) -> Any:
