@@ -6,7 +6,8 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from carom.arrays import IntArray
 
 _HEADER = 2  # field of a Message: its RecordBatch
 _DATA = 1  # field of a DictionaryBatch: its RecordBatch
@@ -19,10 +20,10 @@ class Claims:
     """The size that a record batch claims to have."""
 
     rows: int
-    lengths: NDArray[np.int64]  # of each array and of each child of one
+    lengths: IntArray  # of each array and of each child of one
     buffer_bytes: int  # summed over all buffers
     compressed: bool  # its buffers are compressed and state their uncompressed sizes themselves
-    buffers: NDArray[np.int64]  # (b, 2) offset in the body and length of each buffer
+    buffers: IntArray  # (b, 2) offset in the body and length of each buffer
 
 
 def claims(message: bytes, dictionary: bool = False) -> Claims:
@@ -87,7 +88,7 @@ def _table(buffer: bytes, table: int, number: int) -> int | None:
     return None if at is None else at + int(struct.unpack_from("<I", buffer, at)[0])
 
 
-def _pairs(buffer: bytes, table: int, number: int) -> NDArray[np.int64]:
+def _pairs(buffer: bytes, table: int, number: int) -> IntArray:
     """Read a vector of structs of two int64: (length, nulls) of nodes, (offset, length) of buffers."""
     at = _table(buffer, table, number)
     if at is None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
 
 WALLS = (
     ("wall at -x", (1.0, 0.0, 0.0)),

@@ -11,15 +11,13 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.scene.half_space import WALLS
 from carom.scene.schema import Coefficients, Material, Scene
 from carom.scene.schema.material import DEFAULT, combined
 from carom.scene.schema.matter import Matter
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 AnyMatter = TypeVar("AnyMatter", bound=Matter)
 
 

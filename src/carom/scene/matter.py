@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, Group
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
 

@@ -13,20 +13,19 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import SceneError
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
-FloatArray = NDArray[np.float64]
-PairArray = NDArray[np.int64]
 
 ALL_PAIRS_UP_TO = 64  # bodies; SciPy takes longer to import than a short run
 MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
 QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
 
 
-def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> PairArray:
+def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> IntArray:
     """Find all pairs of spheres that touch or overlap.
 
     Parameters
@@ -83,7 +82,7 @@ def size_classes(radius: FloatArray) -> list[NDArray[np.intp]]:
 _EMPTY = np.empty((0, 2), dtype=np.int64)
 
 
-def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> list[PairArray]:
+def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None) -> list[IntArray]:
     """Return pairs that may overlap, from every pair of size classes."""
     if len(radius) <= ALL_PAIRS_UP_TO:
         return [np.column_stack(np.triu_indices(len(radius), 1))]

@@ -7,9 +7,8 @@ sums, products, quotients and changes of the exponent, which IEEE 754 defines to
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from carom.arrays import FloatArray
 
 NEWTON_STEPS = 6  # from a third of an octave to the last bit
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, from fdlibm

@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.scene.body_names import joined
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -18,20 +16,20 @@ class Start:
     """The bodies at time 0, explicit ones first, then those from data, then the groups, in order; SI units."""
 
     name: Sequence[str]
-    group: NDArray[np.int64]  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]]
+    group: IntArray  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]]
     position: FloatArray  # (n, 3)
     velocity: FloatArray  # (n, 3)
     angular_velocity: FloatArray  # (n, 3)
     mass: FloatArray  # (n,)
     radius: FloatArray  # (n,)
     inertia: FloatArray  # (n,)
-    fixed: NDArray[np.bool_]  # (n,)
+    fixed: BoolArray  # (n,)
 
 
 def join(parts: list[Start]) -> Start:
     """Return the bodies of all parts, in order."""
 
-    def stacked(key: str) -> NDArray[np.float64]:
+    def stacked(key: str) -> FloatArray:
         return np.ascontiguousarray(np.concatenate([getattr(part, key) for part in parts]))
 
     return Start(

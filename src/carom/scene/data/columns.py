@@ -8,9 +8,8 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from carom.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +22,7 @@ class BodyColumns:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
-    fixed: NDArray[np.bool_]  # (n,)
+    fixed: BoolArray  # (n,)
     name: list[str] | None = None  # (n,); None: they are numbered
 
     def __len__(self) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.data.columns import BodyColumns
 from carom.scene.data.mapping import VECTORS, Mapping, mapping_of, unused_columns, with_material
@@ -16,8 +16,6 @@ from carom.scene.schema.material import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
 from carom.scene.units.system import OWN, UnitSystem
-
-FloatArray = NDArray[np.float64]
 
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
@@ -132,7 +130,7 @@ class _Reader:
             return np.full(self._rows, float(getattr(self._section, quantity)))
         return self._numbers(quantity, columns[0])
 
-    def flags(self) -> NDArray[np.bool_]:
+    def flags(self) -> BoolArray:
         """Return (n,) whether a body is fixed."""
         columns = self._mapping.get("fixed")
         if columns is None:

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.install import install_extra
 from carom.scene.counted import counted
@@ -83,7 +83,7 @@ def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str,
     return there | ({"name": np.array(names, dtype=object)} if any(names) else {})
 
 
-def _attracting(simulation: Any, mass: NDArray[np.float64], called: str, notes: list[str]) -> NDArray[np.float64]:
+def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
     """Return the masses that attract: test particles of REBOUND may have one, which does nothing."""
     n, active = len(mass), int(simulation.N_active)
     light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest whole number

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
@@ -79,7 +80,7 @@ def refuse_bomb(called: str, claimed: int, stored: int) -> None:
         raise SceneError(f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a bomb")
 
 
-def numbers_of(called: str, column: str, raw: Raw) -> NDArray[np.float64]:
+def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
     """Return a column as float64.
 
     Raises
@@ -99,7 +100,7 @@ def numbers_of(called: str, column: str, raw: Raw) -> NDArray[np.float64]:
     return raw.astype(np.float64)
 
 
-def flags_of(called: str, column: str, raw: Raw) -> NDArray[np.bool_]:
+def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
     """Return a column of true and false, or of 1 and 0."""
     if raw.dtype.kind == "b":
         return raw.astype(np.bool_)

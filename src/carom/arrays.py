@@ -1,0 +1,12 @@
+"""The types of arrays, for annotations; the shapes stand beside each use."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+ColourArray = NDArray[np.uint32]  # 0xRRGGBBAA
+Records = NDArray[np.void]  # structured: a row for each contact, plane or body
