@@ -27,8 +27,8 @@ from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
-from carom.scene.materials import PairCoefficients
-from carom.scene.start import Start
+from carom.scene.matter import PairCoefficients
+from carom.scene.start import InitialBodies
 from measurement import medians, save
 
 FloatArray = NDArray[np.float64]
@@ -70,7 +70,7 @@ def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSo
     """Give all contacts of spheres in motion to a solver."""
     n, rng = len(radius), np.random.default_rng(1)
     mass = radius**3
-    start = Start(
+    start = InitialBodies(
         name=[""] * n,
         group=np.zeros(n, dtype=np.int64),
         position=position,

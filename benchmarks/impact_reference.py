@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.space import Space
 from carom.scene.half_space import half_spaces
-from carom.scene.materials import pair_coefficients
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[Any]

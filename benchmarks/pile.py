@@ -13,7 +13,7 @@ import time
 from typing import Any
 
 from carom.physics.space import Space
-from carom.scene.bundled import extreme_scenes
+from carom.scene.scene_file import extreme_scenes
 from carom.scene.schema import Scene
 from measurement import save
 

@@ -27,7 +27,7 @@ from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 from measurement import forget_peak, medians, peak_megabytes, save
 
 FloatArray = NDArray[np.float64]
@@ -176,7 +176,7 @@ def in_open_space(n: int, threads: int, constant: float) -> Space:
     """Build a crowd in open space, without the search for free places that a scene of groups begins with."""
     side = round(n ** (1 / 3)) + 1
     position, velocity, _ = crowd(side**3)
-    start = Start(
+    start = InitialBodies(
         name=[""] * n,
         group=np.zeros(n, dtype=np.int64),
         position=position[:n],

@@ -13,7 +13,7 @@ from carom.lab.crosscheck.crosscheck import Crosscheck
 from carom.lab.crosscheck.runs import Followed, Runs, Task
 from carom.lab.engines.engine import engines_called
 from carom.recording.read.recording import Recording
-from carom.scene.bundled import crosscheck_scenes
+from carom.scene.scene_file import crosscheck_scenes
 from carom.scene.schema import Scene
 from carom_command import carom
 from needs import needed_engine

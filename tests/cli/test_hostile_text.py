@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from carom.cli.terminal import Terminal
-from carom.scene.names import escaped
+from carom.scene.wording import escaped
 from carom_command import carom
 from edited_recordings import changed, mapped
 

@@ -298,6 +298,6 @@ def test_a_command_that_runs_out_of_file_descriptors_ends_with_one_sentence(monk
     def fail(*_: object) -> None:
         raise RuntimeError("Failed to create file: Too many open files (os error 24), path: /dev/fd/13")
 
-    monkeypatch.setattr("carom.scene.bundled.bundled_scenes", fail)
+    monkeypatch.setattr("carom.scene.scene_file.bundled_scenes", fail)
     done = carom("scenes", cwd=Path())
     assert done.returncode == 1 and done.stderr == "carom: too many files are open; raise the limit (`ulimit -n`)\n"

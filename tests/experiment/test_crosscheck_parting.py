@@ -11,7 +11,7 @@ from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.tradeoff.reference import Reference, make_reference
 from carom.recording.read.recording import Recording
 from carom.runs.run import recording_space, simulate
-from carom.scene.names import Names
+from carom.scene.wording import Names
 from carom.show.named_event import named_event
 from small_scenes import scene_of
 

@@ -26,7 +26,7 @@ from carom.recording.schema import checkpoint, paths
 from carom.runs.mismatch import different
 from carom.runs.replay import Difference, replay
 from carom.runs.run import simulate
-from carom.scene.bundled import bundled_scenes
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
 from edited_recordings import changed, mapped

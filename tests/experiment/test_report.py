@@ -18,8 +18,8 @@ from carom.recording.read.recording import Recording
 from carom.runs import report as reports
 from carom.runs.replay import replay
 from carom.runs.report import Report, report, worst_moment
-from carom.scene.names import escaped
 from carom.scene.schema import Scene
+from carom.scene.wording import escaped
 from edited_recordings import changed, mapped
 from small_scenes import cloud
 

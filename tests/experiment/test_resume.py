@@ -22,7 +22,7 @@ from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.resume import claimed_target, resumable_run, resume
 from carom.runs.run import simulate
-from carom.scene.bundled import bundled_scenes
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from small_scenes import cloud, two_planets
 

@@ -26,8 +26,8 @@ from carom.recording.schema.header import SweepMember
 from carom.runs.expectation import judge
 from carom.runs.resume import resumable_run
 from carom.runs.run import Outcome, simulate
-from carom.scene.bundled import bundled_scenes
 from carom.scene.load import scene_from_text
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from small_scenes import cloud, pair
 

@@ -20,7 +20,7 @@ from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 from carom.show import causes
 from carom.show.causes import CauseEdge
 from small_scenes import cloud, pair, scene_of
@@ -300,7 +300,7 @@ def gas(seed: int) -> Scene:
 def happens(scene: Scene, bodies: list[int], impact: np.void) -> bool:
     """Tell whether an impact happens in the same way, bit for bit, if only some bodies are there."""
     start, few = place(scene), np.array(bodies)
-    chosen = Start(
+    chosen = InitialBodies(
         name=[start.name[body] for body in bodies],
         group=np.full(len(few), -1),
         **{

@@ -31,9 +31,9 @@ from carom.errors import SceneError
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.scene.bundled import bundled_scenes, extreme_scenes
-from carom.scene.data.sources import DataFiles
+from carom.scene.data.body_sources import DataFiles
 from carom.scene.load import scene_from_dict
+from carom.scene.scene_file import bundled_scenes, extreme_scenes
 from carom.scene.schema import Scene
 
 HERE = Path(__file__).parent

@@ -17,8 +17,8 @@ from carom.physics.forces.drag import exponentials
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import integrator
+from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
-from carom.plan.limits import refuse_impossible
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 

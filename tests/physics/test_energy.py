@@ -18,8 +18,8 @@ from carom.physics.event import Event
 from carom.physics.space import Space
 from carom.runs.expectation import judge
 from carom.scene.integrators import INTEGRATORS
-from carom.scene.names import Names
 from carom.scene.schema import Expect
+from carom.scene.wording import Names
 from small_scenes import pair, random_bodies, scene_of
 
 SPARSE = {"every": 1e9, "check_every": 1_000_000}  # one frame at the start, one at the end

@@ -21,7 +21,7 @@ from carom.physics.space import Space
 from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
-from carom.scene.schema.time import LARGEST_ACCURACY
+from carom.scene.schema.settings import LARGEST_ACCURACY
 from small_scenes import cloud, momentum_of, pair, scene_of
 
 TOUCHING = [{"position": [-1, 0, 0], "mass": 1.0}, {"position": [1, 0, 0], "mass": 1.0}]

@@ -18,7 +18,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.materials import ShownMaterials
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
-from carom.scene.schema.material import COLOURS
+from carom.scene.schema.contact import COLOURS
 from carom.show.presentation import presentation
 from carom_command import carom as command
 from small_scenes import scene_of

@@ -12,7 +12,7 @@ from carom.physics.placement.initial_state import place
 from carom.recording.schema import palette
 from carom.recording.style import impulse_scale
 from carom.recording.write.recorder import Recorder
-from carom.scene.bundled import bundled_scenes
+from carom.scene.scene_file import bundled_scenes
 from carom.show.glyphs import drawable
 from carom.show.picture import _marked, is_picture_of_carom, render
 from carom.show.request import Request

@@ -15,14 +15,14 @@ from carom.physics.placement.growth import densest
 from carom.physics.placement.lattice import CELLS
 from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 Section = dict[str, Any]
 ROUNDING = 1e-9  # m, of positions of some metres
 
 
-def placed(group: Section, **sections: Any) -> Start:
+def placed(group: Section, **sections: Any) -> InitialBodies:
     start = place(Scene.from_dict({"seed": 3, "group": [group], **sections}))
     assert len(overlapping_pairs(start.position, start.radius)) == 0
     return start

@@ -21,10 +21,10 @@ from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.hierarchy import heaviest
-from carom.scene.body_names import JoinedNames, NumberedNames
-from carom.scene.data import table
-from carom.scene.materials import pair_coefficients
+from carom.scene.data import formats as table
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
+from carom.scene.wording import JoinedNames, NumberedNames
 from needs import needed_engine
 from seeds import chosen_seed
 

@@ -7,7 +7,7 @@ import shlex
 from pathlib import Path
 
 import carom
-from carom.scene.command import command
+from carom.scene.wording import command
 
 
 def test_words_with_spaces_and_quotes_are_quoted() -> None:
@@ -19,4 +19,4 @@ def test_no_command_is_put_together_without_quoting() -> None:
     unquoted = re.compile(r"carom [a-z]+ (-[^\s\"']+ )*\{")
     for path in Path(carom.__file__).parent.rglob("*.py"):
         for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-            assert not unquoted.search(line), f"{path}:{number}: write it with carom.scene.command: {line.strip()}"
+            assert not unquoted.search(line), f"{path}:{number}: write it with carom.scene.wording: {line.strip()}"

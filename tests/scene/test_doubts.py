@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from carom.plan.doubts import doubts
-from carom.scene.bundled import bundled_scenes, extreme_scenes
+from carom.plan.checks import doubts
+from carom.scene.scene_file import bundled_scenes, extreme_scenes
 from carom.scene.schema import Scene
 
 STILL: dict[str, Any] = {"gravity": {"constant": 0}, "body": [{"mass": 2.0, "radius": 0.1}]}

@@ -13,12 +13,11 @@ import pytest
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from carom.scene.bundled import bundled_scenes, extreme_scenes
 from carom.scene.conversion import parts_of
-from carom.scene.format_page import page
-from carom.scene.json_schema import FILE, MARK, schema, schema_text, without_schema_line
+from carom.scene.format_page import FILE, MARK, page, schema, schema_text, without_schema_line
+from carom.scene.scene_file import bundled_scenes, extreme_scenes
 from carom.scene.schema import Scene
-from carom.scene.schema.bodies import Columns
+from carom.scene.schema.body import Columns
 from carom.scene.units.dimension import DIMENSIONS, OF_UNIT, Dimension
 
 ROOT = Path(__file__).parents[2]

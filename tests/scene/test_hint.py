@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from carom.errors import SceneError
-from carom.scene.hint import hint
+from carom.scene.explanation import hint
 from carom.scene.load import scene_from_text
 
 ONE_BODY = "[[body]]\nradius = 1.0\n"

@@ -1,4 +1,4 @@
-from carom.scene.names import Names, bodies_called, body_called, body_key, in_series
+from carom.scene.wording import Names, bodies_called, body_called, body_key, in_series
 
 NAMES = Names(["ball", "body 1", ""], ["floor", "plane 1", "wall at -x"])
 

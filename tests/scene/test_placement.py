@@ -13,7 +13,7 @@ from carom.errors import SceneError
 from carom.physics.placement import packing_fraction, place
 from carom.scene.half_space import half_spaces
 from carom.scene.load import scene_from_text
-from carom.scene.materials import pair_coefficients
+from carom.scene.matter import pair_coefficients
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
 

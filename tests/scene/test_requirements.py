@@ -25,12 +25,12 @@ from carom.plan.auto import (
     target_dx,
     timing,
 )
+from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
-from carom.plan.limits import refuse_impossible
 from carom.scene.forces import FORCES, ForceKind
-from carom.scene.nearest import suggestion
 from carom.scene.parts import PARTS
 from carom.scene.schema import Promise, Scene
+from carom.scene.wording import suggestion
 from small_scenes import cloud, pair, scene_of
 
 MOVING: list[dict[str, Any]] = [{"position": [0, 0, 0]}, {"position": [5, 0, 0], "velocity": [1, 0, 0]}]

@@ -14,7 +14,7 @@ import numpy as np
 
 from carom.__main__ import main
 from carom.physics.placement import initial_state
-from carom.scene.schema import Group
+from carom.scene.schema import BodyGroup
 
 SCENE = """
 time = {{ duration = 0.01, fixed_dt = 1e-3 }}
@@ -39,7 +39,7 @@ def lattice(count: int) -> np.ndarray:
     return np.asarray(position - position.mean(axis=0))
 
 
-def arranged(mixture: Mapping[int, Group], *_: Any) -> np.ndarray:
+def arranged(mixture: Mapping[int, BodyGroup], *_: Any) -> np.ndarray:
     """Return the centres of a group on the lattice."""
     return lattice(sum(group.count for group in mixture.values()))
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
-from carom.scene.materials import pair_coefficients
+from carom.scene.matter import pair_coefficients
 
 FloatArray = NDArray[np.float64]
 

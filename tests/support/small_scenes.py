@@ -14,10 +14,10 @@ from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
-from carom.scene.materials import PairCoefficients
+from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -64,7 +64,7 @@ def random_bodies(count: int, seed: int, spins: bool = True) -> Bodies:
     rng = np.random.default_rng(seed)
     radius = rng.uniform(0.3, 1.0, count)
     mass = rng.uniform(0.5, 4.0, count)
-    start = Start(
+    start = InitialBodies(
         name=[""] * count,
         group=np.zeros(count, dtype=np.int64),
         position=rng.uniform(-1, 1, (count, 3)) * 0.8 * count ** (1 / 3),

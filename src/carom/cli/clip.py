@@ -64,8 +64,7 @@ def clip(
     from carom.recording.edit.clip import clip as cut
     from carom.recording.read.recording import Recording
     from carom.runs.output import refuse_itself, refuse_output
-    from carom.scene.counted import counted
-    from carom.scene.names import bodies_called
+    from carom.scene.wording import bodies_called, counted
 
     path = output or file.with_name(f"{file.stem}-clip.rrd")
     with opened(file) as source:

@@ -18,8 +18,8 @@ from carom.cli.options import (
     simulated_or_none,
 )
 from carom.cli.text import say
-from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -13,8 +13,8 @@ from carom.cli.json_output import say_json
 from carom.cli.options import SetOption, ThreadsOption, bundled
 from carom.cli.text import say
 from carom.cli.tradeoff import PIPE_WIDTH, STOPPED, ran
-from carom.scene.command import command
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -87,7 +87,7 @@ def crosscheck(
     from carom.lab.crosscheck.crosscheck import Crosscheck
     from carom.lab.crosscheck.runs import Runs
     from carom.lab.engines.engine import engines_called
-    from carom.scene.bundled import bundled_folders
+    from carom.scene.scene_file import bundled_folders
     from carom.scene.schema import Scene
 
     chosen, known = engines_called(engines), bundled_folders()

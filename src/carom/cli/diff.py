@@ -10,17 +10,16 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, not_a_folder, recording_option
-from carom.scene.command import command
-from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
+from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.lab.diff.diff import Diff
     from carom.lab.diff.impact_divergence import Impact, ImpactDivergence, ImpactPair
-    from carom.scene.names import Names
     from carom.scene.units.system import UnitSystem
+    from carom.scene.wording import Names
 
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all

@@ -8,8 +8,8 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, SceneArgument, SetOption
-from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -9,8 +9,8 @@ import typer
 
 from carom.cli.options import ForceOption, RecordingArgument, StepTimeOption, simulated_or_none
 from carom.cli.text import say
-from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
 
 
 def export(

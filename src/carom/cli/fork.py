@@ -20,7 +20,7 @@ from carom.cli.options import (
     simulated,
 )
 from carom.cli.text import say
-from carom.scene.command import command
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

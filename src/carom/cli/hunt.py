@@ -12,7 +12,7 @@ from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption
 from carom.cli.shrink import budget
 from carom.cli.text import say
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.lab.hunt.hunt import Hunt, Miss, Tally

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
-from carom.scene.command import command
-from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -97,7 +96,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say what ran, for how long, and how it ended."""
     from carom.runs.ending import in_words
-    from carom.scene.names import in_series
+    from carom.scene.wording import in_series
 
     scene, clip = summary["scene"], summary.get("clip")
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"

@@ -116,7 +116,7 @@ def _say_old_names_once() -> None:
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
         from carom.cli.text import say
-        from carom.scene.renamed import OldNameWarning
+        from carom.scene.overrides import OldNameWarning
 
         if not issubclass(category, OldNameWarning):
             show(message, category, *place, **more)

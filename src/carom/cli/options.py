@@ -22,8 +22,7 @@ class Seconds(float):
 
 def seconds(text: str) -> float:
     """Read a time: a plain number, or one with a unit, which becomes `Seconds`. NaN is refused."""
-    from carom.scene.units.quantity_text import nearest_float, quantity
-    from carom.scene.units.unit import UnitError
+    from carom.scene.units.unit import UnitError, nearest_float, quantity
 
     try:
         value = float(text)
@@ -52,7 +51,7 @@ def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
 
 def bundled(incomplete: str) -> list[str]:
     """Complete the name of a bundled scene; if none fits, the shell completes files."""
-    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
+    from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, extreme_scenes
 
     return [
         name for name in (*bundled_scenes(), *extreme_scenes(), *crosscheck_scenes()) if name.startswith(incomplete)

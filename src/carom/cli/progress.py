@@ -16,15 +16,14 @@ from carom.cli.warnings import warning_lines
 from carom.physics.look_ahead.budget import Budget, Watcher
 from carom.physics.status import StepStatus
 from carom.plan.auto import inexact_impacts, largest_step
-from carom.plan.doubts import doubts
+from carom.plan.checks import doubts
 from carom.runs.contact_counts import counts_text, overlap_text
 from carom.runs.ending import accuracy_text, error_text, in_words
 from carom.runs.run import Outcome, shortfall_text
-from carom.scene.command import command
-from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import command, counted
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
 LEAST_FRAMES = 0.9  # of those asked for; fewer are pointed out

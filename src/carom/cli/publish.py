@@ -10,7 +10,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
 from carom.cli.text import say
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 
 def publish(

@@ -10,8 +10,8 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, OutputOption, RecordingArgument
 from carom.cli.text import say
-from carom.scene.counted import counted
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
 
 
 def repair(

@@ -20,7 +20,7 @@ from carom.cli.options import (
     recording_option,
 )
 from carom.cli.text import say
-from carom.scene.command import command
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from carom.cli.progress import Progress

@@ -9,7 +9,7 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption
-from carom.scene.command import command
+from carom.scene.wording import command
 
 
 def scenes(
@@ -19,11 +19,11 @@ def scenes(
     as_json: Annotated[bool, typer.Option("--json", help="Print the list as JSON.")] = False,
 ) -> None:
     """List the bundled scenes."""
-    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
+    from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, extreme_scenes
     from carom.scene.schema import Scene
 
     if schema:
-        from carom.scene.json_schema import schema_text
+        from carom.scene.format_page import schema_text
 
         typer.echo(schema_text(), nl=False)
         return
@@ -58,8 +58,8 @@ def new(
     """Write a scene file to start from, with comments on the most important keys."""
     from carom.errors import SceneError
     from carom.recording.write.whole_file import whole_file, write_whole
-    from carom.scene.bundled import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
-    from carom.scene.json_schema import without_schema_line
+    from carom.scene.format_page import without_schema_line
+    from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, data_files, extreme_scenes, starter
 
     if not Path(name).name or Path(name).is_dir():
         raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")

@@ -11,8 +11,7 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import ForceOption, JsonOption, SetOption
 from carom.cli.text import say
-from carom.scene.command import command
-from carom.scene.counted import counted
+from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable

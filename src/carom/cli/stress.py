@@ -10,8 +10,8 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import SetOption
 from carom.runs.ending import in_words
-from carom.scene.command import command
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from rich.table import Table

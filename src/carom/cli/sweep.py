@@ -9,7 +9,7 @@ import typer
 
 from carom.cli.json_output import say_json
 from carom.cli.options import SetOption, bundled
-from carom.scene.command import command
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from carom.lab.sweep.sweep import Ending

@@ -9,7 +9,7 @@ from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
 
-from carom.scene.names import escaped
+from carom.scene.wording import escaped
 
 WIDEST = 10_000  # characters, of a table that is printed whole
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import typer
 
-from carom.scene.names import escaped
+from carom.scene.wording import escaped
 
 
 def say(text: str, *, err: bool = False) -> None:

@@ -12,8 +12,8 @@ import typer
 from carom.cli.json_output import say_json
 from carom.cli.options import SceneArgument, SetOption, ThreadsOption
 from carom.cli.text import say
-from carom.scene.command import command
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from rich.table import Table

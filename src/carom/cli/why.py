@@ -18,17 +18,16 @@ from carom.cli.options import (
     simulated_or_none,
 )
 from carom.cli.text import say
-from carom.scene.command import command
-from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
+from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carom.lab.why.account import Account, Cause, FloatArray
     from carom.lab.why.answer import Answer
-    from carom.scene.names import Names
     from carom.scene.units.system import UnitSystem
+    from carom.scene.wording import Names
 
 MOST_CAUSES = 12  # of a body that are printed for people
 MOST_EDGES = 8

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ class Bodies:
 
     @classmethod
     def at_start(
-        cls, start: Start, *, spins: bool = False, orients: bool = False, torques: bool = False, planes: int = 0
+        cls, start: InitialBodies, *, spins: bool = False, orients: bool = False, torques: bool = False, planes: int = 0
     ) -> Bodies:
         """Build the state at time 0; spins, orientations and torques take no memory if they are not required."""
         n = len(start.mass)

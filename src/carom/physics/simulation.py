@@ -27,11 +27,10 @@ from carom.physics.stepper import Goal, Stepper
 from carom.physics.time_step import Timestep
 from carom.physics.warm_up import warm_up
 from carom.physics.world import World
-from carom.plan.auto import frame_interval, holding, integrator
+from carom.plan.auto import StepLimits, frame_interval, holding, integrator, step_limits, wider_limits
 from carom.plan.features import require
-from carom.plan.step_limits import StepLimits, step_limits, wider_limits
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
@@ -44,7 +43,12 @@ class Simulation:
     """
 
     def __init__(
-        self, scene: Scene, start: Start, threads: int | None = None, stride: float = 1.0, record_contacts: bool = False
+        self,
+        scene: Scene,
+        start: InitialBodies,
+        threads: int | None = None,
+        stride: float = 1.0,
+        record_contacts: bool = False,
     ) -> None:
         self.scene = scene
         self.names = start.name

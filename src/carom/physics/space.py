@@ -20,9 +20,9 @@ from carom.physics.reference_api import BodyProxy
 from carom.physics.schedule import at
 from carom.physics.simulation import Simulation
 from carom.physics.stepper import Goal
-from carom.plan.limits import refuse_impossible
+from carom.plan.checks import refuse_impossible
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ class Space(Simulation):
         self,
         scene: Scene,
         threads: int | None = None,
-        start: Start | None = None,
+        start: InitialBodies | None = None,
         stride: float = 1.0,
         record_contacts: bool = False,
         watch_look_ahead: Watcher | None = None,

@@ -29,7 +29,7 @@ from carom.physics.diagnostics.motion import centre_velocity
 from carom.physics.parallel.thread_team import SOLO, Team
 from carom.physics.pull_time import PullTime
 from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, smooth_and_cut, target
-from carom.plan.step_limits import HELD_PART, StepLimits
+from carom.plan.auto import HELD_PART, StepLimits
 from carom.scene.schema import Scene, Time
 
 FloatArray = NDArray[np.float64]

@@ -16,10 +16,10 @@ from carom.physics.forces.total import TotalForce
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements, require
 from carom.scene.half_space import HalfSpaces, half_spaces
-from carom.scene.materials import pair_coefficients
-from carom.scene.names import Names
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
+from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class World:
     profile: Profile
 
     @classmethod
-    def at_start(cls, scene: Scene, start: Start, team: Team, records_contacts: bool) -> World:
+    def at_start(cls, scene: Scene, start: InitialBodies, team: Team, records_contacts: bool) -> World:
         """Build the world of a scene before its first step."""
         needs, planes, profile = require(scene), half_spaces(scene), Profile()
         bodies = Bodies.at_start(

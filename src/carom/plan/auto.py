@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
-from carom.plan import contacts, pulls
-from carom.plan.forced import forced_parts
-from carom.plan.hierarchy import FEWEST_ORBITS, orbits_often
-from carom.plan.spacing import far_apart
+from carom.plan import contact_parts, pulls
+from carom.plan.contact_parts import forced_parts
+from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
-from carom.scene.materials import made_of
-from carom.scene.matter import body_mass, mean_mass
+from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
@@ -77,7 +76,7 @@ def why_late(scene: Scene) -> str:
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
-    if not contacts.contact(scene).modelled:
+    if not contact_parts.contact(scene).modelled:
         return "no contact is possible"
     if chosen.locates_impacts or scene.time.accuracy is not None:  # with an accuracy, `limits` refuses any other
         return ""
@@ -92,7 +91,7 @@ def inexact_impacts(scene: Scene) -> str:
     approach.
     """
     chosen = integrator(scene)
-    if not contacts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
+    if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
         return ""
     if why_late(scene):
         return f"impacts are found up to a step late, at an overlap: {why_late(scene)}"
@@ -156,17 +155,17 @@ def _meets_seldom(scene: Scene) -> bool:
 
     In steps of leapfrog, a second at most, eighty years of a comet took hours; Gauss–Radau takes a second.
     """
-    if not (contacts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
+    if not (contact_parts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
         return False
     alone = scene.domain.boundary == "open" and not scene.plane and not pulls.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
-    drifts = contacts.moves_relatively(scene)  # what begins at rest falls together
+    drifts = contact_parts.moves_relatively(scene)  # what begins at rest falls together
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
 
 
 def _accurate(scene: Scene) -> str:
     """Name the integrator that reaches an accuracy at the lowest cost, if no run ahead finds a cheaper one."""
-    if contacts.contact(scene).modelled:
+    if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.gravity(scene).modelled:
         return "leapfrog"
@@ -176,7 +175,7 @@ def _accurate(scene: Scene) -> str:
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Tell whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
-    bent = contacts.load(scene) != "" and not (pulls.damping(scene) or pulls.further(scene))
+    bent = contact_parts.load(scene) != "" and not (pulls.damping(scene) or pulls.further(scene))
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
@@ -198,7 +197,7 @@ def _leaves_step_free(scene: Scene) -> bool:
 
 
 def _is_smooth(scene: Scene) -> bool:
-    if not pulls.gravity(scene).modelled or contacts.contact(scene).modelled or pulls.damping(scene):
+    if not pulls.gravity(scene).modelled or contact_parts.contact(scene).modelled or pulls.damping(scene):
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
@@ -222,7 +221,7 @@ def target_dx(scene: Scene) -> float | None:
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
-    if not contacts.contact(scene).modelled:
+    if not contact_parts.contact(scene).modelled:
         return None
     return auto_step(scene) ** 2 * smallest_radius(scene)
 
@@ -235,8 +234,8 @@ def held_dx(scene: Scene) -> float | None:
     """
     if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
-    contact = contacts.contact(scene)
-    if not contacts.resting(scene, contact).modelled:
+    contact = contact_parts.contact(scene)
+    if not contact_parts.resting(scene, contact).modelled:
         return None
     return (STEP_PER_BODY * STEP_GROWS_UP_TO) ** 2 * smallest_radius(scene)
 
@@ -245,9 +244,9 @@ def cfl(scene: Scene) -> float | None:
     """Return the fraction of its own radius that a body may move in a step; None for no limit."""
     if scene.time.cfl != "auto":
         return scene.time.cfl
-    if not contacts.contact(scene).modelled:
+    if not contact_parts.contact(scene).modelled:
         return None
-    return FREE_CFL if timing(scene) == "time-of-impact" and not contacts.load(scene) else LATE_CFL
+    return FREE_CFL if timing(scene) == "time-of-impact" and not contact_parts.load(scene) else LATE_CFL
 
 
 def pull_fraction(scene: Scene) -> float | None:
@@ -259,7 +258,7 @@ def pull_fraction(scene: Scene) -> float | None:
         return None
     if scene.time.pull_fraction != "auto":
         return scene.time.pull_fraction
-    if contacts.contact(scene).modelled or scene.time.target_dx != "auto":
+    if contact_parts.contact(scene).modelled or scene.time.target_dx != "auto":
         return None
     return PAIR_FRACTION if scene.count <= PAIRS_UP_TO else PULL_FRACTION
 
@@ -298,3 +297,79 @@ def auto_interval(scene: Scene, duration: float) -> float:
     """Return the time between the frames of a recording that chooses them itself, for a duration; both in s."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
     return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
+
+
+HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolling about each other takes 600 a turn
+WIDEST_HELD_PART = 0.1
+WIDEST_HELD = 3.0  # times the step of held bodies
+WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
+WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
+
+
+@dataclass(frozen=True, slots=True)
+class StepLimits:
+    """The limits by their keys; None if one does not apply."""
+
+    max_dt: float  # s, infinite for no limit
+    cfl: float | None
+    target_dx: float | None  # m
+    held_dx: float | None  # m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not
+    held_part: float  # of its own radius that such a body may move in a step
+    pull_fraction: float | None
+    smoothing: float
+
+
+def step_limits(scene: Scene) -> StepLimits:
+    """Return the limits that a scene asks for."""
+    if scene.promise is not None:
+        return accurate_limits(scene, scene.promise.refinement, scene.promise.until)
+    return StepLimits(
+        max_dt=largest_step(scene),
+        cfl=cfl(scene),
+        target_dx=target_dx(scene),
+        held_dx=held_dx(scene),
+        held_part=HELD_PART,
+        pull_fraction=pull_fraction(scene),
+        smoothing=smoothing(scene),
+    )
+
+
+def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
+    """Return limits for steps so many times shorter than the longest useful ones, with impacts at their own times.
+
+    Every limit shrinks alike, so that runs with different refinements differ wherever the step matters. No step is
+    longer than the interval between the frames of an automatic recording of ``until`` seconds, the part that was
+    looked ahead. A resumed run may be longer, and keeps its step.
+    """
+    touches = cfl(scene) is not None
+    return StepLimits(
+        max_dt=min(largest_step(scene), auto_interval(scene, until)) / refinement,
+        cfl=FREE_CFL / refinement if touches else None,
+        target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
+        held_dx=None,
+        held_part=HELD_PART,
+        pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL / refinement,
+        smoothing=1.0,
+    )
+
+
+def wider_limits(scene: Scene, stride: float) -> StepLimits:
+    """Return limits for steps up to ``stride`` times longer, as far as contacts are still found and orbits kept."""
+    if scene.promise is not None:
+        return accurate_limits(scene, scene.promise.refinement / stride, scene.promise.until)
+
+    def wider(limit: float | None, widest: float) -> float | None:
+        return None if limit is None else min(stride * limit, max(limit, widest))
+
+    reach, fall = target_dx(scene), STEP_PER_BODY * STEP_GROWS_UP_TO * math.sqrt(smallest_radius(scene))
+    rest = held_dx(scene)
+    root = wider(None if reach is None else math.sqrt(reach), fall)
+    return StepLimits(
+        max_dt=stride * largest_step(scene),
+        cfl=wider(cfl(scene), FREE_CFL),
+        target_dx=None if root is None else root * root,
+        held_dx=None if rest is None else min(stride, WIDEST_HELD) ** 2 * rest,
+        held_part=min(stride * HELD_PART, WIDEST_HELD_PART),
+        pull_fraction=wider(pull_fraction(scene), WIDEST_PULL),
+        smoothing=1.0,
+    )

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carom.errors import SceneError
-from carom.plan import contacts, pulls
+from carom.plan import contact_parts, pulls
 from carom.plan.auto import (
     BOUNCES_UP_TO,
     PAIRS_UP_TO,
@@ -28,7 +28,7 @@ from carom.plan.auto import (
     uses_tree,
     why_late,
 )
-from carom.plan.forced import forced_parts
+from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import heaviest, orbits_often
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.integrators import AUTO
@@ -127,9 +127,9 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         return Part(part.name, True, part.why)
 
     forces = {kind.name: decide(pulls.part(kind, scene)) for kind in FORCES}
-    contact = decide(contacts.contact(scene))
-    friction = decide(contacts.friction(scene, contact))
-    torque = decide(contacts.torque(friction))
+    contact = decide(contact_parts.contact(scene))
+    friction = decide(contact_parts.friction(scene, contact))
+    torque = decide(contact_parts.torque(friction))
     return Requirements(
         warm_up=decide(_warm_up(scene)),
         adaptive_step=decide(_adaptive_step(scene)),
@@ -138,16 +138,16 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         spin=decide(_spin(scene, friction)),
         orientation=decide(_orientation(scene, friction)),
         contact=contact,
-        broad_phase=decide(contacts.broad_phase(scene, contact)),
-        narrow_phase=decide(contacts.narrow_phase(contact)),
+        broad_phase=decide(contact_parts.broad_phase(scene, contact)),
+        narrow_phase=decide(contact_parts.narrow_phase(contact)),
         impact_time=decide(_impact_time(scene, contact)),
-        colouring=decide(contacts.colouring(scene, contact)),
-        stabilisation=decide(contacts.stabilisation(scene, contact)),
+        colouring=decide(contact_parts.colouring(scene, contact)),
+        stabilisation=decide(contact_parts.stabilisation(scene, contact)),
         forces=forces,
         tree=decide(_tree(scene)),
         potential=decide(_potential(scene, forces[GRAVITY.name])),
-        resting=decide(contacts.resting(scene, contact)),
-        restitution=decide(contacts.restitution(scene, contact)),
+        resting=decide(contact_parts.resting(scene, contact)),
+        restitution=decide(contact_parts.restitution(scene, contact)),
         friction=friction,
         torque=torque,
         energy=_energy(scene),
@@ -201,13 +201,13 @@ def _energy(scene: Scene) -> Part:
 def _impact_time(scene: Scene, contact: Part) -> Part:
     name, late, chosen = "time-of-impact", why_late(scene), integrator(scene)
     if chosen.ends_steps_at_impacts:
-        return contacts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
+        return contact_parts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
         return Part(name, False, f"{late}: an impact is resolved up to a step late")
     why = "impacts are resolved at their own times within a step"
     if scene.contact.timing == "time-of-impact":
         why = f'contact.timing = "time-of-impact": {why}'
-    return contacts.where_bodies_meet(name, contact, why)
+    return contact_parts.where_bodies_meet(name, contact, why)
 
 
 def _spin(scene: Scene, friction: Part) -> Part:
@@ -240,9 +240,9 @@ def _integrator(scene: Scene) -> Part:
         name_of, share = heaviest(scene)
         turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
         return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
-    if scene.time.accuracy is not None and (chosen != "leapfrog" or contacts.load(scene)):
+    if scene.time.accuracy is not None and (chosen != "leapfrog" or contact_parts.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
-    if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
+    if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
         why = f"{scene.count} bodies that begin far apart and seldom meet; impacts end its steps"
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
@@ -254,7 +254,7 @@ def _integrator(scene: Scene) -> Part:
         why = f"the only integrator that supports {force.name}"
     elif not pulls.differing(scene):
         why = "exact between impacts, for bodies do not pull each other"
-    elif contacts.contact(scene).modelled:
+    elif contact_parts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
         why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step with any integrator"
     else:
@@ -268,7 +268,7 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
         return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
         return "the bodies orbit a dominant one, and its steps keep the accuracy for less than those of gauss-radau15"
-    if chosen == "gauss-radau15" and contacts.contact(scene).modelled:
+    if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
         return "its steps end at impacts and err by rounding; contacts that come to rest are left to leapfrog"
     if chosen == "gauss-radau15":
         return "cheapest for the accuracy, and no contact is modelled"

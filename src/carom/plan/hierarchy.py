@@ -1,4 +1,4 @@
-"""Whether one body dominates a scene, so that the others orbit it."""
+"""Orbits about a dominant body, and the distances between bodies at the start."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from carom.plan import contacts, pulls
-from carom.scene.materials import made_of
-from carom.scene.matter import body_mass, mean_mass
-from carom.scene.names import body_called
+import numpy as np
+
+from carom.plan import contact_parts, pulls
+from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
+from carom.scene.wording import body_called
 
 DOMINANT = 0.99  # share of the mass from which a body dominates
 FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
@@ -91,7 +92,7 @@ def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
     """Return how often the innermost body goes around a dominant one, if all stay on orbits so far apart; 0 if not."""
     if scene.group or not 3 <= scene.count <= MOST_BODIES:
         return 0.0
-    if contacts.contact(scene).modelled or pulls.damping(scene) or why_no_hierarchy(scene):
+    if contact_parts.contact(scene).modelled or pulls.damping(scene) or why_no_hierarchy(scene):
         return 0.0
     orbits = _orbits(scene)
     if orbits is None or not all(
@@ -134,3 +135,20 @@ def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
     e = math.sqrt(max(0.0, 1.0 - spin * spin / (mu * axis)))
     period = 2.0 * math.pi * axis * math.sqrt(axis / mu)
     return Orbit(period, axis * (1.0 - e), axis * (1.0 + e), axis * (mass / (3.0 * heavy)) ** (1.0 / 3.0))
+
+
+LEAST_DISTANCE = 8.0  # sums of radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+MOST_APART = 32  # bodies; more that draw together soon meet often
+
+
+def far_apart(scene: Scene) -> bool:
+    """Tell whether bodies are few and begin far apart, as planets, moons and comets do; not where groups place them."""
+    if scene.group or not 2 <= scene.count <= MOST_APART:
+        return False
+    position = np.array([body.position for body in scene.body]).reshape(-1, 3)
+    radius = np.array([body.radius for body in scene.body])
+    position = np.concatenate([position, *(columns.position for columns in scene.data)])
+    radius = np.concatenate([radius, *(columns.radius for columns in scene.data)])
+    i, j = np.triu_indices(len(radius), 1)
+    distance = np.sqrt(((position[i] - position[j]) ** 2).sum(axis=1))
+    return bool(np.all(distance >= LEAST_DISTANCE * (radius[i] + radius[j])))

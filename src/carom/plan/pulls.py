@@ -34,7 +34,7 @@ def damping(scene: Scene) -> Part | None:
 
 
 def dampings(scene: Scene) -> list[Part]:
-    """Return all forces that depend on velocities; `carom.plan.limits` refuses more than one."""
+    """Return all forces that depend on velocities; `carom.plan.checks` refuses more than one."""
     found = (part(kind, scene) for kind in FORCES if kind.damps)
     return [force for force in found if force.modelled]
 

@@ -36,7 +36,7 @@ from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
 from carom.scene.half_space import half_spaces
-from carom.scene.materials import pair_coefficients
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.units.system import SI
 

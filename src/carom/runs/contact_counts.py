@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 EACH = "each"  # impacts during the drift of a step
 ONCE_A_STEP = "once a pair and step"  # impacts found at its end

@@ -18,8 +18,8 @@ from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
 from carom.plan.auto import frame_interval
+from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
-from carom.plan.limits import memory_estimate
 from carom.private_folder import temporary_folder
 from carom.recording.schema.inventory import Content, contents
 from carom.recording.write.impact_plan import FILE_BYTES

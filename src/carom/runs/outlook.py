@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from carom.errors import PhysicsError
 from carom.physics.space import Space
-from carom.plan.auto import integrator
-from carom.plan.step_limits import step_limits
+from carom.plan.auto import integrator, step_limits
 from carom.scene.schema import Scene
 
 STRIDES = 8.0, 64.0  # times the steps of the scene; the longer if the shorter would take too long

@@ -9,9 +9,9 @@ from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
 from carom.runs.contact_counts import counts_text, overlap_text
 from carom.runs.ending import error_text, in_words
-from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import counted
 
 MOMENTS = {
     "impact": "hardest impact, {value} of approach (½ μ v_n²)",

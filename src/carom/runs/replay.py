@@ -26,11 +26,11 @@ from carom.runs.frame_check import FrameCheck, is_whole, told
 from carom.runs.mismatch import Mismatch, Value
 from carom.runs.output import claimed_output, refuse_itself, refuse_output
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
-from carom.scene.data.sources import changed_files
+from carom.scene.data.body_sources import changed_files
 from carom.scene.forces import FORCES
-from carom.scene.names import body_called
 from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import body_called
 
 _OUTCOME = "the outcome and its numbers (another version recorded them, or more frames than are compared)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost

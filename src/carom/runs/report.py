@@ -20,12 +20,10 @@ from carom.runs.environment import environment
 from carom.runs.excerpt import excerpt
 from carom.runs.overview import energy_texts, is_worth_a_look, overview, promise_text, value_shown
 from carom.runs.replay import Replay, replay
-from carom.scene.command import command
-from carom.scene.counted import counted
 from carom.scene.forces import FORCES
-from carom.scene.names import escaped
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import command, counted, escaped
 from carom.show.picture import try_to_render
 from carom.show.request import Request
 

@@ -20,9 +20,9 @@ from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name, refuse_output
 from carom.runs.replay import replay
 from carom.runs.run import Outcome, Watcher, simulate
-from carom.scene.command import command
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
 
 UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
 

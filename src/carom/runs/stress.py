@@ -9,9 +9,9 @@ from carom.errors import SceneError
 from carom.physics.diagnostics.extremes import Extreme
 from carom.runs.expectation import Verdict
 from carom.runs.run import Outcome, Watcher, recording_space, simulate
-from carom.scene.bundled import EXTREMES, extreme_scenes
-from carom.scene.nearest import suggestion
+from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.schema import Scene
+from carom.scene.wording import suggestion
 
 
 @dataclass(frozen=True, slots=True)

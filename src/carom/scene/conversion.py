@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from carom.scene.lines import KeyPath
-from carom.scene.nearest import suggestion
+from carom.scene.key_places import KeyPath
 from carom.scene.schema import Gravity, Scene
 from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, NAMED, Dimension
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.units.unit import UnitError, unit_of
+from carom.scene.wording import suggestion
 
 _NUMBERS = {float, int}
 _WRITTEN_BY_CAROM = "promise"  # a section in the units of the simulation

@@ -1,8 +1,12 @@
-"""docs/scene-format.md, made from the schema: ``python -m carom.scene.format_page > docs/scene-format.md``."""
+"""The format of a scene, from its schema: a JSON schema for editors, and docs/scene-format.md.
+
+``python -m carom.scene.format_page > docs/scene-format.md`` writes the page.
+"""
 
 from __future__ import annotations
 
 import inspect
+import json
 import sys
 import typing
 from collections.abc import Iterator
@@ -15,6 +19,38 @@ from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
+
+FILE = "scene.schema.json"  # beside the bundled scenes, which name it in their first line
+MARK = "#:schema"  # what the first line of a scene begins with if it names its schema
+
+
+def schema_text() -> str:
+    """Return the schema as the text of a file."""
+    return json.dumps(schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def schema() -> dict[str, Any]:
+    """Return the schema; it accepts plain numbers and texts with units wherever a quantity may stand."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
+
+
+def _brief(node: Any) -> Any:
+    """Leave out titles, which repeat the keys, and defaults that are not there."""
+    if isinstance(node, list):
+        return [_brief(inner) for inner in node]
+    if not isinstance(node, dict):
+        return node
+    named = isinstance(node.get("title"), str)
+    left_out = {"title"} if named else set()
+    left_out |= {"default"} if node.get("default", "") is None else set()
+    return {key: _brief(value) for key, value in node.items() if key not in left_out}
+
+
+def without_schema_line(text: str) -> str:
+    """Return the text of a scene without the line that names its schema, whose path is right in one folder only."""
+    first, _, rest = text.partition("\n")
+    return rest if first.startswith(MARK) else text
+
 
 INTRODUCTION = """\
 # The format of a scene

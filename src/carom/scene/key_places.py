@@ -1,17 +1,64 @@
-"""Where the keys of a scene were written, for messages."""
+"""Places of keys in the text of a scene, for messages, and the limit on their nesting.
+
+No TOML library that we know keeps the line of a key, so this module reads the text again, line by line. Where a key is
+written in a form that is not followed, such as a multi-line inline table, the line of its section is returned.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from carom.errors import SceneError
-from carom.scene.lines import KeyPath, lines_of
 
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
+
+
+KeyPath = tuple[str | int, ...]
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*"|'[^']*'))*)\s*=""")
+
+
+def lines_of(text: str) -> dict[KeyPath, int]:
+    """Return the 1-based line on which each key and each section is written first."""
+    lines: dict[KeyPath, int] = {}
+    section: KeyPath = ()
+    seen: Counter[KeyPath] = Counter()
+    for number, line in enumerate(text.splitlines(), start=1):
+        header, key = _HEADER.match(line), _KEY.match(line)
+        if header:
+            *above, last = _split(header[2])
+            section = (*_indexed(above, seen), last)
+            if header[1] == "[[":
+                seen[section] += 1
+                lines.setdefault(section, number)  # a section that was written as a list of them
+            section = written = _indexed([*above, last], seen)
+        elif key:
+            written = (*section, *_split(key[1]))
+        else:
+            continue
+        lines.setdefault(written, number)
+    return lines
+
+
+def _indexed(keys: Iterable[str | int], seen: Counter[KeyPath]) -> KeyPath:
+    """Put the index of the latest section after each key that stands for several, such as ``[[group]]``."""
+    path: KeyPath = ()
+    for key in keys:
+        path = (*path, key)
+        if seen[path]:
+            path = (*path, seen[path] - 1)
+    return path
+
+
+def _split(dotted: str) -> KeyPath:
+    return tuple(part.strip().strip("\"'") for part in dotted.split("."))
 
 
 class KeyPlaces:
@@ -56,3 +103,26 @@ def naming_places(scene: Scene) -> Iterator[None]:
         if scene.places is None or not error.key:
             raise
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
+
+
+DEEPEST = 32  # levels; the deepest key that a scene has is group.0.radius.min
+
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}", re.MULTILINE)
+
+
+def line_of_long_key(text: str) -> int | None:
+    """Return the 1-based line of a dotted key of more than `DEEPEST` parts, or None."""
+    found = _LONG_KEY.search(text)
+    return text.count("\n", 0, found.start()) + 1 if found else None
+
+
+def is_too_deep(data: Any) -> bool:
+    """Tell whether tables and lists are nested more than `DEEPEST` levels deep, or in themselves."""
+    level = [data]
+    for _ in range(DEEPEST + 1):
+        inner = (child for node in level for child in (node.values() if isinstance(node, dict) else node))
+        level = list({id(child): child for child in inner if isinstance(child, (dict, list, tuple))}.values())
+        if not level:
+            return False
+    return True

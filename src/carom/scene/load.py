@@ -18,14 +18,21 @@ from pydantic import ValidationError
 
 from carom.errors import SceneError
 from carom.scene.conversion import converted, members_of_list
-from carom.scene.data.sources import BodySource, DataFiles, Found, HeldBodies, Wanted
+from carom.scene.data.body_sources import BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted
 from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
-from carom.scene.key_places import KeyPlaces
-from carom.scene.lines import KeyPath
-from carom.scene.materials import material_called
-from carom.scene.nesting import DEEPEST, is_too_deep, line_of_long_key
-from carom.scene.overrides import apply_override, forget_digest, keep_promised_duration, key_path
-from carom.scene.renamed import RENAMED, OldNameWarning, advice, old_names, other_name
+from carom.scene.key_places import DEEPEST, KeyPath, KeyPlaces, is_too_deep, line_of_long_key
+from carom.scene.matter import material_called
+from carom.scene.overrides import (
+    RENAMED,
+    OldNameWarning,
+    advice,
+    apply_override,
+    forget_digest,
+    keep_promised_duration,
+    key_path,
+    old_names,
+    other_name,
+)
 from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
@@ -236,7 +243,7 @@ def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
     """Find the bodies of each [[bodies]]; return the scene and its text with their counts and digests."""
-    found, row, wrong = list[Found](), 0, list[Callable[[], str]]()
+    found, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:
             material = material_called(scene, section.material) if section.material else None
@@ -265,7 +272,7 @@ def _with_bodies(
 
 
 def _take_over_laws(
-    scene: Scene, units: UnitSystem, data: dict[str, Any], places: KeyPlaces, found: list[Found]
+    scene: Scene, units: UnitSystem, data: dict[str, Any], places: KeyPlaces, found: list[SourcedBodies]
 ) -> dict[str, float]:
     """Compare what moves the bodies in their files with the scene; add notes to what was found.
 

@@ -1,14 +1,24 @@
-"""Radii and masses of bodies, and of a group on average."""
+"""Masses, materials, and the coefficients of contacts.
+
+A contact of two materials has the coefficients of their [[pair]]; those that the pair does not give follow from both
+materials, see `carom.scene.schema.contact.combined`. What a [[plane]] gives itself holds for all contacts with it.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray
+from carom.scene.half_space import WALLS
 from carom.scene.portable_math import power
-from carom.scene.schema import Body, Group
+from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
+from carom.scene.schema.body import Matter
+from carom.scene.schema.contact import DEFAULT, combined
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
 
@@ -18,7 +28,7 @@ def body_mass(body: Body) -> float:
     return float(mass_of(body, np.array(body.radius)))
 
 
-def mean_mass(group: Group) -> float:
+def mean_mass(group: BodyGroup) -> float:
     """Return the expected mass of a body of a group in kg."""
     if group.mass is not None:
         return group.mass
@@ -26,7 +36,7 @@ def mean_mass(group: Group) -> float:
 
 
 @np.errstate(over="ignore")
-def mass_of(matter: Body | Group, radius: FloatArray) -> FloatArray:
+def mass_of(matter: Body | BodyGroup, radius: FloatArray) -> FloatArray:
     """Return masses (n,) in kg for radii (n,) in m."""
     if matter.mass is not None:
         return np.asarray(matter.mass)
@@ -34,7 +44,7 @@ def mass_of(matter: Body | Group, radius: FloatArray) -> FloatArray:
     return np.asarray(density * (4.0 / 3.0) * math.pi * radius * radius * radius)
 
 
-def drawn_radii(group: Group, rng: np.random.Generator) -> FloatArray:
+def drawn_radii(group: BodyGroup, rng: np.random.Generator) -> FloatArray:
     """Draw radii by inverting the cumulative distribution."""
     low, high = group.radius.min, group.radius.max
     u = rng.random(group.count)
@@ -48,8 +58,153 @@ def drawn_radii(group: Group, rng: np.random.Generator) -> FloatArray:
     return np.asarray(np.clip(low * power(1 + u * (power(np.array(high / low), p) - 1), 1 / p), low, high))
 
 
-def mean_volume(group: Group) -> float:
+def mean_volume(group: BodyGroup) -> float:
     """Return the mean volume of a sphere of the group, from a fixed sample of the radius distribution."""
     sample = group.model_copy(update={"count": 4096})
     radius = drawn_radii(sample, np.random.default_rng(0))
     return float(np.mean((4.0 / 3.0) * math.pi * radius * radius * radius))
+
+
+AnyMatter = TypeVar("AnyMatter", bound=Matter)
+
+
+@dataclass(frozen=True)
+class BodyMaterials:
+    """The materials of the bodies of a scene."""
+
+    names: list[str]  # (a,) in the order in which bodies first have them
+    index: IntArray  # (n,) into `names`
+
+
+@dataclass(frozen=True)
+class PairCoefficients:
+    """Coefficients of the contacts between n bodies, of a materials, and with p planes and walls.
+
+    Where bodies have one material, the rows are that between bodies, and that of each plane. Otherwise there are a + p
+    rows for each material: with each material, and with each plane. The contact of body i with body j > i, or with the
+    plane j - n, has the row ``places[i, 0] + places[j, 1]``.
+    """
+
+    rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
+    bodies: int  # n
+    places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # (n + p, 2); else no rows
+
+    def of(self, i: int, j: int) -> Coefficients:
+        """Return the coefficients of the contact of body i with body j > i, or with plane j - n."""
+        row = self.places[i, 0] + self.places[j, 1] if len(self.places) else max(0, j - self.bodies + 1)
+        return Coefficients(*self.rows[row].tolist())
+
+
+@dataclass(frozen=True)
+class KindOfContact:
+    """A kind of contact that a scene may have."""
+
+    between: tuple[str, str]  # materials, or a material and a plane
+    coefficients: Coefficients
+
+    def other(self, name: str) -> str:
+        """Return what touches a material."""
+        one, other = self.between
+        return other if one == name else one
+
+    def __str__(self) -> str:
+        one, other = self.between
+        return f"{one} on {one}" if one == other else f"{one} and {other}"
+
+
+def body_materials(scene: Scene) -> BodyMaterials:
+    """Return the material of each body."""
+    given = _given(scene)
+    names = list(dict.fromkeys(name for name, _ in given))
+    number = {name: index for index, name in enumerate(names)}
+    index = np.repeat([number[name] for name, _ in given], [count for _, count in given])
+    return BodyMaterials(names, index.astype(np.int64))
+
+
+def pair_coefficients(scene: Scene) -> PairCoefficients:
+    """Return the coefficients of all pairs of ends."""
+    names = _names(scene)
+    table = _table(scene, names)
+    bodies, planes = scene.count, table.shape[1] - len(names)
+    if (table[:, : len(names)] == table[0, 0]).all() and (table[:, len(names) :] == table[:1, len(names) :]).all():
+        one = np.concatenate((table[0, :1], table[0, len(names) :]))
+        return PairCoefficients(one, bodies)
+    places = np.zeros((bodies + planes, 2), dtype=np.int64)
+    places[:bodies, 1] = body_materials(scene).index
+    places[bodies:, 1] = len(names) + np.arange(planes)
+    places[:bodies, 0] = places[:bodies, 1] * table.shape[1]
+    return PairCoefficients(table.reshape(-1, len(Coefficients._fields)), bodies, places)
+
+
+def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
+    """List the kinds of contacts that the materials and planes of a scene make possible, each once."""
+    names = _names(scene)
+    table = _table(scene, names)
+    planes = [_called(plane.name or f"plane {index}", plane.material) for index, plane in enumerate(scene.plane)]
+    walls = [_called("walls", scene.domain.material)] if table.shape[1] > len(names) + len(planes) else []
+    ends = [*names, *planes, *walls]
+    return [
+        KindOfContact((name, ends[other]), Coefficients(*table[index, other].tolist()))
+        for index, name in enumerate(names)
+        for other in range(index, len(ends))
+    ]
+
+
+def material_called(scene: Scene, name: str) -> Material | None:
+    """Return the material of that name; None for that of [contact]."""
+    return next((material for material in scene.material if material.name == name), None)
+
+
+def made_of(scene: Scene, matter: AnyMatter) -> AnyMatter:
+    """Return a body or a group with the density and the inertia factor of its material."""
+    material = material_called(scene, matter.material) if matter.material else None
+    if material is None:
+        return matter
+    density = matter.density if matter.density is not None or matter.mass is not None else material.density
+    factor = matter.inertia_factor if matter.inertia_factor is not None else material.inertia_factor
+    return matter.model_copy(update={"density": density, "inertia_factor": factor})
+
+
+def between(scene: Scene, one: str, other: str) -> Coefficients:
+    """Return the coefficients of a contact of two materials."""
+    meeting = combined(_own(scene, one), _own(scene, other))
+    pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
+    return meeting if pair is None else pair.completed(meeting)
+
+
+def _own(scene: Scene, name: str) -> Coefficients:
+    material, default = material_called(scene, name), scene.contact.coefficients
+    return default if material is None else material.completed(default)
+
+
+def _called(name: str, material: str | None) -> str:
+    return f"{name} ({material})" if material else name
+
+
+def _given(scene: Scene) -> list[tuple[str, int]]:
+    """Return the material of the bodies in their order, each with how many have it."""
+    members: Iterable[tuple[Matter, int]] = [
+        *((body, 1) for body in scene.body),
+        *((section, len(columns)) for section, columns in zip(scene.bodies, scene.data, strict=True)),
+        *((group, group.count) for group in scene.group),
+    ]
+    return [(matter.material or DEFAULT, count) for matter, count in members]
+
+
+def _names(scene: Scene) -> list[str]:
+    """Return the materials of the bodies."""
+    return list(dict.fromkeys(name for name, _ in _given(scene))) if scene.material else [DEFAULT]
+
+
+def _table(scene: Scene, names: list[str]) -> FloatArray:
+    """Return the coefficients of each material with each material, each plane and each wall, (a, a + p, 3)."""
+    walls = len(WALLS) if scene.domain.boundary == "walls" else 0
+    rows = [
+        [
+            *(between(scene, name, other) for other in names),
+            *(plane.completed(between(scene, name, plane.material or DEFAULT)) for plane in scene.plane),
+            *([between(scene, name, scene.domain.material or DEFAULT)] * walls),
+        ]
+        for name in names
+    ]
+    return np.array(rows, dtype=np.float64)

@@ -1,21 +1,46 @@
-"""Overrides of a scene's keys, as ``--set key=value`` gives them."""
+"""Overrides of a scene's keys, as ``--set key=value`` gives them, and keys that have a new name."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 import tomlkit
 
 from carom.errors import SceneError
-from carom.scene.hint import hint
-from carom.scene.lines import KeyPath
-from carom.scene.nesting import DEEPEST
-from carom.scene.renamed import other_name
+from carom.scene.explanation import hint
+from carom.scene.key_places import DEEPEST, KeyPath
 from carom.scene.schema import Scene, Time
-from carom.scene.schema.expect import ABOUT_THE_END
-from carom.scene.toml_value import parse_value
+from carom.scene.schema.promise import ABOUT_THE_END
+from carom.scene.toml_text import parse_value
+
+RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old to new
+
+
+class OldNameWarning(FutureWarning):
+    """A scene uses the old name of a key."""
+
+
+def other_name(path: KeyPath) -> KeyPath | None:
+    """Return the other name of a renamed key, old for new and new for old; None for any other key."""
+    return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
+
+
+def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
+    """Find the old names among the keys of a scene."""
+    for old in RENAMED:
+        node: Any = scene
+        for key in old:
+            node = node.get(key) if isinstance(node, Mapping) else None
+        if node is not None:
+            yield old
+
+
+def advice(old: KeyPath) -> str:
+    """Name the new name of an old one."""
+    return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"
+
 
 TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
 _INDEX = re.compile(r"[0-9]{1,9}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carom.scene.forces import FORCES, GRAVITY
-from carom.scene.nearest import suggestion
+from carom.scene.wording import suggestion
 
 PARTS = (  # in the order in which a step uses them
     "warm-up",

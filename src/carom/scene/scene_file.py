@@ -1,4 +1,4 @@
-"""A scene's file: where it is, and what its text is."""
+"""Files of scenes: bundled ones, the path that a name stands for, and the text in a file or a pipe."""
 
 from __future__ import annotations
 
@@ -6,11 +6,56 @@ import difflib
 import os
 import stat
 import time
+import tomllib
 from pathlib import Path
 
 from carom.errors import SceneError
-from carom.scene.bundled import bundled_scenes, crosscheck_scenes, extreme_scenes
-from carom.scene.command import command
+from carom.scene.wording import command
+
+PACKAGE = Path(__file__).parents[1]
+CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
+EXTREMES = "extremes"  # the folder of the numerical extremes, and the first part of their names
+
+
+def bundled_scenes() -> dict[str, Path]:
+    """Return the path of each bundled scene by its name, in order of the names."""
+    return _scenes(_folder())
+
+
+def extreme_scenes() -> dict[str, Path]:
+    """Return the path of each numerical extreme by its name, such as ``extremes/mass-ratio``, in order of the names."""
+    return {f"{EXTREMES}/{name}": path for name, path in _scenes(_folder() / EXTREMES).items()}
+
+
+def crosscheck_scenes() -> dict[str, Path]:
+    """Return the path of each scene of a bug report of another engine, such as ``crosscheck/jolt-higher-bounce``."""
+    return {f"{CROSSCHECK}/{name}": path for name, path in _scenes(_folder() / CROSSCHECK).items()}
+
+
+def bundled_folders() -> dict[str, list[str]]:
+    """Return the names of the bundled scenes in each folder, by its name."""
+    return {EXTREMES: list(extreme_scenes()), CROSSCHECK: list(crosscheck_scenes())}
+
+
+def _scenes(folder: Path) -> dict[str, Path]:
+    return {path.stem: path for path in sorted(folder.glob("*.toml"), key=lambda path: path.stem)}
+
+
+def _folder() -> Path:
+    installed = PACKAGE / "configs"
+    return installed if installed.is_dir() else PACKAGE.parents[1] / "configs"
+
+
+def data_files(scene: Path) -> list[Path]:
+    """Return the data files of a bundled scene, which are beside it."""
+    sections = tomllib.loads(scene.read_text(encoding="utf-8")).get("bodies", [])
+    return [scene.with_name(section["file"]) for section in sections]
+
+
+def starter() -> str:
+    """Return the text of the commented scene that `carom new` writes."""
+    return (Path(__file__).parent / "starter.toml").read_text(encoding="utf-8")
+
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
 PATIENCE = 30.0  # s, for which a pipe may be silent

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.scene.body_names import joined
+from carom.scene.wording import joined
 
 
 @dataclass(frozen=True)
-class Start:
+class InitialBodies:
     """The bodies at time 0, explicit ones first, then those from data, then the groups, in order; SI units."""
 
     name: Sequence[str]
@@ -26,13 +26,13 @@ class Start:
     fixed: BoolArray  # (n,)
 
 
-def join(parts: list[Start]) -> Start:
+def join(parts: list[InitialBodies]) -> InitialBodies:
     """Return the bodies of all parts, in order."""
 
     def stacked(key: str) -> FloatArray:
         return np.ascontiguousarray(np.concatenate([getattr(part, key) for part in parts]))
 
-    return Start(
+    return InitialBodies(
         name=joined([part.name for part in parts]),
         group=np.concatenate([part.group for part in parts]),
         position=stacked("position"),

@@ -10,7 +10,7 @@ from typing import Any
 
 import tomlkit
 
-from carom.scene.toml_value import parse_value
+from carom.scene.toml_text import parse_value
 
 Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
 

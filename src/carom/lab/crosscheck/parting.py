@@ -14,7 +14,7 @@ from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.trajectory import Trajectory
 from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.recording import Recording
-from carom.scene.names import Names
+from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

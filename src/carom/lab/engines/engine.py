@@ -15,8 +15,8 @@ from carom.lab.engines.rebound import Rebound
 from carom.lab.engines.stepped import Simulation
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
-from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
+from carom.scene.wording import suggestion
 
 
 class Engine(Protocol):

@@ -13,9 +13,9 @@ from carom.plan.features import require
 from carom.plan.pulls import further
 from carom.recording.source.source import SPHERE, Model
 from carom.scene.half_space import HalfSpaces, half_spaces
-from carom.scene.materials import pair_coefficients
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Coefficients, Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -24,7 +24,7 @@ FloatArray = NDArray[np.float64]
 class Problem:
     """A scene in the terms of a game or robot engine."""
 
-    start: Start
+    start: InitialBodies
     planes: HalfSpaces
     between: Coefficients  # of two bodies
     at_planes: list[Coefficients]

@@ -24,9 +24,9 @@ from carom.runs.interrupts import Interrupts
 from carom.runs.output import output_folder
 from carom.runs.report import report
 from carom.runs.run import recording_space, simulate
-from carom.scene.command import command
 from carom.scene.load import scene_from_dict, scene_from_text
 from carom.scene.schema import Scene
+from carom.scene.wording import command
 
 AUDIT = 1e-9  # of a speed, that impulses may leave unexplained: some 10⁶ roundings
 STEPS = 400  # after which a scene is given up

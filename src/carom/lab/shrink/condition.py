@@ -13,10 +13,9 @@ from carom.lab.shrink.observation import LASTING, SUNK, Observation, Pair, end_n
 from carom.lab.shrink.whole_run import ReplayDiffers
 from carom.runs.expectation import Verdict
 from carom.scene.half_space import half_spaces
-from carom.scene.names import Names
-from carom.scene.nearest import nearest, suggestion
-from carom.scene.schema.expect import Expect
+from carom.scene.schema.promise import Expect
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import Names, nearest, suggestion
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")

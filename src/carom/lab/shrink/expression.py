@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from carom.errors import ExperimentError
-from carom.scene.nearest import nearest
+from carom.scene.wording import nearest
 
 LONGEST = 1000  # characters
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"

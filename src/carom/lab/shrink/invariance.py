@@ -28,9 +28,9 @@ from carom.plan.auto import largest_step
 from carom.plan.features import require
 from carom.scene.conversion import converted, rescaled
 from carom.scene.load import scene_from_dict
-from carom.scene.nearest import suggestion
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import BASE, LENGTH, Dimension
+from carom.scene.wording import suggestion
 
 FloatArray = NDArray[np.float64]
 

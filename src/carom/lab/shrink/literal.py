@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.scene.half_space import half_spaces
-from carom.scene.materials import body_materials
+from carom.scene.matter import body_materials
 from carom.scene.schema import Scene
-from carom.scene.schema.material import DEFAULT
-from carom.scene.start import Start
+from carom.scene.schema.contact import DEFAULT
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
@@ -47,7 +47,7 @@ class Moment:
         return self.position.nbytes * (2 if self.spin is None else 3)
 
 
-def literal(scene: Scene, start: Start) -> Document:
+def literal(scene: Scene, start: InitialBodies) -> Document:
     """Return a scene with each body written out, named as it was, in the units of the simulation."""
     given = scene.model_dump(mode="python", exclude_defaults=True, exclude_none=True, exclude=_NOT_COPIED)
     document: Document = _plain(given)
@@ -62,7 +62,7 @@ def literal(scene: Scene, start: Start) -> Document:
     return document
 
 
-def _name_materials(document: Document, scene: Scene, start: Start) -> None:
+def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> None:
     """Give each body the name of its material, and its own moment of inertia, which the material may give."""
     materials = body_materials(scene)
     for k, body in enumerate(document[BODIES]):
@@ -117,7 +117,7 @@ def _with(node: Any, path: Path, value: Any) -> Any:
     return kept if value is None else kept | {key: value}
 
 
-def _body(start: Start, k: int) -> Document:
+def _body(start: InitialBodies, k: int) -> Document:
     mass, radius = float(start.mass[k]), float(start.radius[k])
     body: Document = {"name": start.name[k], "position": _list(start.position[k])}
     for key, vector in (("velocity", start.velocity[k]), ("angular_velocity", start.angular_velocity[k])):
@@ -131,7 +131,7 @@ def _body(start: Start, k: int) -> Document:
     return body
 
 
-def _inertia_factor(start: Start, k: int) -> float:
+def _inertia_factor(start: InitialBodies, k: int) -> float:
     """Return I/(m r²), without the roundings of the product."""
     if start.mass[k] == 0.0:
         return _FACTOR

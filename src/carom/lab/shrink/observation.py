@@ -16,7 +16,7 @@ from carom.runs.environment import versions
 from carom.runs.expectation import Verdict, judge
 from carom.runs.run import closing_summary
 from carom.scene.half_space import half_spaces
-from carom.scene.names import Names
+from carom.scene.wording import Names
 
 Pair = frozenset[str]  # names of both ends
 

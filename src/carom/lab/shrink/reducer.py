@@ -20,9 +20,9 @@ from carom.lab.shrink.trials import Trials
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.runs.interrupts import Interrupts
-from carom.scene.counted import counted
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
+from carom.scene.wording import counted
 
 _GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
 MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
@@ -100,7 +100,7 @@ class Reducer:
     _progress: Progress = field(default_factory=Progress)
     _stages: list[Stage] = field(default_factory=list)
 
-    def reduce(self, scene: Scene, start: Start | None = None) -> Reduction:
+    def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
         """Return the smallest scene that shows the failure.
 
         Parameters
@@ -142,7 +142,7 @@ class Reducer:
                 stopped=stopped,
             )
 
-    def _begin(self, scene: Scene, start: Start, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
+    def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
         """Run the scene up to the failure; return it with its bodies written out, and what cuts its time first."""
         trials.budget.check()
         threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads

@@ -13,7 +13,7 @@ from carom.lab.shrink.reducer import Reduction, Stage
 from carom.lab.shrink.text import commented
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import versions
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE

@@ -13,7 +13,7 @@ from carom.recording.read.restore import checkpoint_before, recorded_scene, star
 from carom.scene.load import load_scene
 from carom.scene.scene_file import RECORDED
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class Source:
 
     name: str
     scene: Scene
-    start: Start
+    start: InitialBodies
 
 
 def source_of(given: str, overrides: list[str]) -> Source:

@@ -10,7 +10,7 @@ from carom.lab.sweep.task import Report, Task, execute
 from carom.runs.environment import versions
 from carom.runs.interrupts import Interrupts
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError, Workers
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"

@@ -14,7 +14,7 @@ from carom.errors import ExperimentError
 from carom.lab.sweep.plan import SEED
 from carom.lab.sweep.table import Row
 from carom.recording.write.whole_file import whole_file
-from carom.scene.units.quantity_text import Physical, nearest_float, physical
+from carom.scene.units.unit import Physical, nearest_float, physical
 
 MOST_LINES = 12  # in the legend
 _DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger

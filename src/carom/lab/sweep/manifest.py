@@ -19,7 +19,7 @@ from carom.lab.sweep.plan import Plan, Point
 from carom.recording.write.disk_reserve import DiskReserve
 from carom.runs.environment import versions
 from carom.runs.output import output_folder
-from carom.scene.nesting import DEEPEST, is_too_deep
+from carom.scene.key_places import DEEPEST, is_too_deep
 
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"

@@ -13,7 +13,7 @@ from typing import Any
 import tomlkit
 
 from carom.errors import ExperimentError, SceneError
-from carom.scene.data.sources import HeldBodies
+from carom.scene.data.body_sources import HeldBodies
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.variation import MOST_RUNS, TOO_MANY_RUNS, Values, combinations, override, values_of

@@ -17,8 +17,8 @@ from carom.errors import ExperimentError
 from carom.lab.sweep.folder import Folder, put
 from carom.lab.sweep.manifest import Run
 from carom.lab.sweep.plan import SEED
-from carom.scene.nearest import suggestion
-from carom.scene.units.quantity_text import physical
+from carom.scene.units.unit import physical
+from carom.scene.wording import suggestion
 
 Row = dict[str, Any]
 

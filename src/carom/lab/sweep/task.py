@@ -18,7 +18,7 @@ from carom.recording.schema.header import SweepMember
 from carom.runs.environment import versions
 from carom.runs.json_numbers import finite
 from carom.runs.run import recording_space, simulate
-from carom.scene.data.sources import DataFiles
+from carom.scene.data.body_sources import DataFiles
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
 

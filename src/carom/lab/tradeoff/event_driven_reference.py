@@ -30,10 +30,10 @@ from carom.physics.contact.law import LAW
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
 from carom.plan.pulls import further
-from carom.scene.materials import pair_coefficients
-from carom.scene.names import bodies_called
+from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import bodies_called
 
 FloatArray = NDArray[np.float64]
 

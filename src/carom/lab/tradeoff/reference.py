@@ -26,9 +26,9 @@ from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.plan.auto import auto_interval, cfl, integrator, largest_step, pull_fraction, target_dx, uses_tree
 from carom.plan.features import require
-from carom.scene.counted import counted
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
+from carom.scene.wording import counted
 
 FloatArray = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ from carom.lab.tradeoff.stored_study import result_entry
 from carom.lab.tradeoff.tradeoff import Study, Teller
 from carom.recording.write.whole_file import write_whole
 from carom.runs.json_numbers import finite
-from carom.scene.data.moved import toml_for
-from carom.scene.nearest import suggestion
+from carom.scene.toml_text import toml_for
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import suggestion
 
 WORSE = 1.1  # times an error of the scene as written; smaller increases are not reported
 

@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact import coulomb
 from carom.physics.parallel.jit import inline, unowned
-from carom.scene.materials import PairCoefficients
+from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
 FloatArray = NDArray[np.float64]
@@ -113,7 +113,7 @@ LAW: ContactLaw = coulomb
 
 
 class Materials(NamedTuple):
-    """The coefficients of each pair of ends that may touch; see `carom.scene.materials.PairCoefficients`."""
+    """The coefficients of each pair of ends that may touch; see `carom.scene.matter.PairCoefficients`."""
 
     rows: Records  # (k,) MATERIAL
     places: IntArray  # (n + p, 2) for `material_index`; no rows where all bodies have one material

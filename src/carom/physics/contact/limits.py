@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from carom.physics.contact.constraint_graph import OVERFLOW
-from carom.scene.schema import Contact
+from carom.scene.schema import ContactSettings
 
 DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
 OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
 
 
 def limits_of(
-    contact: Contact,
+    contact: ContactSettings,
     *,
     serial_stage: bool,
     too_few_sweeps: bool,
@@ -64,7 +64,7 @@ def limits_of(
     return reached
 
 
-def still_closing(contact: Contact) -> str:
+def still_closing(contact: ContactSettings) -> str:
     """Return the text of too few sweeps."""
     return (
         f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "

@@ -17,7 +17,7 @@ from carom.physics.contact.islands import largest_values
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.parallel.thread_team import Team
 from carom.scene.half_space import HalfSpaces
-from carom.scene.schema import Contact
+from carom.scene.schema import ContactSettings
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -47,7 +47,7 @@ class NearPairs:
 
     def __init__(
         self,
-        contact: Contact,
+        contact: ContactSettings,
         bodies: Bodies,
         planes: HalfSpaces,
         box: FloatArray,

@@ -45,7 +45,7 @@ from carom.physics.diagnostics.profile import Profile
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.half_space import HalfSpaces
-from carom.scene.schema import Contact
+from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
 
 FloatArray = NDArray[np.float64]
@@ -85,7 +85,7 @@ class ContactPipeline:
 
     def __init__(
         self,
-        contact: Contact,
+        contact: ContactSettings,
         bodies: Bodies,
         planes: HalfSpaces,
         materials: Materials,

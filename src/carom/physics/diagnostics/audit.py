@@ -21,9 +21,9 @@ from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, Moment
 from carom.physics.diagnostics.motion import Motion
 from carom.physics.event import Event
 from carom.plan.auto import integrator
-from carom.scene.names import Names
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]
 

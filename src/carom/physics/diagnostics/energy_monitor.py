@@ -18,9 +18,9 @@ from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.event import Event
 from carom.scene.integrators import Integrator
-from carom.scene.names import Names
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import SOLO, Team
-from carom.scene.names import bodies_called
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import bodies_called
 
 FloatArray = NDArray[np.float64]
 

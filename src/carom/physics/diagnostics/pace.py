@@ -9,7 +9,7 @@ from carom.physics.event import Event
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.schema import Scene
-from carom.scene.schema.time import LARGEST_ACCURACY
+from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 

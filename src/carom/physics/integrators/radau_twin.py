@@ -35,7 +35,7 @@ from carom.physics.parallel.jit import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]
@@ -68,7 +68,7 @@ class Orbits(NamedTuple):
 
 def part(
     scene: Scene,
-    start: Start,
+    start: InitialBodies,
     twin: FloatArray,
     refinement: float,
     times: FloatArray,
@@ -99,14 +99,16 @@ def part(
     return _follow(scene, start, refinement, times, goes_on, _motion(scene, start, twin), enough, iterations)
 
 
-def orbits(scene: Scene, start: Start, refinement: float, times: FloatArray, goes_on: GoesOn = always) -> Orbits:
+def orbits(
+    scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, goes_on: GoesOn = always
+) -> Orbits:
     """Follow the bodies of a scene without contacts; see `part`."""
     return _follow(scene, start, refinement, times, goes_on)[0]
 
 
 def _follow(
     scene: Scene,
-    start: Start,
+    start: InitialBodies,
     refinement: float,
     times: FloatArray,
     goes_on: GoesOn,
@@ -133,7 +135,7 @@ def _follow(
     return Orbits(times, path, int(progress["steps"][0]), known), apart
 
 
-def _motion(scene: Scene, start: Start, position: FloatArray) -> Motion:
+def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:
     pull, field = scene.gravity.constant * start.mass, np.array(scene.gravity.uniform)
     return motion_of(position.copy(), start.velocity.copy(), pull, np.flatnonzero(start.fixed), field)
 

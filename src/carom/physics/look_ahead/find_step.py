@@ -44,8 +44,8 @@ from carom.plan.hierarchy import orbits_often
 from carom.scene.integrators import AUTO, INTEGRATORS
 from carom.scene.key_places import naming_places
 from carom.scene.schema import Promise, Scene
-from carom.scene.schema.time import LARGEST_ACCURACY
-from carom.scene.start import Start
+from carom.scene.schema.settings import LARGEST_ACCURACY
+from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
 
 FloatArray = NDArray[np.float64]
@@ -90,7 +90,7 @@ TWIN_SHARE = 0.25  # of a run and of its twin each; the rest is for a run with l
 
 
 def with_promise(
-    scene: Scene, threads: int | None = None, start: Start | None = None, watch: Watcher | None = None
+    scene: Scene, threads: int | None = None, start: InitialBodies | None = None, watch: Watcher | None = None
 ) -> Scene:
     """Return a scene with the step that its accuracy takes, as a [promise]; others are returned as they are.
 
@@ -122,7 +122,7 @@ class _Found(NamedTuple):
 
 class _LookAhead:
     def __init__(
-        self, scene: Scene, accuracy: float, threads: int | None, start: Start, watch: Watcher | None = None
+        self, scene: Scene, accuracy: float, threads: int | None, start: InitialBodies, watch: Watcher | None = None
     ) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
         self._budget = Budget(scene.time.duration, watch)
@@ -350,7 +350,7 @@ class _LookAhead:
     def _run(
         self,
         refinement: float,
-        start: Start | None = None,
+        start: InitialBodies | None = None,
         times: FloatArray | None = None,
         share: float = 1.0,
         longer: float = 1.0,

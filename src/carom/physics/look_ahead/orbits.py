@@ -21,7 +21,7 @@ from carom.physics.integrators.wisdom_holman import WisdomHolman
 from carom.physics.look_ahead.budget import ITERATIONS, ORBIT_BODY, ORBIT_STEP, Budget, radau_work
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ class OrbitStep(NamedTuple):
 
 
 def look_at_orbits(
-    scene: Scene, start: Start, times: FloatArray, accuracy: float, most: float, persists: bool, budget: Budget
+    scene: Scene, start: InitialBodies, times: FloatArray, accuracy: float, most: float, persists: bool, budget: Budget
 ) -> OrbitStep:
     """Find the longest step that keeps an error.
 
@@ -76,7 +76,7 @@ def look_at_orbits(
     return OrbitStep(q, usual / q**2, exponent, keeps=found is not None)
 
 
-def _follow(scene: Scene, start: Start, refinement: float, times: FloatArray, budget: Budget) -> FloatArray:
+def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: Budget) -> FloatArray:
     """Return the positions at all times, (K, n, 3) m; NaN beyond those that the budget lets it reach."""
     rule, pull, n = scene.time, scene.gravity.constant * start.mass, scene.count
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from carom.physics.periodic_box import minimum_images
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ class Scale:
     box: FloatArray | None  # (3,) m, of a periodic domain
 
     @classmethod
-    def of(cls, scene: Scene, start: Start) -> Scale:
+    def of(cls, scene: Scene, start: InitialBodies) -> Scale:
         """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0.
 
         The size of a single body at 0 is its radius.

@@ -28,7 +28,7 @@ from carom.physics.look_ahead.budget import (
 from carom.physics.simulation import Simulation
 from carom.plan.auto import integrator
 from carom.scene.schema import Expect, Promise, Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -53,7 +53,7 @@ class TrialRun:
         scene: Scene,
         refinement: float,
         threads: int | None,
-        start: Start,
+        start: InitialBodies,
         times: FloatArray,
         budget: Budget | None = None,
         share: float = 1.0,
@@ -106,7 +106,7 @@ class TrialRun:
                 self._failed = True
         return self._positions[sample] if sample < len(self._positions) else None
 
-    def again(self, start: Start) -> TrialRun:
+    def again(self, start: InitialBodies) -> TrialRun:
         """Complete this run, then return one from another start that reuses its memory."""
         self.at(len(self.times) - 1)
         other = copy(self)

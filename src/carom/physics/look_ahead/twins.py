@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.look_ahead.error_curve import with_start
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
@@ -73,7 +73,7 @@ class Twins:
         return Twins(np.exp(np.interp(times, with_start(known, 0.0), grown)), self.exponent)
 
 
-def displaced(start: Start, distance: float) -> Start:
+def displaced(start: InitialBodies, distance: float) -> InitialBodies:
     """Return a start whose free bodies are displaced by an rms distance in m, or else by a last bit."""
     direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
     moved = start.position + distance * direction

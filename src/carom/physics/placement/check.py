@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from carom.errors import SceneError
 from carom.scene.half_space import HalfSpaces
-from carom.scene.lines import KeyPath
-from carom.scene.names import body_called, body_key
+from carom.scene.key_places import KeyPath
 from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import body_called, body_key
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def refuse_unresolved(
         )
 
 
-def refuse_overflow(start: Start) -> None:
+def refuse_overflow(start: InitialBodies) -> None:
     """Refuse bodies whose mass, moment of inertia or motion overflows or underflows."""
     with np.errstate(over="ignore", divide="ignore"):
         wrong = {
@@ -83,7 +83,7 @@ def refuse_overflow(start: Start) -> None:
             raise SceneError(f"the {what} of {called} is too large or too small a number; choose other units")
 
 
-def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
+def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
     """Refuse overlapping bodies; touching is allowed, up to the rounding of positions of seven digits."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
@@ -114,7 +114,7 @@ def refuse_overlaps(scene: Scene, start: Start, box: FloatArray | None) -> None:
     )
 
 
-def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
+def refuse_immersion(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
     """Refuse bodies that reach into a plane or a wall."""
     depth = solids.depth(start.position, start.radius)
     rounding = (_rounding(start, start.radius) + np.minimum(_written(start), MOST_WRITTEN * start.radius))[:, None]
@@ -128,11 +128,11 @@ def refuse_immersion(scene: Scene, start: Start, solids: HalfSpaces) -> None:
         )
 
 
-def _rounding(start: Start, length: FloatArray) -> FloatArray:
+def _rounding(start: InitialBodies, length: FloatArray) -> FloatArray:
     """Return the possible rounding errors of lengths, in m; less than a length, however far from the origin."""
     return np.asarray(np.minimum(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()), 0.5 * length))
 
 
-def _written(start: Start) -> FloatArray:
+def _written(start: InitialBodies) -> FloatArray:
     """Return how far each centre may be from where it was meant, (n,) m, if its coordinates have seven digits."""
     return np.asarray(WRITTEN * np.sqrt(np.sum(start.position * start.position, axis=1)))

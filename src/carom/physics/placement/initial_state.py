@@ -30,17 +30,16 @@ from carom.physics.placement.region import (
     refuse_too_large,
 )
 from carom.physics.placement.surroundings import Surroundings
-from carom.scene.body_names import NumberedNames
-from carom.scene.data.columns import BodyColumns
+from carom.scene.data.body_columns import BodyColumns
 from carom.scene.half_space import half_spaces
 from carom.scene.key_places import naming_places
-from carom.scene.materials import made_of
-from carom.scene.matter import drawn_radii, mass_of, mean_volume
+from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.neighbours import overlapping_pairs
-from carom.scene.schema import Body, Group, Region, Scene
-from carom.scene.schema.group import LATTICES
-from carom.scene.start import Start, join
+from carom.scene.schema import Body, BodyGroup, Region, Scene
+from carom.scene.schema.body import LATTICES
+from carom.scene.start import InitialBodies, join
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import NumberedNames
 
 FloatArray = NDArray[np.float64]
 
@@ -48,7 +47,7 @@ MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 
 
-def place(scene: Scene) -> Start:
+def place(scene: Scene) -> InitialBodies:
     """Place all bodies of a scene. The same scene gives the same start.
 
     Raises
@@ -61,7 +60,7 @@ def place(scene: Scene) -> Start:
         return _place(scene)
 
 
-def _place(scene: Scene) -> Start:
+def _place(scene: Scene) -> InitialBodies:
     box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
     parts = [_given(scene)] if scene.body or scene.bodies else []
     if parts and scene.contact.enabled:
@@ -107,7 +106,7 @@ def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
     return np.clip(position - box * turns, -half, half)  # rounding may leave an image an ulp outside, to turn again
 
 
-def _given(scene: Scene) -> Start:
+def _given(scene: Scene) -> InitialBodies:
     """Return the bodies whose positions are given, in the order of the scene."""
     parts = [_explicit([made_of(scene, body) for body in scene.body])] if scene.body else []
     for index, columns in enumerate(scene.data):
@@ -116,11 +115,11 @@ def _given(scene: Scene) -> Start:
     return parts[0] if len(parts) == 1 else join(parts)
 
 
-def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> Start:
+def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> InitialBodies:
     """Return the bodies of a [[bodies]]; ``first`` is the number of the first in the scene."""
     n = len(columns)
     numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
-    return Start(
+    return InitialBodies(
         name=[own or numbered[row] for row, own in enumerate(columns.name)] if columns.name else numbered,
         group=np.full(n, group),
         position=columns.position,
@@ -133,11 +132,11 @@ def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> Start
     )
 
 
-def _explicit(bodies: Sequence[Body]) -> Start:
+def _explicit(bodies: Sequence[Body]) -> InitialBodies:
     radius = np.array([body.radius for body in bodies])
     factor = np.array([body.inertia_ratio for body in bodies])
     mass = np.array([mass_of(body, np.array(body.radius)) for body in bodies])
-    return Start(
+    return InitialBodies(
         name=[body.name or f"body {index}" for index, body in enumerate(bodies)],
         group=np.full(len(bodies), -1),
         position=np.array([body.position for body in bodies]),
@@ -150,7 +149,7 @@ def _explicit(bodies: Sequence[Body]) -> Start:
     )
 
 
-def _mixture(scene: Scene, index: int) -> dict[int, Group]:
+def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
     """Return the groups that are placed together with a group, which is the first of them, by their indices.
 
     Groups that are compressed into one region grow together. One after the other, the first would leave no space for
@@ -164,7 +163,7 @@ def _mixture(scene: Scene, index: int) -> dict[int, Group]:
     return {k: group for k, group in groups if (group.arrangement, group.region) == alike}
 
 
-def _region(mixture: Mapping[int, Group], radii: Mapping[int, FloatArray], units: UnitSystem) -> Region:
+def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], units: UnitSystem) -> Region:
     """Return the region of a mixture; refuse it if it is too small, or too far away for the radii."""
     index, group = next(iter(mixture.items()))
     if group.arrangement not in LATTICES:
@@ -178,13 +177,13 @@ def _region(mixture: Mapping[int, Group], radii: Mapping[int, FloatArray], units
 
 def _group(
     index: int,
-    group: Group,
+    group: BodyGroup,
     region: Region,
     radius: FloatArray,
     position: FloatArray,
     rng: np.random.Generator,
     constant: float,
-) -> Start:
+) -> InitialBodies:
     """Return the bodies of a group that has been placed."""
     n = group.count
     mass = np.broadcast_to(mass_of(group, radius), (n,)).astype(np.float64)
@@ -202,7 +201,7 @@ def _group(
         whole = constant * float(mass.sum()) / mass_within(cut, scale)
         velocity = velocity + drawn_velocities(distance, scale, whole, group.velocity.virial, rng)
     name = group.name or f"group {index}"
-    return Start(
+    return InitialBodies(
         name=[f"{name} {k}" for k in range(n)],
         group=np.full(n, index),
         position=position,
@@ -216,7 +215,7 @@ def _group(
 
 
 def _arranged(
-    mixture: Mapping[int, Group],
+    mixture: Mapping[int, BodyGroup],
     region: Region,
     radius: FloatArray,
     around: Surroundings,
@@ -246,7 +245,7 @@ def _arranged(
     return grown(index, region, loose, radius, packing, around, rng)
 
 
-def _refuse_full_region(mixture: Mapping[int, Group], radii: Mapping[int, FloatArray]) -> None:
+def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray]) -> None:
     """Refuse a region that a mixture would fill more than its arrangement can."""
     index, group = next(iter(mixture.items()))
     if group.region is None:

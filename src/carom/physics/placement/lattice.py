@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from carom.errors import SceneError
 from carom.physics.placement.region import bounds, contains, volume
 from carom.scene.portable_math import cube_root
-from carom.scene.schema import Group, Region
+from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
@@ -39,7 +39,7 @@ MOST_POINTS = 50_000_000
 
 def lattice(
     index: int,
-    group: Group,
+    group: BodyGroup,
     region: Region,
     radius: FloatArray,
     is_clear: Callable[[FloatArray], Flags],
@@ -87,7 +87,7 @@ def lattice(
         spacing *= NARROWER
 
 
-def _points(index: int, group: Group, region: Region, spacing: float, radius: float) -> FloatArray:
+def _points(index: int, group: BodyGroup, region: Region, spacing: float, radius: float) -> FloatArray:
     """Return all points of a lattice at which a sphere is inside the region, from below upwards."""
     edges, fractions = CELLS[group.arrangement]
     cell = spacing * np.array(edges)

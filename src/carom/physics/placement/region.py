@@ -11,7 +11,7 @@ from carom.errors import SceneError
 from carom.physics.placement.plummer import drawn_distances, mass_within
 from carom.scene.matter import mean_volume
 from carom.scene.portable_math import cube_root
-from carom.scene.schema import LARGEST, Group, Region
+from carom.scene.schema import LARGEST, BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
@@ -22,7 +22,7 @@ FARTHEST = 10.0  # times the scale of a plummer region, its farthest centre by d
 ROUNDING = 1e-12  # of the size of a region
 
 
-def packing_fraction(group: Group) -> float:
+def packing_fraction(group: BodyGroup) -> float:
     """Return the expected volume of a group's spheres over the volume of its region."""
     if group.region is None:
         return DEFAULT_PACKING

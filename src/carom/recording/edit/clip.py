@@ -25,9 +25,9 @@ from carom.recording.schema.header import Scalar
 from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
-from carom.scene.names import bodies_called
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import bodies_called
 
 PROPERTY = "clip"
 

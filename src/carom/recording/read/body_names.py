@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from carom.errors import RecordingError
-from carom.scene.names import bodies_called, body_called
+from carom.scene.wording import bodies_called, body_called
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording

@@ -13,7 +13,7 @@ from carom.physics.status import StepStatus
 from carom.recording.read.body_names import body_number, split_at_commas
 from carom.recording.read.recording import Recording
 from carom.recording.schema.timelines import STEP
-from carom.scene.names import body_called
+from carom.scene.wording import body_called
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.scene.body_names import SomeNames
+from carom.scene.wording import SomeNames
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from carom.errors import DamageError, RecordingError
 from carom.recording.rrd.framing import looks_recorded
-from carom.scene.command import command
+from carom.scene.wording import command
 
 # Exceptions that a wrong name, type or length in a file may raise.
 _SURPRISES = (

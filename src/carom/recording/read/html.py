@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 from carom.errors import RecordingError
 from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
-from carom.scene.counted import counted
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording

@@ -33,8 +33,8 @@ from carom.recording.schema.application_id import schema_version
 from carom.recording.schema.body_names import names_of
 from carom.recording.schema.given_bodies import decode
 from carom.recording.schema.timelines import STEP
-from carom.scene.counted import counted
-from carom.scene.data.columns import BodyColumns
+from carom.scene.data.body_columns import BodyColumns
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint

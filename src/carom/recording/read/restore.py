@@ -13,10 +13,10 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import scene_digest
-from carom.scene.data.sources import Found, Wanted
+from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.schema import Scene
-from carom.scene.start import Start
+from carom.scene.start import InitialBodies
 
 
 def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
@@ -66,7 +66,7 @@ class RecordedBodies:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
-    def find(self, wanted: Wanted) -> Found:
+    def find(self, wanted: Wanted) -> SourcedBodies:
         """Return the bodies of a section; see `BodySource`."""
         section = wanted.section
         if self._recording.is_partial:
@@ -75,7 +75,7 @@ class RecordedBodies:
             raise SceneError("its count and sha256 are missing: the recording is damaged")
         place = range(wanted.first, wanted.first + section.count)
         notes = tuple(self._recording.data_notes(wanted.index))
-        return Found(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256, notes=notes)
+        return SourcedBodies(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256, notes=notes)
 
 
 def space_of(
@@ -134,11 +134,11 @@ def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
     return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
 
 
-def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Start:
+def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:
     """Return the recorded bodies in the state of a checkpoint."""
     bodies, n = recording.bodies, scene.count
     spin = checkpoint.angular_velocity
-    return Start(
+    return InitialBodies(
         name=bodies.name,
         group=bodies.group,
         position=checkpoint.position,

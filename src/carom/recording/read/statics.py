@@ -15,7 +15,7 @@ from carom.recording.read.entities import Entities
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import Store
 from carom.recording.schema import paths
-from carom.scene.schema.heading import called
+from carom.scene.schema.settings import called
 from carom.scene.units.system import UnitSystem
 
 UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"

@@ -13,7 +13,7 @@ from carom.errors import DamageError, RecordingError
 from carom.recording.read.impacts import impacts_until
 from carom.recording.read.materials import materials_of
 from carom.recording.schema.properties import NOTES
-from carom.scene.names import body_called
+from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import DamageError
-from carom.scene.body_names import JoinedNames, NumberedNames, joined
+from carom.scene.wording import JoinedNames, NumberedNames, joined
 
 Stored = Mapping[str, NDArray[Any] | list[str]]
 

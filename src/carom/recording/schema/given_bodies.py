@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carom.errors import DamageError
 from carom.recording.schema.checkpoint import LARGEST
-from carom.scene.data.columns import BodyColumns
+from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
 
 if TYPE_CHECKING:

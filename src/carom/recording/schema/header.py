@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from carom.recording.schema import palette
 from carom.recording.schema.materials import ShownMaterials
-from carom.scene.data.columns import BodyColumns
+from carom.scene.data.body_columns import BodyColumns
 from carom.scene.forces import FORCES
 from carom.scene.half_space import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem

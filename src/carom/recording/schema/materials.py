@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.recording.schema import palette
-from carom.scene.materials import KindOfContact, body_materials, kinds_of_contacts, material_called
+from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.schema import Scene
 
 Colours = NDArray[np.uint32]

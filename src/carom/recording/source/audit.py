@@ -23,9 +23,9 @@ from carom.recording.source.clusters import Clusters, clusters_of
 from carom.recording.source.faults import Fault, Finding, Tolerances
 from carom.recording.source.proximity import Moment, Near, lengths
 from carom.recording.source.source import Setup
-from carom.scene.names import Names, bodies_called
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import Names, bodies_called
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

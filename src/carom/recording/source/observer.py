@@ -29,10 +29,10 @@ from carom.recording.source.faults import Fault, Finding, Tolerances
 from carom.recording.source.proximity import Moment, Proximity
 from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
-from carom.scene.names import Names
-from carom.scene.schema.heading import called
-from carom.scene.start import Start
+from carom.scene.schema.settings import called
+from carom.scene.start import InitialBodies
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]
 
@@ -296,9 +296,9 @@ def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
     return None
 
 
-def _start(setup: Setup, first: State) -> Start:
+def _start(setup: Setup, first: State) -> InitialBodies:
     n = len(setup)
-    return Start(
+    return InitialBodies(
         name=setup.names,
         group=np.zeros(n, dtype=np.int64),
         position=np.array(first.position, dtype=np.float64),

@@ -10,8 +10,8 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_NORMAL, TORQUE
 from carom.recording.style.arrow_length import arrow_length
 from carom.recording.style.body_shape import shape
-from carom.scene.names import in_series
 from carom.scene.units.dimension import LENGTH, MASS, TIME
+from carom.scene.wording import in_series
 
 
 def scene_document(header: Header, clock: Clock, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:

@@ -14,8 +14,8 @@ import pyarrow.parquet as pq
 
 from carom.arrow_claims import claims, unpacked_bytes
 from carom.errors import SceneError
+from carom.scene.data.formats import BODY, NUMBER, STEP, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.data.mapping import printable
-from carom.scene.data.table import BODY, NUMBER, STEP, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 
 _STREAM_IN_FILE = 8  # bytes, after which an Arrow file goes on as a stream
 _Read = Callable[[list[str], Sequence[str]], pa.Table]

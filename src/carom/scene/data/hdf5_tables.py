@@ -11,7 +11,7 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.table import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 
 _MOST_DATASETS = 10_000
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carom.errors import SceneError
-from carom.scene.data.table import BODY, STEP
-from carom.scene.nearest import suggestion
-from carom.scene.schema.bodies import BodyData
-from carom.scene.schema.material import Material
+from carom.scene.data.formats import BODY, STEP
+from carom.scene.schema.body import BodyData
+from carom.scene.schema.contact import Material
+from carom.scene.wording import suggestion
 
 QUANTITIES = (
     *("position", "velocity", "angular_velocity"),
@@ -49,10 +49,10 @@ _ELSEWHERE = {  # why columns that describe a sphere are not used
     **dict.fromkeys(("q", "charge"), "there is no force on charges"),
 }
 
-Mapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
+ColumnMapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
 
 
-def mapping_of(section: BodyData, names: Sequence[str], called: str) -> Mapping:
+def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMapping:
     """Find the columns of each quantity that the scene gives no value for.
 
     Raises
@@ -60,7 +60,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> Mapping:
     SceneError
         If a column is missing, or two hold the same quantity.
     """
-    found: Mapping = {}
+    found: ColumnMapping = {}
     for quantity in QUANTITIES:
         asked = getattr(section.columns, quantity)
         if asked is not None:
@@ -96,7 +96,7 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
     return section.model_copy(update={key: value for key, value in given.items() if value is not None})
 
 
-def unused_columns(section: BodyData, mapping: Mapping, names: Sequence[str]) -> str:
+def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[str]) -> str:
     """List the columns that hold nothing of the bodies, with the reason where it is known; empty if there are none."""
     used = {column for columns in mapping.values() for column in columns}
     if STEP in names and BODY in names:
@@ -193,7 +193,7 @@ def _ambiguous(quantity: str, candidates: Sequence[tuple[str, ...]], called: str
     return f"{called}: two columns for {quantity}, {shown}; say which: columns = {{ {quantity} = {column} }}"
 
 
-def _refuse_rivals(section: BodyData, found: Mapping, first: str, second: str, called: str) -> None:
+def _refuse_rivals(section: BodyData, found: ColumnMapping, first: str, second: str, called: str) -> None:
     """Refuse two quantities of which one follows from the other; what the scene names is preferred."""
     if first in found and second in found:
         asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
@@ -205,7 +205,7 @@ def _refuse_rivals(section: BodyData, found: Mapping, first: str, second: str, c
         del found[second if asked == [first] else first]
 
 
-def _refuse_missing(section: BodyData, found: Mapping, names: Sequence[str], called: str) -> None:
+def _refuse_missing(section: BodyData, found: ColumnMapping, names: Sequence[str], called: str) -> None:
     """Refuse a table without a position, a radius or a mass."""
     wanted = {
         "position": "x, y and z, or position",

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from carom.errors import SceneError
-from carom.scene.data.table import Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
 
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters

@@ -12,10 +12,10 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.counted import counted
+from carom.scene.data.formats import Arrays, MotionLaw, Raw, Table, refuse_many_rows
 from carom.scene.data.mapping import printable
-from carom.scene.data.table import Arrays, Law, Raw, Table, refuse_many_rows
-from carom.scene.units.rebound import units_of_rebound
+from carom.scene.units.system import units_of_rebound
+from carom.scene.wording import counted
 
 _GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # ways to sum one law
 _DAMAGED = "corrupted"  # in the warning about an archive that ends early
@@ -55,7 +55,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
     particles = len(simulation.particles)  # without variational ones, which N counts before version 5
     table = Arrays(_arrays(simulation, particles, called, notes), called)
     table.units = units_of_rebound(simulation.units)
-    table.law = Law(
+    table.law = MotionLaw(
         constant=0.0 if simulation.gravity == "none" else float(simulation.G),
         softening=float(simulation.softening),
         periodic=simulation.boundary == "periodic",

@@ -4,45 +4,35 @@ Sections and keys have the names that they have in the TOML file. All are option
 a group. Unknown keys are refused.
 """
 
-from carom.scene.schema.bodies import BodyData
-from carom.scene.schema.body import Body
-from carom.scene.schema.contact import Contact
-from carom.scene.schema.domain import Domain
-from carom.scene.schema.expect import Expect
+from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, Spin, StaticPlane, Velocity
+from carom.scene.schema.contact import Coefficients, ContactSettings, Material, MaterialPair
 from carom.scene.schema.forces import Drag, Gravity
-from carom.scene.schema.group import Group, RadiusRange, Region, Spin, Velocity
-from carom.scene.schema.material import Coefficients, Material, Pair
-from carom.scene.schema.model import Model
-from carom.scene.schema.plane import Plane
-from carom.scene.schema.promise import Promise
+from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import LARGEST
-from carom.scene.schema.record import Record
 from carom.scene.schema.scene import Scene
-from carom.scene.schema.sweep import Sweep
-from carom.scene.schema.time import Time
-from carom.scene.schema.units import Units
+from carom.scene.schema.settings import Domain, ForcedParts, Record, Time, Units
 
 __all__ = [
     "LARGEST",
     "Body",
     "BodyData",
+    "BodyGroup",
     "Coefficients",
-    "Contact",
+    "ContactSettings",
     "Domain",
     "Drag",
     "Expect",
+    "ForcedParts",
     "Gravity",
-    "Group",
     "Material",
-    "Model",
-    "Pair",
-    "Plane",
+    "MaterialPair",
     "Promise",
     "RadiusRange",
     "Record",
     "Region",
     "Scene",
     "Spin",
+    "StaticPlane",
     "Sweep",
     "Time",
     "Units",

@@ -1,14 +1,49 @@
-"""[[body]]: one body."""
+"""[[body]], [[bodies]], [[group]] and [[plane]]: what a scene consists of."""
 
 from __future__ import annotations
 
-from typing import Annotated, Self
+import math
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from carom.scene.schema.matter import Matter
-from carom.scene.schema.quantity import ORIGIN, Positive, Vector
-from carom.scene.units.dimension import ANGULAR_VELOCITY, LENGTH, VELOCITY
+from carom.scene.schema.contact import Surface
+from carom.scene.schema.quantity import ORIGIN, AnyReal, Count, NonNegative, Positive, Real, Section, Vector
+from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
+
+SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
+
+
+class Matter(Section):
+    """Matter of a sphere: a density or a mass, not both."""
+
+    density: Annotated[Positive, DENSITY] | None = Field(
+        None, description="kg/m³, 1000 unless mass or a material is given; more than 0"
+    )
+    mass: Annotated[NonNegative, MASS] | None = Field(
+        None,
+        description="kg, of each body, in place of a density; 0 for test particles, which are attracted and do not "
+        "attract, and need contact.enabled = false",
+    )
+    inertia_factor: Positive | None = Field(
+        None,
+        le=2 / 3,
+        description="moment of inertia over m r²: 2/5, a solid sphere, unless given; 2/3 for a thin shell",
+    )
+    material: str | None = Field(
+        None, description="name of a [[material]], which may give the density and the inertia_factor"
+    )
+
+    @property
+    def inertia_ratio(self) -> float:
+        """Moment of inertia over m r²."""
+        return SOLID if self.inertia_factor is None else self.inertia_factor
+
+    @model_validator(mode="after")
+    def _density_or_mass(self) -> Self:
+        if self.density is not None and self.mass is not None:
+            raise ValueError("density and mass are both given; leave one out")
+        return self
 
 
 class Body(Matter):
@@ -28,5 +63,237 @@ class Body(Matter):
         if self.fixed and (any(self.velocity) or any(self.angular_velocity)):
             raise ValueError(
                 "fixed = true with a velocity or an angular_velocity; leave them out, or set fixed = false"
+            )
+        return self
+
+
+Name = Annotated[str, Field(strict=True, min_length=1)]
+Axes = tuple[Name, Name, Name]
+DIGEST = r"^[0-9a-f]{64}$"
+_RIVALS = {
+    "mass": "density",
+    "density": "mass",
+    "inertia": "inertia_factor",
+    "diameter": "radius",
+}  # one gives the other
+
+
+class Columns(Section):
+    """Which columns of a file hold which quantity; those left out are found by their usual names."""
+
+    position: Axes | Name | None = Field(None, description="m; three columns, or one that holds [x, y, z]")
+    velocity: Axes | Name | None = Field(None, description="m/s; three columns, or one that holds [x, y, z]")
+    angular_velocity: Axes | Name | None = Field(None, description="rad/s; three columns, or one of [x, y, z]")
+    mass: Name | None = Field(None, description="kg")
+    density: Name | None = Field(None, description="kg/m³, in place of a mass")
+    radius: Name | None = Field(None, description="m")
+    diameter: Name | None = Field(None, description="m, in place of a radius")
+    inertia: Name | None = Field(None, description="kg m², moment of inertia, in place of inertia_factor")
+    fixed: Name | None = Field(None, description="true or 1: the body neither moves nor turns")
+    name: Name | None = Field(None, description="names of the bodies")
+
+
+class BodyData(Matter):
+    """[[bodies]]: many bodies, from a file or from arrays; a value given here holds for all of them."""
+
+    name: str = Field("", description="shown in the recording with a number for each body")
+    file: Name | None = Field(
+        None, description=".csv, .tsv, .parquet, .arrow, .feather, .npz, .h5 or .bin (REBOUND); relative to the scene"
+    )
+    columns: Columns = Field(Columns(), description="names of the columns; by default the usual ones are found")
+    snapshot: Annotated[int, Field(strict=True)] = Field(
+        -1, description="which step of a file of several, counted from 0, or from the end with -1, the last"
+    )
+    radius: Annotated[Positive, LENGTH] | None = Field(
+        None, description="m, of all bodies, in place of a column; more than 0"
+    )
+    velocity: Annotated[Vector, VELOCITY] | None = Field(
+        None, description="m/s, [x, y, z], of all bodies, in place of columns"
+    )
+    angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] | None = Field(
+        None, description="rad/s, [x, y, z], of all bodies, in place of columns"
+    )
+    fixed: Annotated[bool, Field(strict=True)] | None = Field(
+        None, description="true: the bodies neither move nor turn; in place of a column"
+    )
+    count: Count | None = Field(None, description="number of bodies; written by carom, and checked if given")
+    sha256: Annotated[str, Field(strict=True, pattern=DIGEST)] | None = Field(
+        None, description="digest of the file, 64 hexadecimal digits; written by carom, and checked if given"
+    )
+
+    @model_validator(mode="after")
+    def _one_source_for_each_quantity(self) -> Self:
+        for quantity in sorted(self.columns.model_fields_set - {"name"}):
+            for given in (quantity, _RIVALS.get(quantity)):
+                if given in self.model_fields_set:
+                    raise ValueError(f"{given} and columns.{quantity} are both given; leave one out")
+        return self
+
+    @property
+    def called(self) -> str:
+        """The name of the source of the bodies in messages."""
+        return self.file or "the arrays"
+
+    def is_like(self, other: BodyData) -> bool:
+        """Return whether both describe the same bodies; names and digests may differ."""
+        return all(
+            getattr(self, key) == getattr(other, key)
+            for key in type(self).model_fields
+            if key not in ("name", "count", "sha256")
+        )
+
+
+STEEPEST = 300  # decades that a power of radii may span
+LENGTHS = {  # that each shape of a region needs, and those that it may have
+    "ball": (("radius",), ()),
+    "box": (("size",), ()),
+    "cylinder": (("radius", "height"), ()),
+    "shell": (("inner_radius", "radius"), ()),
+    "plummer": (("scale",), ("radius",)),
+}
+ALL_LENGTHS = ("radius", "size", "height", "inner_radius", "scale")
+LATTICES = ("cubic", "fcc", "hcp")
+
+
+def _constant_as_range(value: Any) -> Any:
+    """Read a single number as a range of zero width."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return {"min": value, "max": value}
+    return value
+
+
+class RadiusRange(Section):
+    """Radii of a group: one number, or a range with its distribution."""
+
+    min: Annotated[Positive, LENGTH] = Field(description="m, smallest radius; more than 0")
+    max: Annotated[Positive, LENGTH] = Field(description="m, largest radius; more than 0")
+    distribution: Literal["uniform", "log-uniform", "power-law"] = Field("uniform", description="of the radii")
+    exponent: Real = Field(-3.5, description="of the power law, dN/dr ∝ r^exponent")
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if self.min > self.max:
+            raise ValueError("min is above max; exchange them")
+        if abs(self.exponent + 1.0) * math.log10(self.max / self.min) > STEEPEST:
+            raise ValueError(
+                f"exponent = {self.exponent:g} is too steep for such different radii; lower it or their ratio"
+            )
+        return self
+
+
+class Region(Section):
+    """Where the bodies of a group are placed; every sphere lies entirely inside, but in a plummer region its centre."""
+
+    shape: Literal["ball", "box", "cylinder", "shell", "plummer"] = Field(
+        "ball", description="ball, box, upright cylinder, shell between two radii, or Plummer's model of a star cluster"
+    )
+    radius: Annotated[Positive, LENGTH] | None = Field(
+        None,
+        description="m, of a ball, a cylinder or a shell; in a plummer region the farthest centre, 10 scale if absent",
+    )
+    size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
+        None, description="m, [x, y, z] of a box"
+    )
+    height: Annotated[Positive, LENGTH] | None = Field(None, description="m, of a cylinder along z; more than 0")
+    inner_radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of the hollow in a shell")
+    scale: Annotated[Positive, LENGTH] | None = Field(
+        None, description="m, Plummer's radius a; half of the mass is within 1.3 a"
+    )
+    centre: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z]")
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        needed, allowed = LENGTHS[self.shape]
+        missing = [key for key in needed if getattr(self, key) is None]
+        given = [key for key in ALL_LENGTHS if getattr(self, key) is not None and key not in (*needed, *allowed)]
+        if missing or given:
+            values = " and ".join(f"{key} = {'[x, y, z]' if key == 'size' else '…'}" for key in needed)
+            others = f", and no {given[0]}" if given else ""
+            raise ValueError(f'shape = "{self.shape}" needs {values}{others}')
+        if self.inner_radius is not None and self.radius is not None and self.inner_radius >= self.radius:
+            raise ValueError("inner_radius is not below radius; exchange them")
+        return self
+
+
+class Velocity(Section):
+    """Velocities of a group: Maxwellian about a mean."""
+
+    mean: Annotated[Vector, VELOCITY] = Field(ORIGIN, description="m/s, [x, y, z]")
+    dispersion: Annotated[NonNegative, VELOCITY] = Field(
+        0.0, description="m/s, standard deviation of each component; not negative"
+    )
+    virial: NonNegative | None = Field(
+        None,
+        description="kinetic over potential energy of a plummer region, whose velocities are added: 0.5 is equilibrium",
+    )
+
+
+class Spin(Section):
+    """Spins of a group: Maxwellian about its bulk rotation."""
+
+    dispersion: Annotated[NonNegative, ANGULAR_VELOCITY] = Field(
+        0.0, description="rad/s, standard deviation of each component; not negative"
+    )
+
+
+class BodyGroup(Matter):
+    """[[group]]: many bodies at random positions or on a lattice, without overlaps."""
+
+    name: str = Field("", description="shown in the recording")
+    count: Count = Field(100, description="number of bodies; 1 or more")
+    radius: Annotated[RadiusRange, LENGTH, BeforeValidator(_constant_as_range)] = Field(
+        RadiusRange(min=1.0, max=1.0), description="m, one number or { min, max, distribution }"
+    )
+    region: Region | None = Field(
+        None, description="where the bodies are placed; by default a ball that is one tenth full"
+    )
+    arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
+        "random",
+        description="at random up to a packing of 0.38; compressed: at random up to 0.62, of unequal radii more, and "
+        "together with all groups of the same region; or on a lattice",
+    )
+    spacing: Annotated[Positive, LENGTH] | None = Field(
+        None, description="m, between neighbours on a lattice; by default the bodies fill the region"
+    )
+    velocity: Velocity = Field(Velocity(), description="{ mean, dispersion, virial } in m/s")
+    spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
+    bulk_rotation: Annotated[Vector, ANGULAR_VELOCITY] = Field(
+        ORIGIN, description="rad/s, [x, y, z], rigid rotation of the whole group about its centre"
+    )
+
+    @model_validator(mode="after")
+    def _arranged_where_it_can_be(self) -> Self:
+        shape = None if self.region is None else self.region.shape
+        if self.spacing is not None and self.arrangement not in LATTICES:
+            raise ValueError(f'spacing with arrangement = "{self.arrangement}"; take {", ".join(LATTICES)}')
+        if self.arrangement in LATTICES and self.region is None:
+            raise ValueError(f'arrangement = "{self.arrangement}" needs a region')
+        if self.arrangement != "random" and shape == "plummer":
+            raise ValueError(f'arrangement = "{self.arrangement}" in a plummer region, which is random; leave one out')
+        if self.velocity.virial is not None and shape != "plummer":
+            raise ValueError('velocity.virial without a region of shape = "plummer"; leave it out')
+        if self.velocity.virial is not None and self.mass == 0.0:
+            raise ValueError("velocity.virial of test particles (mass = 0), which have no potential; leave it out")
+        return self
+
+
+class StaticPlane(Surface):
+    """[[plane]]: a static half-space; the normal points out of the solid.
+
+    Its coefficients hold for all contacts with it; those that it does not give follow from both materials.
+    """
+
+    name: str = Field("", description="shown in warnings")
+    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
+    normal: tuple[AnyReal, AnyReal, AnyReal] = Field(
+        (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid; any length but 0"
+    )
+    material: str | None = Field(None, description="name of a [[material]], in place of coefficients")
+
+    @model_validator(mode="after")
+    def _has_a_direction(self) -> Self:
+        if not any(self.normal):
+            raise ValueError(
+                "normal = [0, 0, 0] has no direction; give the direction out of the solid, such as [0, 0, 1]"
             )
         return self

@@ -1,13 +1,50 @@
-"""[promise]: what a run needs to keep time.accuracy."""
+"""[expect], [promise] and [sweep]: what is checked, written or varied by the commands that run a scene."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from carom.scene.schema.quantity import NonNegative, Positive, Real, Section
+from carom.scene.schema.quantity import Count, NonNegative, Positive, Real, Section
 from carom.scene.units.dimension import RATE, TIME
+from carom.scene.variation import MOST_RUNS, Values, alike, flattened, values_of
+
+ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a run of the promised duration
+
+
+class Expect(Section):
+    """[expect]: promises that are checked at the end; a run that misses one says so and exits with 1."""
+
+    energy_error: NonNegative | None = Field(
+        None,
+        description="largest |integration error| over the energy scale, or energy put in by contacts if that is more",
+    )
+    energy_gain: NonNegative | None = Field(
+        None,
+        description="largest rise of the total energy above its lowest so far, over the energy scale, among the "
+        "checks of the energy",
+    )
+    momentum_error: NonNegative | None = Field(None, description="largest change of momentum over its scale")
+    angular_momentum_error: NonNegative | None = Field(
+        None, description="largest change of angular momentum over its scale"
+    )
+    max_overlap: NonNegative | None = Field(None, description="deepest overlap over the smaller radius")
+    final_kinetic: NonNegative | None = Field(
+        None, description="kinetic energy at the end, of motion and spin, over the energy scale"
+    )
+    impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
+    contact_audit: NonNegative | None = Field(
+        None,
+        description="largest change of a speed or of the ledger in a step that impulses and forces do not explain",
+    )
+    duration: Annotated[Positive, TIME] | None = Field(
+        None,
+        description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",
+    )
+    warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "limit"], ...] = Field(
+        (), description='kinds of warnings that the run must give, such as "energy-lost"'
+    )
 
 
 class Promise(Section):
@@ -51,3 +88,34 @@ class Promise(Section):
         k = min(int(place), len(self.error) - 1)
         before = self.error[k - 1] if k > 0 else 0.0
         return before + (place - k) * (self.error[k] - before)
+
+
+def _values_by_key(given: Any) -> Any:
+    """Read the varied values: lists as they are, text in the syntax of `--vary`."""
+    if not isinstance(given, dict):
+        return given
+    found: dict[str, Values] = {}
+    count = 0
+    for key, value in flattened(given).items():
+        found[key] = (
+            values_of(value) if isinstance(value, str) else alike(value if isinstance(value, list) else [value])
+        )
+        count += len(found[key])
+        if count > MOST_RUNS:
+            raise ValueError(f"more than {MOST_RUNS} values; give fewer")
+    return found
+
+
+class Sweep(Section):
+    """[sweep]: what `carom sweep` varies; `carom run` ignores it."""
+
+    vary: Annotated[dict[str, Values], BeforeValidator(_values_by_key)] = Field(
+        {}, description='values by key: a list, or text such as "0.1:0.9:5" or "1e-3:1:4log"'
+    )
+    seeds: Count | None = Field(
+        None, description="runs of each combination, with seeds counted up from the scene's own; 1 or more"
+    )
+    zip: Annotated[bool, Field(strict=True)] = Field(
+        False,
+        description="true: combine the first values of all keys, then the second, …; false: combine each with each",
+    )

@@ -1,4 +1,4 @@
-"""Numbers, vectors and tables of a scene: what each may be."""
+"""Types of the values of a scene: numbers within limits, vectors and sections."""
 
 from __future__ import annotations
 
@@ -32,3 +32,11 @@ class Section(BaseModel):
     """A table of the scene file: immutable; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=False)
+
+
+class SectionError(ValueError):
+    """A contradiction between sections, and the key that should be changed."""
+
+    def __init__(self, path: tuple[str | int, ...], message: str) -> None:
+        super().__init__(message)
+        self.path = path

@@ -9,29 +9,21 @@ from typing import TYPE_CHECKING, Any, Self
 
 from pydantic import Field, PrivateAttr, model_validator
 
-from carom.scene.schema.bodies import BodyData
-from carom.scene.schema.body import Body
-from carom.scene.schema.contact import Contact
-from carom.scene.schema.domain import Domain
-from carom.scene.schema.expect import Expect
+from carom.scene.schema.body import Body, BodyData, BodyGroup, StaticPlane
+from carom.scene.schema.contact import DEFAULT, ContactSettings, Material, MaterialPair
 from carom.scene.schema.forces import Forces
-from carom.scene.schema.group import Group
-from carom.scene.schema.heading import Heading
-from carom.scene.schema.material import Material, Pair
-from carom.scene.schema.material_names import check_materials
-from carom.scene.schema.model import Model
-from carom.scene.schema.plane import Plane
-from carom.scene.schema.promise import Promise
-from carom.scene.schema.record import Record
-from carom.scene.schema.sweep import Sweep
+from carom.scene.schema.promise import Expect, Promise, Sweep
+from carom.scene.schema.quantity import SectionError
+from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import suggestion
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from carom.scene.data.columns import BodyColumns
-    from carom.scene.data.sources import HeldBodies
-    from carom.scene.key_places import KeyPlaces
+    from carom.scene.data.body_columns import BodyColumns
+    from carom.scene.data.body_sources import HeldBodies
+    from carom.scene.key_places import KeyPath, KeyPlaces
 
 
 class Scene(Forces, Heading):
@@ -44,16 +36,16 @@ class Scene(Forces, Heading):
     1.0
     """
 
-    contact: Contact = Field(Contact(), description="how contacts are modelled")
+    contact: ContactSettings = Field(ContactSettings(), description="how contacts are modelled")
     domain: Domain = Field(Domain(), description="the space around the bodies")
-    model: Model = Field(Model(), description="parts to model even though the scene does not require them")
+    model: ForcedParts = Field(ForcedParts(), description="parts to model even though the scene does not require them")
     record: Record = Field(Record(), description="how often frames are recorded and the energy is checked")
-    group: tuple[Group, ...] = Field((), description="many bodies at random positions")
+    group: tuple[BodyGroup, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
-    plane: tuple[Plane, ...] = Field((), description="static half-spaces")
+    plane: tuple[StaticPlane, ...] = Field((), description="static half-spaces")
     material: tuple[Material, ...] = Field((), description="what bodies, groups and planes may be made of")
-    pair: tuple[Pair, ...] = Field((), description="how two materials meet, in place of the rule")
+    pair: tuple[MaterialPair, ...] = Field((), description="how two materials meet, in place of the rule")
     expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
     promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
@@ -197,7 +189,7 @@ class Scene(Forces, Heading):
         >>> scene.count
         2
         """
-        from carom.scene.data.arrays import scene_from_arrays  # noqa: PLC0415 - needs Scene
+        from carom.scene.data.from_arrays import scene_from_arrays  # noqa: PLC0415 - needs Scene
 
         arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
         arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
@@ -213,7 +205,7 @@ class Scene(Forces, Heading):
         arrays
             ``position``, ``radius`` and so on.
         """
-        from carom.scene.data.arrays import scene_with_arrays  # noqa: PLC0415 - needs Scene
+        from carom.scene.data.from_arrays import scene_with_arrays  # noqa: PLC0415 - needs Scene
 
         return scene_with_arrays(self, keep, arrays)
 
@@ -294,3 +286,56 @@ class Scene(Forces, Heading):
                 "converge, so there is no right answer to compute; set gravity.constant = 0"
             )
         return self
+
+
+def check_materials(scene: Scene) -> None:
+    """Refuse names of materials that are unknown or given twice, and bodies that contradict their material.
+
+    Raises
+    ------
+    SectionError
+        Naming the key.
+    """
+    known: dict[str, Material | None] = {DEFAULT: None}
+
+    def check_name(path: KeyPath, name: str) -> None:
+        if name not in known:
+            only = f'there is no [[material]], only "{DEFAULT}"'
+            raise SectionError(path, f'no material "{name}"; {suggestion(name, known) if len(known) > 1 else only}')
+
+    for index, material in enumerate(scene.material):
+        if material.name in known:
+            raise SectionError(
+                ("material", index, "name"), f'a second material "{material.name}"; rename one of the two'
+            )
+        known[material.name] = material
+    pairs: set[frozenset[str]] = set()
+    for index, pair in enumerate(scene.pair):
+        for name in pair.materials:
+            check_name(("pair", index, "materials"), name)
+        if frozenset(pair.materials) in pairs:
+            raise SectionError(
+                ("pair", index, "materials"), f"a second pair of {' and '.join(pair.materials)}; merge the two"
+            )
+        pairs.add(frozenset(pair.materials))
+    for section, members in (("body", scene.body), ("bodies", scene.bodies), ("group", scene.group)):
+        for index, matter in enumerate(members):
+            if matter.material is None:
+                continue
+            check_name((section, index, "material"), matter.material)
+            for key in ("density", "inertia_factor"):
+                if getattr(matter, key) is not None and getattr(known[matter.material], key, None) is not None:
+                    raise SectionError(
+                        (section, index, key),
+                        f'given, and material = "{matter.material}" has one; leave one of the two out',
+                    )
+    for index, plane in enumerate(scene.plane):
+        if plane.material is not None:
+            check_name(("plane", index, "material"), plane.material)
+            if plane.given:
+                raise SectionError(
+                    ("plane", index, plane.given[0]),
+                    f'given, and material = "{plane.material}" has one; leave one of the two out',
+                )
+    if scene.domain.material is not None:
+        check_name(("domain", "material"), scene.domain.material)

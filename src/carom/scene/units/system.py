@@ -8,8 +8,7 @@ from fractions import Fraction
 from functools import cached_property
 
 from carom.scene.units.dimension import BASE, LENGTH, MASS, NAMED, OF_UNIT, TIME, Dimension
-from carom.scene.units.quantity_text import nearest_float, quantity
-from carom.scene.units.unit import UnitError, unit, unit_of
+from carom.scene.units.unit import UnitError, nearest_float, quantity, unit, unit_of
 
 OWN = (LENGTH, TIME, MASS)  # what ``units = "au, day, solar mass"`` names
 WITHOUT = "dimensionless"  # ``units`` of a scene whose numbers have none
@@ -232,3 +231,19 @@ def _not_wanted(found: Dimension | None, given: Mapping[str, str]) -> str:
 
 
 SI = UnitSystem()
+
+
+_NAMES = {  # by REBOUND's, as far as both know them
+    **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
+    **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
+    **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),
+    **{"myr": "Myr", "gyr": "Gyr", "gram": "g", "mearth": "M_earth", "mjupiter": "M_jupiter"},
+    **dict.fromkeys(("msun", "solarmass", "sunmass", "msolar"), "M_sun"),
+}
+_NAMES.update({name: name for name, known in _NAMES.items() if not known})
+
+
+def units_of_rebound(units: Mapping[str, str | None]) -> str:
+    """Name the units of a simulation, such as "au, day, M_sun"; empty if it has none, or carom does not know one."""
+    known = [_NAMES.get(units[what] or "", "") for what in ("length", "time", "mass")]
+    return ", ".join(known) if all(known) else ""

@@ -1,8 +1,9 @@
-"""Units by their names: how much of SI they are, and of which dimension. The one place that imports pint.
+"""Units by their names, their sizes in SI, and texts of quantities such as "3 km". The one place that imports pint.
 
 The definitions are carom's own and exact (`definitions.txt`), so a conversion is a product of fractions that is rounded
 once: the same bits with every version of pint, on every machine. pint takes a quarter of a second to import, so it is
-imported when the first unit is read.
+imported when the first unit is read. Prefixes are accepted only where they are in use, since a prefix before any unit
+would make quantities of slips of the key, such as 12 hectohours of "12 hh".
 """
 
 from __future__ import annotations
@@ -14,13 +15,67 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from carom.scene.units.dimension import BASE, OF_EXPONENTS, Dimension, Exponents
-from carom.scene.units.prefixes import written_names
 
 if TYPE_CHECKING:
     from pint import UnitRegistry
+
+
+_SYMBOLS = tuple("qryzafpnµμumkMGTPEZY")
+_PREFIX_WORDS = (
+    "quecto",
+    "ronto",
+    "yocto",
+    "zepto",
+    "atto",
+    "femto",
+    "pico",
+    "nano",
+    "micro",
+    "milli",
+    "kilo",
+    "mega",
+    "giga",
+    "tera",
+    "peta",
+    "exa",
+    "zetta",
+    "yotta",
+)
+_FEW = ("n", "µ", "μ", "u", "m")
+_MANY = ("k", "M", "G", "T")
+
+# Which prefixes stand before which units. Symbols stand before symbols, and words before words.
+_TAKEN: dict[str, Iterable[str]] = {
+    **dict.fromkeys(("m", "g", "L"), ("c", "d", "h", *_SYMBOLS)),
+    **dict.fromkeys(("s", "J", "N", "W", "Hz", "eV"), _SYMBOLS),
+    "Pa": ("h", *_SYMBOLS),
+    **dict.fromkeys(("pc", "yr", "ly", "t"), _MANY),
+    **dict.fromkeys(("rad", "arcsec", "sec"), _FEW),
+    "cal": ("k",),
+    **dict.fromkeys(("metre", "meter", "gram", "litre", "liter"), ("centi", "deci", "hecto", *_PREFIX_WORDS)),
+    **dict.fromkeys(
+        ("second", "joule", "newton", "watt", "hertz", "electron_volt", "radian", "arcsecond"), _PREFIX_WORDS
+    ),
+    "pascal": ("hecto", *_PREFIX_WORDS),
+    **dict.fromkeys(("parsec", "year", "tonne"), ("kilo", "mega", "giga", "tera")),
+    "calorie": ("kilo",),
+}
+_IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no s
+_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # that take one all the same
+
+
+def written_names(defined: Iterable[str]) -> Iterator[str]:
+    """Yield all names of the units that are defined: their own, with prefixes, and in the plural."""
+    for name in defined:
+        takes_s = name in _SHORT or (len(name) > 3 and name.islower() and not name.endswith(_IRREGULAR))
+        for prefixed in (name, *(f"{prefix}{name}" for prefix in _TAKEN.get(name, ()))):
+            yield prefixed
+            if takes_s:
+                yield f"{prefixed}s"
+
 
 LONGEST = 80  # characters of a text
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
@@ -163,3 +218,75 @@ def _nearest(name: str, known: Iterable[str]) -> str:
 def _spaced(name: str) -> str:
     """Return a name of several words as people write it; symbols, which have capitals, stay as they are."""
     return name.replace("_", " ") if name.islower() else name
+
+
+_QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
+
+_THOUSANDS = re.compile(r"\s*[+-]?\d{1,3},\d{3}(,\d{3})+(?![\d,.])")
+_DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
+
+
+def quantity(text: str, dimension: Dimension) -> Fraction:
+    """Read a quantity of a dimension; returns it in SI, exactly.
+
+    Raises
+    ------
+    UnitError
+        If the text is not a number with a unit of that dimension. The message says what would be right.
+    """
+    found = _parts(text)
+    if text.lstrip().startswith("["):
+        raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
+    if _THOUSANDS.match(text):
+        raise UnitError(f'commas between thousands; write "{text.replace(",", "").strip()}"')
+    if text.count(",") > 1:
+        raise UnitError(f"several numbers need brackets: [{text.strip()[:LONGEST]}]")
+    if not found:
+        raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
+    if _DECIMAL_COMMA.match(text):
+        raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
+    if not found[2].strip():
+        raise UnitError(
+            f"a text needs a unit{_such_as(dimension)}; for {dimension.unit} write the number without quotes"
+        )
+    try:
+        return Fraction(found[1]) * unit_of(found[2], dimension).size
+    except UnitError as error:
+        raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
+
+
+def _parts(text: str) -> re.Match[str] | None:
+    """Split a text into a number and a unit; None if it does not begin with a number."""
+    return _QUANTITY.fullmatch(text) if len(text) <= LONGEST else None
+
+
+class Physical(NamedTuple):
+    """A quantity of any dimension."""
+
+    size: Fraction  # in SI
+    unit: Unit
+    unit_text: str  # as written
+
+
+def physical(text: str) -> Physical | None:
+    """Read a quantity of any dimension; None if the text is none."""
+    found = _parts(text)
+    if not found or not found[2].strip():
+        return None
+    try:
+        of = unit(found[2])
+    except UnitError:
+        return None
+    return Physical(Fraction(found[1]) * of.size, of, found[2].strip())
+
+
+def nearest_float(value: Fraction) -> float:
+    """Return the nearest double; infinity beyond the largest, which a scene refuses like any other infinity."""
+    try:
+        return float(value)
+    except OverflowError:
+        return float("inf") if value > 0 else float("-inf")
+
+
+def _such_as(dimension: Dimension) -> str:
+    return f', such as "{dimension.example}"'

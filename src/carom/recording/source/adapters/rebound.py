@@ -13,8 +13,7 @@ from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.snapshot import Snapshot
 from carom.recording.source.source import Model, State
-from carom.scene.units.rebound import units_of_rebound
-from carom.scene.units.system import WITHOUT
+from carom.scene.units.system import WITHOUT, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory

@@ -1,6 +1,6 @@
 """Numbers of things, in words."""
 
-from carom.scene.counted import counted
+from carom.scene.wording import counted
 
 
 def test_one_is_singular_and_all_other_numbers_are_plural() -> None:

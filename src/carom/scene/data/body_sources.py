@@ -11,25 +11,23 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 
 from carom.errors import SceneError
-from carom.scene.data.columns import BodyColumns
-from carom.scene.data.formats import open_table
-from carom.scene.data.read import read_columns
-from carom.scene.data.table import Law
-from carom.scene.schema.bodies import BodyData
-from carom.scene.schema.material import Material
+from carom.scene.data.body_columns import BodyColumns, read_columns
+from carom.scene.data.formats import MotionLaw, open_table
+from carom.scene.schema.body import BodyData
+from carom.scene.schema.contact import Material
 from carom.scene.units.system import SI, UnitSystem
 
 LARGEST_DATA = 10**11  # bytes; a digest of them takes a minute
 
 
-class Found(NamedTuple):
+class SourcedBodies(NamedTuple):
     """Bodies, and the digest of what they were read from."""
 
     columns: BodyColumns
     sha256: str
     material: Material | None = None  # that gave them a density, if that is known
     notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
-    law: Law | None = None  # what moved them where they come from, if that is known
+    law: MotionLaw | None = None  # what moved them where they come from, if that is known
 
 
 @dataclass(frozen=True)
@@ -47,7 +45,7 @@ class Wanted:
 class BodySource(Protocol):
     """Finds the bodies of each [[bodies]] of a scene."""
 
-    def find(self, wanted: Wanted) -> Found:
+    def find(self, wanted: Wanted) -> SourcedBodies:
         """Return the bodies of a section; SceneError if they cannot be found."""
 
 
@@ -57,7 +55,7 @@ class DataFiles:
 
     folder: Path
 
-    def find(self, wanted: Wanted) -> Found:
+    def find(self, wanted: Wanted) -> SourcedBodies:
         """Read a file, if it is the one whose digest the scene has."""
         section = wanted.section
         if section.file is None:
@@ -81,7 +79,7 @@ class DataFiles:
             )
         table = open_table(path, section.file, section.snapshot)
         columns, notes = read_columns(section, table, wanted.units, wanted.material)
-        return Found(columns, digest, wanted.material, notes, table.law)
+        return SourcedBodies(columns, digest, wanted.material, notes, table.law)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
@@ -130,11 +128,11 @@ class HeldBodies:
     """
 
     sections: tuple[BodyData, ...]
-    found: tuple[Found, ...]
+    found: tuple[SourcedBodies, ...]
     units: UnitSystem = SI
     files: DataFiles | None = field(default=None, compare=False)
 
-    def find(self, wanted: Wanted) -> Found:
+    def find(self, wanted: Wanted) -> SourcedBodies:
         """Return the bodies, or read the file again if the scene says something else about it now."""
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:

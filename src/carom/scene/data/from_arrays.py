@@ -11,14 +11,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from carom.errors import SceneError
 from carom.scene.conversion import converted, unit_system
-from carom.scene.data.columns import BodyColumns
+from carom.scene.data.body_columns import BodyColumns, read_columns
+from carom.scene.data.body_sources import HeldBodies, SourcedBodies
+from carom.scene.data.formats import Arrays
 from carom.scene.data.mapping import VECTORS
-from carom.scene.data.read import read_columns
-from carom.scene.data.sources import Found, HeldBodies
-from carom.scene.data.table import Arrays
 from carom.scene.load import scene_from_dict
-from carom.scene.schema.bodies import BodyData
-from carom.scene.schema.material import Material
+from carom.scene.schema.body import BodyData
+from carom.scene.schema.contact import Material
 from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
@@ -51,7 +50,7 @@ def scene_with_arrays(scene: Scene, keep: bool, arrays: Mapping[str, Any]) -> Sc
 def _scene(
     data: Mapping[str, Any],
     sections: list[BodyData],
-    found: list[Found],
+    found: list[SourcedBodies],
     arrays: Mapping[str, Any],
     name: str | ArrayLike | None,
     made_of: str | None,
@@ -65,7 +64,7 @@ def _scene(
     section = {**prefix, **own, "count": len(columns), "sha256": columns.sha256}
     kept = data.get("bodies", [])[: len(sections)]
     held = HeldBodies(
-        (*sections, BodyData.model_validate(section)), (*found, Found(columns, columns.sha256, material)), units
+        (*sections, BodyData.model_validate(section)), (*found, SourcedBodies(columns, columns.sha256, material)), units
     )
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)
 

@@ -1,20 +1,20 @@
-"""Scenes that are refused before anything is allocated: not supported, or too large for the machine."""
+"""Checks before a run: scenes that are refused, and doubts about scenes that run."""
 
 from __future__ import annotations
 
+import math
 import os
+from typing import NamedTuple
 
 from carom.errors import SceneError
-from carom.plan.accuracy import refuse_coarse_tree
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.pulls import dampings, further
-from carom.scene.counted import counted
-from carom.scene.key_places import naming_places
-from carom.scene.lines import KeyPath
+from carom.plan.pulls import dampings, differing, further, pushing
+from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.schema import Scene
-from carom.scene.units.dimension import LENGTH
+from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
+from carom.scene.wording import body_key, counted
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
@@ -246,3 +246,99 @@ def _memory() -> int:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
         return 2**47
+
+
+class _Law(NamedTuple):
+    """The position error over the size, as a power of the opening angle."""
+
+    error: float  # at 1 rad
+    order: int
+
+
+TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
+    "tree": _Law(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
+    "fast-multipole": _Law(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+}
+MONOPOLES = 19.0  # largest factor on it without quadrupoles
+SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
+
+
+def refuse_coarse_tree(scene: Scene) -> None:
+    """Refuse a tree whose error is larger than the requested one.
+
+    Raises
+    ------
+    SceneError
+        With an opening angle that is small enough.
+    """
+    accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
+    if accuracy is None or method not in TREE_ERRORS:
+        return
+    law = TREE_ERRORS[method]
+    worst = law.error if gravity.quadrupoles or method != "tree" else MONOPOLES * law.error
+    error, angle = worst * gravity.opening_angle**law.order, (accuracy / worst) ** (1 / law.order)
+    if error <= accuracy:
+        return
+    tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
+    better = f"gravity.opening_angle = {_floor(angle)}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
+    raise SceneError(
+        f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
+        ("time", "accuracy"),
+    )
+
+
+def _floor(angle: float) -> float:
+    """Round an angle down to two decimals."""
+    return int(100 * angle) / 100
+
+
+EARTH = 9.81  # m/s², written as 9.8 to 9.82
+LIGHTEST = 100.0  # kg/m³; balls of cork have 200
+
+
+def doubts(scene: Scene) -> list[str]:
+    """Return what may be a mistake in a scene, a sentence each."""
+    return [*_nothing_moves(scene), *_field_of_the_earth(scene), *_default_radius(scene)]
+
+
+def _nothing_moves(scene: Scene) -> list[str]:
+    """Say so if no force acts and every velocity is 0."""
+    if differing(scene) or pushing(scene) or dampings(scene) or scene.contact.allow_overlap:
+        return []
+    moving = any(any(body.velocity) or any(body.angular_velocity) for body in scene.body)
+    for columns in scene.data:
+        moving |= bool(columns.velocity.any() or columns.angular_velocity.any())
+    for group in scene.group:
+        moving |= any(group.velocity.mean) or group.velocity.dispersion > 0.0
+        moving |= group.spin.dispersion > 0.0 or any(group.bulk_rotation)
+    return [] if moving else ["nothing can move: no force acts, and every velocity is 0"]
+
+
+def _field_of_the_earth(scene: Scene) -> list[str]:
+    """Ask for the unit of a uniform field that has the Earth's number, but not its size."""
+    size = math.hypot(*scene.gravity.uniform)
+    number = scene.unit_system.shown(size, ACCELERATION)
+    if round(number, 1) != round(EARTH, 1) or math.isclose(size, EARTH, rel_tol=0.01):
+        return []
+    text = scene.unit_system.text(size, ACCELERATION, ".3g")
+    return [f'gravity.uniform has {text}, {size / EARTH:.2g} of the Earth\'s; if that is meant, write "{EARTH} m/s^2"']
+
+
+def _default_radius(scene: Scene) -> list[str]:
+    """Name the first body whose mass is given, but whose radius is the default and makes it lighter than any solid."""
+    light = [
+        (number, density)
+        for number, body in enumerate(scene.body)
+        if "radius" not in body.model_fields_set and body.mass  # test particles have none
+        if (density := body.mass / (4.0 / 3.0 * math.pi * body.radius**3)) < LIGHTEST
+    ]
+    if not light:
+        return []
+    number, density = light[0]
+    units = scene.unit_system
+    more = f"; the same holds for {counted(len(light) - 1, 'more body')}" if len(light) > 1 else ""
+    return [
+        f"{body_key(number, scene.body[number].name)} has no radius and gets the default, "
+        f"{units.text(scene.body[number].radius, LENGTH, 'g')}: with its mass, the density is "
+        f"{units.text(density, DENSITY, '.2g')}{more}"
+    ]

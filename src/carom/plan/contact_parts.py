@@ -1,12 +1,12 @@
-"""The parts of the contact model that a scene needs."""
+"""The parts of the contact model that a scene needs, and the parts that ``model.force`` switches on."""
 
 from __future__ import annotations
 
 from carom.plan.pulls import differing, pushing
-from carom.scene.counted import counted
-from carom.scene.materials import KindOfContact, kinds_of_contacts
+from carom.scene.matter import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
+from carom.scene.wording import counted
 
 
 def contact(scene: Scene) -> Part:
@@ -120,3 +120,29 @@ def torque(friction: Part) -> Part:
     if friction.modelled:
         return Part("torque", True, "friction turns bodies")
     return Part("torque", False, "the normal force acts on the centre")
+
+
+# The parts that each part needs. Consequences, such as torques from friction, are decided as for any scene.
+_NEEDS = {
+    "potential": ("gravity",),
+    "tree": ("gravity",),
+    "broad-phase": ("contact",),
+    "narrow-phase": ("contact",),
+    "time-of-impact": ("contact",),
+    "colouring": ("contact",),
+    "stabilisation": ("contact",),
+    "resting-contacts": ("contact",),
+    "restitution": ("contact",),
+    "friction": ("contact",),
+    "torque": ("contact", "spin"),
+    "orientation": ("spin",),
+}
+
+
+def forced_parts(scene: Scene) -> dict[str, str]:
+    """Return the parts that are forced on, each with the part in ``model.force`` that needs it."""
+    forced = {name: name for name in scene.model.force}
+    for name in scene.model.force:
+        for needed in _NEEDS.get(name, ()):
+            forced.setdefault(needed, name)
+    return forced

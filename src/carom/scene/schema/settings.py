@@ -1,0 +1,237 @@
+"""[units], [time], [record], [domain] and [model], and the keys that a scene begins with."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, field_validator, model_validator
+
+from carom.scene.integrators import AUTO, INTEGRATORS, described
+from carom.scene.parts import PARTS, unknown
+from carom.scene.schema.quantity import Count, Positive, Section
+from carom.scene.units.dimension import LENGTH, TIME
+
+
+class Units(Section):
+    """[units]: the units of plain numbers, and of what carom prints. The simulation and the recording are in SI."""
+
+    length: str | None = Field(None, description='such as "km" or "au"; m by default')
+    time: str | None = Field(None, description='such as "h" or "day"; s by default')
+    mass: str | None = Field(None, description='such as "g" or "solar mass"; kg by default')
+    angle: str | None = Field(None, description='such as "deg"; rad by default')
+    velocity: str | None = Field(None, description='such as "km/s"; by default the length over the time')
+    acceleration: str | None = Field(
+        None, description='such as "standard gravity"; by default the length over the time squared'
+    )
+    angular_velocity: str | None = Field(None, description='such as "rpm"; by default the angle over the time')
+    density: str | None = Field(None, description='such as "g/cm^3"; by default the mass over the length cubed')
+    energy: str | None = Field(
+        None, description='such as "erg", printed only; by default mass times length squared over time squared'
+    )
+
+
+if TYPE_CHECKING:
+    IntegratorName = str
+else:
+    IntegratorName = Literal[(AUTO, *INTEGRATORS)]
+
+
+LARGEST_ACCURACY = 1e-2
+_STEP_KEYS = {  # keys of [time] that set the step, with the values that leave it free
+    "fixed_dt": None,
+    **dict.fromkeys(("target_dx", "cfl", "pull_fraction", "smoothing"), "auto"),
+    "velocity_limit": "every-body",
+}
+
+
+class Time(Section):
+    """[time]: the duration, and how the step is chosen."""
+
+    duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
+    max_dt: Annotated[Positive, TIME] | Literal["auto"] = Field(
+        "auto",
+        description='s, largest step; more than 0; "auto" is 1 s, and no limit where the integrator chooses its steps '
+        "by their error or by the orbits",
+    )
+    target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
+        "auto",
+        description="m, largest distance that an acceleration may move a body from rest in a step; "
+        '"auto" is a fraction of the smallest radius, smaller for fewer bodies, and no limit where nothing can touch',
+    )
+    cfl: Positive | Literal["auto"] = Field(
+        "auto",
+        description="largest distance that a body may move in a step, as a fraction of its own radius; more than 0; "
+        '"auto" is 0.5, 1 where impacts are resolved at their own times and nothing presses contacts together, and '
+        "no limit where nothing can touch",
+    )
+    pull_fraction: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="step as a fraction of the shortest time in which a pull changes the motion of a pair, "
+        'r/√(v² + G(m_i + m_j)/r); more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
+        "touch (with more than 100 bodies 0.02, from the largest acceleration), and no limit elsewhere or with a "
+        "target_dx",
+    )
+    smoothing: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
+        "auto",
+        description="weight of the new step in the moving average; more than 0; 1 is no smoothing; "
+        '"auto" is 0.2, and 1 where only pull_fraction limits the step',
+    )
+    velocity_limit: Literal["every-body", "fastest-body"] = Field(
+        "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
+    )
+    fixed_dt: Annotated[Positive, TIME] | None = Field(
+        None, description="s, constant step in place of the adaptive one"
+    )
+    accuracy: Annotated[Positive, Field(le=LARGEST_ACCURACY)] | None = Field(
+        None,
+        description="relative error to keep, in place of a step: of positions over the size of the system, and of "
+        "times of impact over the duration; more than 0, at most 0.01; impacts then happen at their own times",
+    )
+    integrator: IntegratorName = Field(
+        AUTO,
+        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
+        "or up to 32 begin far apart, Wisdom–Holman where bodies that cannot touch go around a dominant one 1000 times "
+        "or more on orbits apart, Yoshida's where they cannot touch and the scene sets its step, otherwise leapfrog",
+    )
+    encounters: Literal["resolve", "ignore"] = Field(
+        "resolve",
+        description="wisdom-holman only: whether close encounters of light bodies are left to Gauss–Radau, which then "
+        "integrates all bodies, or pass unresolved, for many bodies of negligible masses",
+    )
+
+    @model_validator(mode="after")
+    def _an_accuracy_sets_the_step(self) -> Self:
+        if self.accuracy is None:
+            return self
+        steps = [key for key, default in _STEP_KEYS.items() if getattr(self, key) != default]
+        if steps:
+            given = " and ".join(f"{key} = {getattr(self, key)}" for key in steps)
+            overrides = " and ".join(f"time.{key}=" for key in steps)
+            way = f"override {overrides} removes it" if len(steps) == 1 else f"overrides {overrides} remove them"
+            raise ValueError(
+                f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove the one or the other "
+                f"(the {way})"
+            )
+        if self.integrator != AUTO and not INTEGRATORS[self.integrator].keeps_accuracy:
+            others = ", ".join(f'"{each.name}"' for each in INTEGRATORS.values() if each.keeps_accuracy)
+            raise ValueError(
+                f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
+                f'{others} or "{AUTO}"'
+            )
+        return self
+
+
+UNTITLED = "Untitled scene"
+
+
+def called(title: str) -> str:
+    """Return a title; `UNTITLED` if it is blank."""
+    return title if title.strip() else UNTITLED
+
+
+def in_one_line(title: str) -> str:
+    """Return a title without line breaks; `UNTITLED` if it is blank."""
+    return called(" ".join(title.splitlines()))
+
+
+class Heading(Section):
+    """The title, the seed, the units and the time of a scene."""
+
+    title: Annotated[str, AfterValidator(in_one_line)] = Field(UNTITLED, description="one line; shown everywhere")
+    description: str = Field("", description="what to look for, shown in the recording")
+    seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
+        0, description="seed of the random start; 0 or more, below 2**63"
+    )
+    units: str | Units | None = Field(
+        None,
+        description="the units of plain numbers, a section; or those that the scene is simulated in, a text such as "
+        '"au, day, solar mass"; SI by default',
+    )
+    time: Time = Field(Time(), description="the duration, and how the step is chosen")
+
+
+class Record(Section):
+    """[record]: how often frames are recorded and the energy is checked. It never changes the physics."""
+
+    every: Literal["auto", "step"] | Annotated[Positive, TIME] = Field(
+        "auto",
+        description='"auto", "step", or seconds of simulated time between frames; a frame is the end of a step, so '
+        "longer steps leave fewer frames (time.max_dt limits them)",
+    )
+    colour_by: Literal["auto", "group", "material", "speed", "graph", "island"] = Field(
+        "auto",
+        description="what tells bodies apart in the viewer: group, material, speed, their colour in the collision "
+        'graph, or the bodies that touch each other; "auto": material if one has a colour, else group; graph with '
+        'contact.colouring = "bodies"',
+    )
+    impacts: Literal["auto", "all", "none"] = Field(
+        "auto",
+        description="impacts, and what contacts did, in the recording: all while they take at most a fifth of the "
+        'file, else the largest between frames ("auto"); "all"; or "none"',
+    )
+    check_every: Count = Field(
+        100,
+        validation_alias=AliasChoices("check_every", "log_freq"),
+        description="steps between energy checks, in addition to those at frames; 1 or more",
+    )
+    energy_tolerance: Positive = Field(
+        1e-3, description="rise of the energy, relative to the energy scale, that causes a warning"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_one_name_of_each_key(cls, given: Any) -> Any:
+        if isinstance(given, dict) and "log_freq" in given and "check_every" in given:
+            raise ValueError("log_freq is the old name of check_every: give one of the two")
+        return given
+
+    @property
+    def log_freq(self) -> int:
+        """The old name of ``check_every``."""
+        warnings.warn("Record.log_freq is now called check_every", DeprecationWarning, stacklevel=2)
+        return self.check_every
+
+
+class Domain(Section):
+    """[domain]: the space around the bodies."""
+
+    boundary: Literal["open", "periodic", "walls"] = Field(
+        "open", description="open space, a periodic box, or a box with walls"
+    )
+    size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
+        None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
+    )
+
+    material: str | None = Field(None, description="name of a [[material]], that of the walls")
+
+    @model_validator(mode="after")
+    def _walls_have_a_material(self) -> Self:
+        if self.material is not None and self.boundary != "walls":
+            raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or leave it out')
+        return self
+
+    @model_validator(mode="after")
+    def _a_box_has_a_size(self) -> Self:
+        if self.boundary != "open" and self.size is None:
+            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z]')
+        if self.size is not None and "boundary" not in self.model_fields_set:
+            raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or leave it out')
+        return self
+
+
+class ForcedParts(Section):
+    """[model]: parts to model even though the scene does not require them."""
+
+    force: Annotated[
+        tuple[Annotated[str, Field(strict=True)], ...],
+        BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
+    ] = Field((), description="parts to switch on, by the names that `carom explain` prints; one, or a list")
+
+    @field_validator("force")
+    @classmethod
+    def _parts_are_known(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if name not in PARTS:
+                raise ValueError(unknown(name))
+        return names

@@ -1,0 +1,164 @@
+"""Words for messages: counts, suggestions, commands, and the names of bodies, planes and walls."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import shlex
+from abc import abstractmethod
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import overload
+
+MOST_LISTED = 8  # bodies that a sentence lists by name
+# control characters except tab and line feed, marks that reverse the direction of writing, and lone surrogates
+_UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def command(*words: object) -> str:
+    """Write a carom command, quoted as a shell needs it, such as ``carom view 'my run.rrd'``."""
+    return shlex.join(["carom", *map(str, words)])
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return the most similar known name; empty if none is similar."""
+    return next(iter(difflib.get_close_matches(name, known, n=1, cutoff=0.5)), "")
+
+
+def suggestion(name: str, known: Iterable[str]) -> str:
+    """Name the most similar known name, and list all."""
+    known = list(known)
+    near, listed = nearest(name, known), ", ".join(known)
+    return f'did you mean "{near}"? There are {listed}' if near else f"there are {listed}"
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun in the singular or the plural, such as "1 body" and "2 bodies"."""
+    plural = f"{noun[:-1]}ies" if noun.endswith("body") else f"{noun}{'es' if noun.endswith('s') else 's'}"
+    return f"{count} {noun if count == 1 else plural}"
+
+
+def escaped(text: str) -> str:
+    """Write control characters as escapes, as JSON does."""
+    return _UNSAFE.sub(lambda match: f"\\u{ord(match[0]):04x}", text)
+
+
+def body_called(number: int, name: str) -> str:
+    """Name a body: ``body 3 "boulder"``, or ``body 3`` if it has no name of its own."""
+    numbered = f"body {number}"
+    return numbered if name in ("", numbered) else f'{numbered} "{name}"'
+
+
+def body_key(number: int, name: str) -> str:
+    """Name a body by its key in the scene file: ``body.3 ("boulder")``, or ``body.3``."""
+    return f"body.{number}" if name in ("", f"body {number}") else f'body.{number} ("{name}")'
+
+
+def bodies_called(numbers: Iterable[int], names: Sequence[str]) -> str:
+    """List bodies by their numbers, given the names of all bodies; see `in_series`."""
+    return in_series([body_called(number, names[number]) for number in numbers])
+
+
+def in_series(called: Sequence[str]) -> str:
+    """Join names as a sentence does; of many the first few, and how many more."""
+    listed = list(called[:MOST_LISTED])
+    if len(called) > MOST_LISTED:
+        listed.append(f"{len(called) - MOST_LISTED} more")
+    return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}"
+
+
+@dataclass(frozen=True, slots=True)
+class Names:
+    """Names of the n bodies, and of the planes and walls, whose indices follow."""
+
+    bodies: Sequence[str]
+    planes: list[str]
+
+    def of(self, end: int) -> str:
+        """Name one end of a contact: a body as `body_called` does, a plane or a wall by its name, if it is known."""
+        plane = end - len(self.bodies)
+        if plane < 0:
+            return body_called(end, self.bodies[end])
+        return self.planes[plane] if plane < len(self.planes) else f"plane {plane}"
+
+    def pair(self, ends: Iterable[int]) -> str:
+        """Name both ends of a contact."""
+        return " and ".join(self.of(end) for end in ends)
+
+
+class _LazyNames(Sequence[str]):
+    """Names that are written when asked for; equal to any sequence of the same names."""
+
+    @abstractmethod
+    def _at(self, place: int) -> str:
+        """Return one name; the place is in range."""
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice) -> list[str]: ...
+    def __getitem__(self, index: int | slice) -> str | list[str]:
+        places = range(len(self))[index]
+        return self._at(places) if isinstance(places, int) else [self._at(place) for place in places]
+
+    def __iter__(self) -> Iterator[str]:
+        return map(self._at, range(len(self)))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and len(self) == len(other) and all(map(str.__eq__, self, other))
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+class NumberedNames(_LazyNames):
+    """``PREFIX FIRST``, ``PREFIX FIRST+1`` and so on."""
+
+    def __init__(self, prefix: str, count: int, first: int = 0) -> None:
+        self.prefix = prefix
+        self.first = first
+        self._count = count
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _at(self, place: int) -> str:
+        return f"{self.prefix} {self.first + place}"
+
+
+class SomeNames(_LazyNames):
+    """Names of which only some are known; the others are numbered."""
+
+    def __init__(self, prefix: str, count: int, known: Mapping[int, str]) -> None:
+        self._prefix = prefix
+        self._count = count
+        self._known = known
+
+    def __len__(self) -> int:
+        return self._count
+
+    def _at(self, place: int) -> str:
+        return self._known.get(place, f"{self._prefix} {place}")
+
+
+class JoinedNames(_LazyNames):
+    """Names of several parts, one after the other."""
+
+    def __init__(self, parts: Sequence[Sequence[str]]) -> None:
+        self.parts = tuple(parts)
+        self._ends = list(accumulate(map(len, self.parts)))
+
+    def __len__(self) -> int:
+        return self._ends[-1] if self._ends else 0
+
+    def _at(self, place: int) -> str:
+        part = bisect_right(self._ends, place)
+        return self.parts[part][place - (self._ends[part - 1] if part else 0)]
+
+
+def joined(parts: Sequence[Sequence[str]]) -> Sequence[str]:
+    """Return the names of all parts: a list, unless a part is numbered."""
+    if all(isinstance(part, list) for part in parts):
+        return [name for part in parts for name in part]
+    return JoinedNames(parts)
