@@ -26,9 +26,8 @@ from carom.physics.contact.law import IMPULSES, materials_of
 from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
 from carom.scene.matter import PairCoefficients
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies
 from measurement import medians, save
 
 FloatArray = NDArray[np.float64]

@@ -19,9 +19,9 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
-from carom.scene.half_space import half_spaces
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 
 FloatArray = NDArray[Any]
 

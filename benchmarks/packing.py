@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from carom.physics.placement import place
-from carom.scene.neighbours import overlapping_pairs
+from carom.physics.placement.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 from measurement import merge
 

@@ -17,7 +17,7 @@ from carom.physics.contact.constraints import SHARED_FROM
 from carom.physics.parallel.atomics import atomic_load, atomic_store
 from carom.physics.parallel.thread_team import Team, sharing_all
 from carom.physics.space import Space
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 from small_scenes import random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]

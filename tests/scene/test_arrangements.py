@@ -13,7 +13,7 @@ from carom.errors import SceneError
 from carom.physics.placement import place
 from carom.physics.placement.growth import densest
 from carom.physics.placement.lattice import CELLS
-from carom.scene.neighbours import overlapping_pairs
+from carom.physics.placement.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from carom.physics.placement import occupancy, place, random_placement
-from carom.scene.neighbours import overlapping_pairs
+from carom.physics.placement.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 
 CROWDED: dict[str, dict[str, Any]] = {

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 
 from carom.errors import SceneError
 from carom.physics.placement import packing_fraction, place
-from carom.scene.half_space import half_spaces
+from carom.physics.placement.neighbours import overlapping_pairs, squared_distance
 from carom.scene.load import scene_from_text
 from carom.scene.matter import pair_coefficients
-from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 
 WRONG_STARTS = {
     "bodies that overlap": ("[[body]]\nradius = 1\n[[body]]\nradius = 1\n", 1, "body.0 and body.1 overlap"),

@@ -13,11 +13,10 @@ from carom.physics.contact.law import materials_of
 from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies
 
 FloatArray = NDArray[np.float64]
 

@@ -15,10 +15,9 @@ from carom.physics.diagnostics.profile import Profile
 from carom.physics.forces.total import TotalForce
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements, require
-from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
 from carom.scene.wording import Names
 
 FloatArray = NDArray[np.float64]

@@ -35,9 +35,9 @@ from carom.physics.time_step import Timestep
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
-from carom.scene.half_space import half_spaces
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 from carom.scene.units.system import SI
 
 _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}

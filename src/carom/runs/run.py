@@ -33,9 +33,9 @@ from carom.runs.interrupts import Interrupts
 from carom.runs.memory import garbage_sought_seldom
 from carom.runs.output import claimed_output, default_output, refuse_name
 from carom.runs.progress_bar import progress_bar
-from carom.scene.half_space import planes_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
+from carom.scene.start import planes_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 

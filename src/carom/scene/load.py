@@ -1,24 +1,25 @@
-"""From TOML to a `Scene`, with errors that name file, line and key."""
+"""Scenes from TOML, from dictionaries and from arrays, with errors that name file, line and key."""
 
 from __future__ import annotations
 
 import copy
-import math
 import re
 import tomllib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import tomlkit
+from numpy.typing import ArrayLike
 from pydantic import ValidationError
 
 from carom.errors import SceneError
-from carom.scene.conversion import converted, members_of_list
-from carom.scene.data.body_sources import BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted
+from carom.scene.conversion import converted, members_of_list, unit_system
+from carom.scene.data.body_columns import columns_of_arrays
+from carom.scene.data.body_sources import LAW, BodySource, DataFiles, HeldBodies, SourcedBodies, Wanted, take_over_laws
 from carom.scene.explanation import explain, is_known, not_a_quantity, with_words, written_path
 from carom.scene.key_places import DEEPEST, KeyPath, KeyPlaces, is_too_deep, line_of_long_key
 from carom.scene.matter import material_called
@@ -35,17 +36,16 @@ from carom.scene.overrides import (
 )
 from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
+from carom.scene.schema.body import BodyData
+from carom.scene.schema.contact import Material
 from carom.scene.toml_text import toml_text
-from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH
 from carom.scene.units.system import UnitSystem
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # faults that are examined; a hostile text may have a million
-_LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that files may have
-_SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer digits
+_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may have a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -142,7 +142,8 @@ def _parse(text: str, source: str) -> dict[str, Any]:
             raise SceneError(f"{source}:{line}: not TOML: a whole number of more than 4300 digits") from None
         at = re.search(r"\(at line (\d+), column (\d+)\)$", str(error))
         place = f"{source}:{at[1]}" if at else source
-        comma = at is not None and _is_decimal_comma(text, int(at[1]), int(at[2]))
+        line_of, column = (int(at[1]), int(at[2])) if at else (1, 1)
+        comma = re.fullmatch(r"\d,\d", text.split("\n")[line_of - 1][column - 2 : column + 1]) if at else None
         meant = "; write a decimal point, not a comma" if comma else _meant(str(error))
         raise SceneError(f"{place}: not TOML: {error}{meant}") from None
     except RecursionError:
@@ -152,13 +153,8 @@ def _parse(text: str, source: str) -> dict[str, Any]:
     return data
 
 
-def _is_decimal_comma(text: str, line: int, column: int) -> bool:
-    """Tell whether a comma between two digits is at a place of a text; lines and columns count from 1."""
-    return bool(re.fullmatch(r"\d,\d", text.split("\n")[line - 1][column - 2 : column + 1]))
-
-
 def _meant(error: str) -> str:
-    """Say what was probably meant, by the message of the parser."""
+    """Return what was probably meant, by the message of the parser; begins with a semicolon."""
     twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
     if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
         return f"; write each of several sections as [[{twice[1]}]]"
@@ -229,9 +225,9 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene with all that is wrong with it, one line each; those that are not shown are not worked out.
+    """Refuse a scene with a line for each mistake; only the lines that are shown are composed.
 
-    ``more`` is the number of faults without a message.
+    ``more`` is the number of mistakes without a message.
     """
     if messages:
         more += len(messages) - MOST_MESSAGES
@@ -253,7 +249,13 @@ def _with_bodies(
             wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))
             row += section.count or 0
     _refuse(wrong)
-    taken = _take_over_laws(scene, units, data, places, found)
+    taken, refuted = take_over_laws(scene, units, data.get("gravity", {}), found)
+    _refuse(
+        [
+            partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {scene.bodies[index].called}: {why}")
+            for index, why in refuted.items()
+        ]
+    )
     known = [{"count": len(one.columns), "sha256": one.sha256} for one in found]
     sections = tuple(section.model_copy(update=values) for section, values in zip(scene.bodies, known, strict=True))
     if sections != scene.bodies or taken:
@@ -263,7 +265,7 @@ def _with_bodies(
         for key, number in taken.items():
             apply_override(document, f"gravity.{key}={number!r}")
         text = tomlkit.dumps(document) if len(text) <= _COMMENTED else _written(document)
-        numbers = {key: units.converted(number, _LAW[key]) for key, number in taken.items()}
+        numbers = {key: units.converted(number, LAW[key]) for key, number in taken.items()}
         gravity = scene.gravity.model_copy(update=numbers)
         scene = scene.model_copy(update={"bodies": sections, "gravity": gravity})
     files = source.files if isinstance(source, HeldBodies) else source if isinstance(source, DataFiles) else None
@@ -271,49 +273,51 @@ def _with_bodies(
     return scene, text
 
 
-def _take_over_laws(
-    scene: Scene, units: UnitSystem, data: dict[str, Any], places: KeyPlaces, found: list[SourcedBodies]
-) -> dict[str, float]:
-    """Compare what moves the bodies in their files with the scene; add notes to what was found.
+def scene_from_arrays(
+    arrays: Mapping[str, ArrayLike | None],
+    name: str | ArrayLike | None,
+    made_of: str | None,
+    sections: Mapping[str, Any],
+) -> Scene:
+    """Build a scene; see `Scene.from_arrays`."""
+    if "bodies" in sections:
+        raise SceneError("bodies: the arrays are its bodies; give the other sections only, or use with_bodies")
+    return _scene(sections, [], [], arrays, name, made_of)
 
-    Returns
-    -------
-    taken
-        Plain numbers for those keys of [gravity] that the scene leaves out and a file has.
 
-    Raises
-    ------
-    SceneError
-        If the scene contradicts a file, or two files contradict each other.
-    """
-    given: Any = data.get("gravity", {})
-    is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
-    taken, wrong = dict[str, float](), list[Callable[[], str]]()
-    for index, one in enumerate(found):
-        law, notes, refuted = one.law, list[str](), ""
-        if law is None:
-            continue
-        if is_off and law.constant > 0.0:
-            notes.append(f"G = {law.constant:g} is not used, because the scene has no gravity between bodies")
-        for key, dimension in () if is_off else _LAW.items():
-            number = float(getattr(law, key))
-            if key not in given and key not in taken and (number > 0.0 or key == "constant"):
-                taken[key] = number
-            own = taken.get(key, units.shown(getattr(scene.gravity, key), dimension))
-            if taken.get(key) == number:
-                notes.append(f"gravity.{key} = {number:g} is taken from it")
-            elif number == 0.0 and key == "softening" and own > 0.0:
-                notes.append(f"it has no softening, and the scene has {own:g}")
-            elif not math.isclose(own, number, rel_tol=_SAME_LAW):
-                refuted = f"gravity.{key} is {number!r} in it, and {own!r} here; leave gravity.{key} out, or set that"
-        if law.periodic and scene.domain.boundary != "periodic":
-            refuted = 'its box is periodic; set domain.boundary = "periodic" and domain.size'
-        if not law.collides and scene.contact.enabled:
-            notes.append("its bodies pass through each other; contact.enabled = false does the same here")
-        called = scene.bodies[index].called
-        found[index] = one._replace(notes=(*one.notes, *(f"{called}: {note}" for note in notes)))
-        if refuted:
-            place = f"{places.of(('bodies', index, 'file'))}bodies.{index}: {called}: "
-            wrong.append(partial(str, place + refuted))
-    _refuse(wrong)
-    return taken
+def scene_with_arrays(scene: Scene, keep: bool, arrays: Mapping[str, Any]) -> Scene:
+    """Return a scene with other bodies; see `Scene.with_bodies`."""
+    wanted = dict(arrays)
+    name, made_of = wanted.pop("name", None), wanted.pop("made_of", None)
+    data = tomllib.loads(scene.toml)
+    others = {key: value for key, value in data.items() if keep or key not in ("body", "group")}
+    held = scene.held if keep else None
+    sections, found = ([], []) if held is None else (list(held.sections), list(held.found))
+    return _scene(others, sections, found, wanted, name, made_of)
+
+
+def _scene(
+    data: Mapping[str, Any],
+    sections: list[BodyData],
+    found: list[SourcedBodies],
+    arrays: Mapping[str, Any],
+    name: str | ArrayLike | None,
+    made_of: str | None,
+) -> Scene:
+    """Build a scene of other sections, bodies that are kept, and bodies in arrays."""
+    units = unit_system(data.get("units"), [])  # mistakes in it are reported when the scene is validated
+    numbers, _, _ = converted({key: data[key] for key in ("units", "material") if key in data})
+    material: Material | None
+    try:
+        material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
+    except (KeyError, TypeError, ValueError):  # likewise, mistakes in materials
+        material = None
+    columns = columns_of_arrays(arrays, name, material, units)
+    prefix = {"name": name} if isinstance(name, str) else {}
+    own = {} if made_of is None else {"material": made_of}
+    section = {**prefix, **own, "count": len(columns), "sha256": columns.sha256}
+    kept = data.get("bodies", [])[: len(sections)]
+    held = HeldBodies(
+        (*sections, BodyData.model_validate(section)), (*found, SourcedBodies(columns, columns.sha256, material)), units
+    )
+    return scene_from_dict({**data, "bodies": [*kept, section]}, held)

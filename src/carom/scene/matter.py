@@ -14,11 +14,11 @@ from typing import TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.scene.half_space import WALLS
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
 from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, combined
+from carom.scene.start import WALLS
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
 

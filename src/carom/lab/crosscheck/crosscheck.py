@@ -27,8 +27,8 @@ from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
 from carom.physics.placement import place
 from carom.recording.write.whole_file import write_whole
 from carom.runs.run import recording_space, simulate
-from carom.scene.half_space import half_spaces
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 from carom.scene.wording import Names
 
 DOCUMENT = "crosscheck.json"

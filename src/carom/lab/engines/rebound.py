@@ -29,9 +29,9 @@ from carom.plan.hierarchy import DOMINANT
 from carom.plan.pulls import further
 from carom.recording.source.adapters.rebound import rebound as record
 from carom.recording.source.source import Source, State
-from carom.scene.half_space import half_spaces
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 

@@ -12,10 +12,9 @@ from carom.physics.placement import place
 from carom.plan.features import require
 from carom.plan.pulls import further
 from carom.recording.source.source import SPHERE, Model
-from carom.scene.half_space import HalfSpaces, half_spaces
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Coefficients, Scene
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
 
 FloatArray = NDArray[np.float64]
 

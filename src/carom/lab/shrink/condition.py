@@ -12,8 +12,8 @@ from carom.lab.shrink.invariance import Varies
 from carom.lab.shrink.observation import LASTING, SUNK, Observation, Pair, end_name
 from carom.lab.shrink.whole_run import ReplayDiffers
 from carom.runs.expectation import Verdict
-from carom.scene.half_space import half_spaces
 from carom.scene.schema.promise import Expect
+from carom.scene.start import half_spaces
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names, nearest, suggestion
 

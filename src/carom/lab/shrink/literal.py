@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
-from carom.scene.half_space import half_spaces
 from carom.scene.matter import body_materials
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import DEFAULT
-from carom.scene.start import InitialBodies
+from carom.scene.start import InitialBodies, half_spaces
 
 FloatArray = NDArray[np.float64]
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it

@@ -15,7 +15,7 @@ from carom.physics.space import Space
 from carom.runs.environment import versions
 from carom.runs.expectation import Verdict, judge
 from carom.runs.run import closing_summary
-from carom.scene.half_space import half_spaces
+from carom.scene.start import half_spaces
 from carom.scene.wording import Names
 
 Pair = frozenset[str]  # names of both ends

@@ -16,8 +16,8 @@ from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.islands import largest_values
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
 from carom.scene.schema import ContactSettings
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -44,9 +44,9 @@ from carom.physics.contact.torques import Torques
 from carom.physics.diagnostics.profile import Profile
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
-from carom.scene.half_space import HalfSpaces
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

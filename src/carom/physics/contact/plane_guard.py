@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 

@@ -36,8 +36,8 @@ from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.parallel.jit import kernel
 from carom.physics.parallel.thread_team import SOLO
 from carom.physics.vector import square, write
-from carom.scene.half_space import HalfSpaces
 from carom.scene.schema.contact import Sleep
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

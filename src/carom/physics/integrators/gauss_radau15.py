@@ -45,8 +45,8 @@ from carom.physics.parallel.jit import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
-from carom.scene.half_space import half_spaces
 from carom.scene.schema import Scene
+from carom.scene.start import half_spaces
 
 FloatArray = NDArray[np.float64]
 Records = NDArray[np.void]

@@ -8,11 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import SceneError
-from carom.scene.half_space import HalfSpaces
+from carom.physics.placement.neighbours import overlapping_pairs, squared_distance
 from carom.scene.key_places import KeyPath
-from carom.scene.neighbours import overlapping_pairs, squared_distance
 from carom.scene.schema import Scene
-from carom.scene.start import InitialBodies
+from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import body_called, body_key

@@ -20,6 +20,7 @@ from carom.physics.placement.check import (
 )
 from carom.physics.placement.growth import densest, grown, shrunken
 from carom.physics.placement.lattice import lattice
+from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.placement.plummer import drawn_velocities, mass_within
 from carom.physics.placement.random_placement import positions
 from carom.physics.placement.region import (
@@ -31,13 +32,11 @@ from carom.physics.placement.region import (
 )
 from carom.physics.placement.surroundings import Surroundings
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.half_space import half_spaces
 from carom.scene.key_places import naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
-from carom.scene.neighbours import overlapping_pairs
 from carom.scene.schema import Body, BodyGroup, Region, Scene
 from carom.scene.schema.body import LATTICES
-from carom.scene.start import InitialBodies, join
+from carom.scene.start import InitialBodies, half_spaces, join
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames
 

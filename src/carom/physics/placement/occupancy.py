@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.neighbours import squared_distance
+from carom.physics.placement.neighbours import squared_distance
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import SceneError
+from carom.physics.placement.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance
 from carom.physics.placement.occupancy import Occupancy
 from carom.physics.placement.region import bounds, drawn_centres, volume
 from carom.physics.placement.surroundings import Surroundings
-from carom.scene.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance
 from carom.scene.schema import Region
 
 FloatArray = NDArray[np.float64]

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.half_space import HalfSpaces
-from carom.scene.neighbours import QUERY_MARGIN, size_classes, squared_distance, wrapped
+from carom.physics.placement.neighbours import QUERY_MARGIN, size_classes, squared_distance, wrapped
+from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree

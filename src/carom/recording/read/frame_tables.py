@@ -17,7 +17,7 @@ from carom.recording.read.statics import Statics, named
 from carom.recording.schema import paths
 from carom.recording.schema.series import is_recorded, names_below
 from carom.recording.schema.timelines import STEP
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 
 class FrameTables(Statics):

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from carom.errors import RecordingError, SceneError
 from carom.recording.read.restore import recorded_scene
-from carom.scene.half_space import half_spaces
+from carom.scene.start import half_spaces
 from carom.scene.wording import Names
 
 if TYPE_CHECKING:

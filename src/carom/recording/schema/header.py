@@ -14,7 +14,7 @@ from carom.recording.schema import palette
 from carom.recording.schema.materials import ShownMaterials
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.forces import FORCES
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem
 
 Scalar = str | int | float | bool

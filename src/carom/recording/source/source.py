@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

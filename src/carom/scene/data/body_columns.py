@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import Raw, Table, flags_of, numbers_of, texts_of
+from carom.scene.data.formats import Arrays, Raw, Table, flags_of, numbers_of, texts_of
 from carom.scene.data.mapping import VECTORS, ColumnMapping, mapping_of, unused_columns, with_material
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
@@ -294,3 +297,39 @@ def _refuse_moving_fixed(columns: BodyColumns, called: str) -> None:
         raise SceneError(
             f"{called}: row {row} is fixed and has a velocity or an angular_velocity; set one of them to 0"
         )
+
+
+def columns_of_arrays(
+    arrays: Mapping[str, Any], name: str | ArrayLike | None, material: Material | None, units: UnitSystem
+) -> BodyColumns:
+    """Return the bodies that a Python program gives as arrays; see `Scene.from_arrays`."""
+    given = {quantity: value for quantity, value in arrays.items() if value is not None}
+    if "position" not in given or "radius" not in given:
+        raise SceneError("arrays of bodies need a position and a radius")
+    is_dense = "density" in given or (material is not None and material.density is not None and "mass" not in given)
+    if ("mass" in given) == is_dense:
+        raise SceneError("arrays of bodies need a mass or a density, and not both")
+    try:
+        bodies = len(given["position"])
+    except TypeError:
+        raise SceneError("position: needs an array of the shape (n, 3)") from None
+    table = {quantity: _row_for_each_body(quantity, value, bodies) for quantity, value in given.items()}
+    if name is not None and not isinstance(name, str):
+        table["name"] = _row_for_each_body("name", name, bodies)
+    return read_columns(BodyData(), Arrays(table), units, material)[0]
+
+
+def _row_for_each_body(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
+    """Return an array with a row for each body."""
+    shape = (bodies, 3) if quantity in VECTORS else (bodies,)
+    if np.ma.is_masked(value):
+        mask = np.ma.getmaskarray(np.ma.asarray(value))
+        whose = f"body {np.argwhere(mask)[0][0]} has no value" if mask.shape == shape else "there is no value"
+        raise SceneError(f"{quantity}: {whose} (it is masked); every body needs one")
+    try:
+        array = np.asarray(value)
+        if array.shape != shape and (array.shape != shape[1:] or quantity == "position"):
+            raise ValueError(f"an array of the shape {array.shape}")
+        return np.broadcast_to(array, shape)
+    except ValueError as error:  # rows of different lengths
+        raise SceneError(f"{quantity}: {error}; {bodies} bodies need the shape {shape}") from None

@@ -1,23 +1,30 @@
-"""Where a scene finds the bodies of its [[bodies]]: data files, arrays, or a recording."""
+"""Sources of the bodies of [[bodies]]: data files, arrays, or a recording."""
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import math
 import stat
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from carom.errors import SceneError
 from carom.scene.data.body_columns import BodyColumns, read_columns
 from carom.scene.data.formats import MotionLaw, open_table
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
+from carom.scene.units.dimension import GRAVITATIONAL_CONSTANT, LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
+
 LARGEST_DATA = 10**11  # bytes; a digest of them takes a minute
+LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that files may have
+_SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer digits
 
 
 class SourcedBodies(NamedTuple):
@@ -26,8 +33,8 @@ class SourcedBodies(NamedTuple):
     columns: BodyColumns
     sha256: str
     material: Material | None = None  # that gave them a density, if that is known
-    notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
-    law: MotionLaw | None = None  # what moved them where they come from, if that is known
+    notes: tuple[str, ...] = ()  # sentences on what of the source is not used, or read in another way
+    law: MotionLaw | None = None  # that moved them in their source, if that is known
 
 
 @dataclass(frozen=True)
@@ -37,7 +44,7 @@ class Wanted:
     section: BodyData
     index: int  # among those of the scene
     first: int  # number of its first body in the scene
-    row: int  # likewise, among the bodies of all [[bodies]]
+    row: int  # number of its first body among the bodies of all [[bodies]]
     units: UnitSystem  # of the numbers in files
     material: Material | None = None  # of the section
 
@@ -63,12 +70,17 @@ class DataFiles:
             raise SceneError(f"file is missing: the name of the data file{arrays}")
         path = self.folder / section.file
         try:
-            _refuse_what_is_no_file(path, section.file)
+            # refuse what would have no end, or block, and files that nobody means: they are read several times
+            status = path.stat()
+            if stat.S_ISDIR(status.st_mode):
+                raise SceneError(f"{section.file}: a folder, not a data file")
+            if not stat.S_ISREG(status.st_mode):
+                raise SceneError(f"{section.file}: a device or a pipe; give a file, since data are read more than once")
+            if status.st_size > LARGEST_DATA:
+                raise SceneError(f"{section.file}: {status.st_size} bytes are too many; at most {LARGEST_DATA}")
             digest = _digest(path)
         except SceneError:
             raise
-        except IsADirectoryError:
-            raise SceneError(f"{section.file}: a folder, not a data file") from None
         except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
             reason = getattr(error, "strerror", None) or str(error)
             raise SceneError(f"{path}: cannot be read: {reason}") from None
@@ -83,7 +95,7 @@ class DataFiles:
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
-    """Return the names of data files that are in one of the folders and have another digest than the scene says."""
+    """Return the names of data files in the folders whose digests differ from those in the scene."""
     found = list[str]()
     for section in sections:
         path = next(
@@ -93,17 +105,6 @@ def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list
             if path is not None and path.stat().st_size <= LARGEST_DATA and _digest(path) != section.sha256:
                 found.append(str(section.file))
     return found
-
-
-def _refuse_what_is_no_file(path: Path, called: str) -> None:
-    """Refuse what would have no end, or block, and files that nobody means: they are read several times."""
-    found = path.stat()
-    if stat.S_ISDIR(found.st_mode):
-        raise IsADirectoryError
-    if not stat.S_ISREG(found.st_mode):
-        raise SceneError(f"{called}: a device or a pipe; give a file, since data are read more than once")
-    if found.st_size > LARGEST_DATA:
-        raise SceneError(f"{called}: {found.st_size} bytes are too many; at most {LARGEST_DATA}")
 
 
 def _digest(path: Path) -> str:
@@ -133,7 +134,7 @@ class HeldBodies:
     files: DataFiles | None = field(default=None, compare=False)
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies, or read the file again if the scene says something else about it now."""
+        """Return the bodies; read the file again if its section or the units have changed."""
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
             found = self.found[wanted.index]
@@ -142,3 +143,49 @@ class HeldBodies:
         if self.files is None:
             raise SceneError("it cannot be changed, because its file is not at hand: only its name can")
         return self.files.find(wanted)
+
+
+def take_over_laws(
+    scene: Scene, units: UnitSystem, given: Mapping[str, Any], found: list[SourcedBodies]
+) -> tuple[dict[str, float], dict[int, str]]:
+    """Compare the laws that moved the bodies in their files with the scene; add notes to the bodies in ``found``.
+
+    Parameters
+    ----------
+    given
+        The section [gravity] as written.
+
+    Returns
+    -------
+    taken, refuted
+        Plain numbers for those keys of [gravity] that the scene leaves out and a file has. By the index of a
+        [[bodies]], how the scene or another file contradicts its file.
+    """
+    is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
+    taken, refuted = dict[str, float](), dict[int, str]()
+    for index, bodies in enumerate(found):
+        law, notes = bodies.law, list[str]()
+        if law is None:
+            continue
+        if is_off and law.constant > 0.0:
+            notes.append(f"G = {law.constant:g} is not used, because the scene has no gravity between bodies")
+        for key, dimension in () if is_off else LAW.items():
+            number = float(getattr(law, key))
+            if key not in given and key not in taken and (number > 0.0 or key == "constant"):
+                taken[key] = number
+            own = taken.get(key, units.shown(getattr(scene.gravity, key), dimension))
+            if taken.get(key) == number:
+                notes.append(f"gravity.{key} = {number:g} is taken from it")
+            elif number == 0.0 and key == "softening" and own > 0.0:
+                notes.append(f"it has no softening, and the scene has {own:g}")
+            elif not math.isclose(own, number, rel_tol=_SAME_LAW):
+                refuted[index] = (
+                    f"gravity.{key} is {number!r} in it, and {own!r} here; leave gravity.{key} out, or set that"
+                )
+        if law.periodic and scene.domain.boundary != "periodic":
+            refuted[index] = 'its box is periodic; set domain.boundary = "periodic" and domain.size'
+        if not law.collides and scene.contact.enabled:
+            notes.append("its bodies pass through each other; contact.enabled = false does the same here")
+        called = scene.bodies[index].called
+        found[index] = bodies._replace(notes=(*bodies.notes, *(f"{called}: {note}" for note in notes)))
+    return taken, refuted

@@ -189,7 +189,7 @@ class Scene(Forces, Heading):
         >>> scene.count
         2
         """
-        from carom.scene.data.from_arrays import scene_from_arrays  # noqa: PLC0415 - needs Scene
+        from carom.scene.load import scene_from_arrays  # noqa: PLC0415 - needs Scene
 
         arrays = {"position": position, "radius": radius, "mass": mass, "density": density, "velocity": velocity}
         arrays |= {"angular_velocity": angular_velocity, "inertia": inertia, "fixed": fixed}
@@ -205,7 +205,7 @@ class Scene(Forces, Heading):
         arrays
             ``position``, ``radius`` and so on.
         """
-        from carom.scene.data.from_arrays import scene_with_arrays  # noqa: PLC0415 - needs Scene
+        from carom.scene.load import scene_with_arrays  # noqa: PLC0415 - needs Scene
 
         return scene_with_arrays(self, keep, arrays)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.scene.neighbours import overlapping_pairs
+from carom.physics.placement.neighbours import overlapping_pairs
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,7 +10,7 @@ from carom.physics.contact.constraint_graph import first_of
 from carom.physics.parallel.index import from_front
 from carom.physics.parallel.jit import long_kernel
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

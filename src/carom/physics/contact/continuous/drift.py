@@ -39,7 +39,7 @@ from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.parallel.jit import entry_of, kernel
 from carom.physics.parallel.thread_team import Team
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -28,8 +28,8 @@ from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.parallel.jit import entry_of, kernel
 from carom.physics.parallel.thread_team import ALONE, Team
-from carom.scene.half_space import HalfSpaces
 from carom.scene.schema.contact import Sweeps
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -23,7 +23,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.law import Materials
 from carom.physics.contact.solve_order import SolveOrder
-from carom.scene.half_space import HalfSpaces
+from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
