@@ -1,4 +1,4 @@
-"""Quantities of a scene: texts such as "3 km", and numbers in the units of [units], as numbers of the simulation."""
+"""Conversion of the quantities of a scene, such as "3 km" or numbers in the units of [units], to the simulation's."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WRITTEN_BY_CAROM = "promise"  # a section in the units of the simulation
 
 @dataclass
 class Wrong:
-    """A text that is not a quantity, where one should stand."""
+    """A text in the place of a quantity that is none."""
 
     path: KeyPath
     given: str | None  # None: nothing was given
@@ -34,7 +34,7 @@ class Wrong:
 
 @dataclass(frozen=True)
 class _Place:
-    """What may stand at a key: a quantity of a dimension, one of some words, or a section."""
+    """The values that a key may have: a quantity of a dimension, one of some words, or a section."""
 
     dimension: Dimension | None
     words: frozenset[str] = frozenset()
@@ -42,7 +42,7 @@ class _Place:
 
 
 def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
-    """Return the units that a scene gives under ``units``; adds what is wrong with them."""
+    """Return the units that a scene gives under ``units``; add mistakes in them to ``wrong``."""
     if isinstance(units, str):
         try:
             return UnitSystem.of_text(units)
@@ -53,29 +53,25 @@ def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
         if units is not None:
             wrong.append(Wrong(("units",), str(units), "must be a section with keys, or a text with units"))
         return SI
-    given = {key: text for key, text in units.items() if _names_a_unit(key, text, wrong)}
+    given = {}
+    for key, text in units.items():
+        if key not in NAMED:
+            near = suggestion(str(key), NAMED)
+            wrong.append(Wrong(("units", key), None, f"is not a dimension; {near}"))
+            continue
+        try:
+            if not isinstance(text, str):
+                raise UnitError("must be text in quotes")
+            unit_of(text, NAMED[key])
+            given[key] = text
+        except UnitError as error:
+            expected = f'{error}; expected a unit such as "{NAMED[key].unit}"'
+            wrong.append(Wrong(("units", key), str(text), expected))
     return UnitSystem.of_table(given)
 
 
-def _names_a_unit(key: Any, text: Any, wrong: list[Wrong]) -> bool:
-    """Tell whether an entry of [units] is right; adds what is wrong with it."""
-    if key not in NAMED:
-        near = suggestion(str(key), NAMED)
-        wrong.append(Wrong(("units", key), None, f"is not a dimension; {near}"))
-        return False
-    dimension = NAMED[key]
-    try:
-        if not isinstance(text, str):
-            raise UnitError("must be text in quotes")
-        unit_of(text, dimension)
-    except UnitError as error:
-        wrong.append(Wrong(("units", key), str(text), f'{error}; expected a unit such as "{dimension.unit}"'))
-        return False
-    return True
-
-
 def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, list[Wrong]]:
-    """Convert the quantities of a scene as it was read; what needs no conversion is shared with it.
+    """Convert the quantities of a scene as it was read; values that need no conversion are shared with it.
 
     Returns
     -------
@@ -84,27 +80,21 @@ def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, l
     """
     wrong: list[Wrong] = []
     units = unit_system(data.get("units"), wrong)
-    found = {key: _walked(value, place(key), units, (key,), wrong) for key, value in data.items()}
-    if units.own:
-        found = _with_gravity(found, units, wrong)
-    return found, units, wrong
-
-
-def _with_gravity(data: dict[str, Any], units: UnitSystem, wrong: list[Wrong]) -> dict[str, Any]:
-    """Let the default of the gravitational constant follow the units."""
-    gravity = data.get("gravity", {})
-    if not isinstance(gravity, Mapping) or "constant" in gravity or gravity.get("method") == "none":
-        return data
-    if units.dimensionless:
-        missing = 'is missing; a scene with units = "dimensionless" has to state it (0 is no gravity)'
-        wrong.append(Wrong(("gravity", "constant"), None, missing))
-        return data
-    constant = units.of_si(Gravity().constant, GRAVITATIONAL_CONSTANT)
-    return {**data, "gravity": {**gravity, "constant": constant}}
+    numbers = {key: _walked(value, place(key), units, (key,), wrong) for key, value in data.items()}
+    gravity = numbers.get("gravity", {})
+    # the default of the gravitational constant follows the units
+    if units.own and isinstance(gravity, Mapping) and "constant" not in gravity and gravity.get("method") != "none":
+        if units.dimensionless:
+            missing = 'is missing; a scene with units = "dimensionless" has to state it (0 is no gravity)'
+            wrong.append(Wrong(("gravity", "constant"), None, missing))
+        else:
+            constant = units.of_si(Gravity().constant, GRAVITATIONAL_CONSTANT)
+            numbers["gravity"] = {**gravity, "constant": constant}
+    return numbers, units, wrong
 
 
 def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wrong: list[Wrong]) -> Any:
-    """Convert what stands at a place, and all below it; what needs no conversion is returned as it is."""
+    """Convert a value and all values below it; those that need no conversion are returned unchanged."""
     kind = type(value)
     if at is None or kind is bool or (kind in _NUMBERS and not units.converts):
         return value
@@ -134,7 +124,7 @@ def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wro
 
 
 def place_of(path: KeyPath) -> _Place | None:
-    """Return what may stand at a path of keys; None if no quantity may."""
+    """Return the values that a path of keys may have; None if it has no quantities."""
     keys = [key for key in path if isinstance(key, str)]
     at = place(keys[0]) if keys else None
     for key in keys[1:]:
@@ -163,7 +153,7 @@ def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -
 
 
 def place(key: str) -> _Place | None:
-    """Return what may stand at a key of a scene, at any depth below it; None if no quantity may."""
+    """Return the values that a key of a scene, and the keys below it, may have; None if there are no quantities."""
     return None if key == _WRITTEN_BY_CAROM else _places(Scene).get(key)
 
 

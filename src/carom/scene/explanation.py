@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Any
 
 from pydantic import BaseModel
+from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.key_places import KeyPath, KeyPlaces
@@ -44,7 +45,8 @@ OTHER_WORDS = {
 
 def hint(path: KeyPath) -> str:
     """Name the keys most similar to an unknown key, or all keys of its section; begins with a semicolon."""
-    model = _model_of(path[:-1])
+    section = _field(path[:-1])
+    model = Scene if len(path) == 1 else section and model_in(section.annotation)
     if model is None:
         return ""
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
@@ -64,9 +66,9 @@ def hint(path: KeyPath) -> str:
 
 def _near(key: str, known: list[str], alike: float) -> str | None:
     """Find the most similar known key, or the only known key that begins with this one."""
-    found = difflib.get_close_matches(key, known, n=1, cutoff=alike)
+    similar = difflib.get_close_matches(key, known, n=1, cutoff=alike)
     longer = [name for name in known if len(key) >= SHORTEST and name.startswith(key)]
-    return found[0] if found else longer[0] if len(longer) == 1 else None
+    return similar[0] if similar else longer[0] if len(longer) == 1 else None
 
 
 def _meant(keys: list[str]) -> str:
@@ -87,39 +89,29 @@ def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
     return places
 
 
-def _model_of(path: KeyPath) -> type[BaseModel] | None:
-    """Return the model of a section, by its path."""
-    model: type[BaseModel] | None = Scene
-    for key in path:
-        if model is not None and isinstance(key, str):
-            field = model.model_fields.get(key)
-            model = None if field is None else model_in(field.annotation)
-    return model
-
-
 def model_in(annotation: Any) -> type[BaseModel] | None:
     """Find the model inside an annotation such as ``tuple[Body, ...]`` or ``Region | None``."""
     if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
         return annotation if issubclass(annotation, BaseModel) else None
-    found = (model_in(member) for member in typing.get_args(annotation))
-    return next((model for model in found if model is not None), None)
+    models = (model_in(member) for member in typing.get_args(annotation))
+    return next((model for model in models if model is not None), None)
 
 
 def is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
-    """Tell whether there is a message already about a key, or about one that contains it."""
+    """Return whether there is a message already about a key, or about a section that contains it."""
     wrong_units = path[0:1] == ("units",) and any(other[0] == "units" for other in messages)
     return wrong_units or any(path[:depth] in messages for depth in range(1, len(path) + 1))
 
 
 def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
-    """Return one line with the place, the key, what is wrong and what would be right."""
+    """Return one line about a text that is no quantity: the place, the key, the mistake and what would be right."""
     key = ".".join(str(part)[:80] for part in wrong.path)
     given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
     return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
 
 
 def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: UnitSystem) -> str:
-    """Return one line with the place, the key, what is wrong and what would be right."""
+    """Return one line about a mistake that Pydantic found: the place, the key, the mistake and what would be right."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
@@ -131,13 +123,8 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
     return f"{place}{key} = {shown[:80]}: {_wrong(detail, path)}{_expected(path, units)}"
 
 
-def _is_union_member(key: str | int) -> bool:
-    """Tell whether a key names a member of a union, which Pydantic adds to the path and nobody wrote."""
-    return isinstance(key, str) and ("[" in key or key.startswith("constrained") or key in ("float", "nan", "literal"))
-
-
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield what is wrong; where a word or a number may stand, what is wrong as a number, with the words."""
+    """Yield the details of mistakes; of a key for words and numbers, only the detail as a number, with the words."""
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
     for detail in details:
@@ -150,7 +137,12 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 def written_path(detail: Any, data: Any) -> KeyPath:
     """Return the path as it was written: a radius given as a number has no `min`, a vector no `2`."""
-    path: KeyPath = tuple(key for key in detail["loc"] if not _is_union_member(key))
+    members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
+    path: KeyPath = tuple(
+        key
+        for key in detail["loc"]
+        if isinstance(key, int) or not ("[" in key or key.startswith("constrained") or key in members)
+    )
     error = detail.get("ctx", {}).get("error")
     if isinstance(error, SectionError):
         path = (*path, *error.path)
@@ -167,15 +159,15 @@ def written_path(detail: Any, data: Any) -> KeyPath:
 
 def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     """Return the value at a path before its conversion, if there was one."""
-    found, given = data, detail["input"]
+    node, given = data, detail["input"]
     if not isinstance(given, int | float):
         return given
     try:
         for key in path:
-            found = found[key]
+            node = node[key]
     except (KeyError, IndexError, TypeError):  # a default that follows another key
         return given
-    return found if isinstance(found, str | int | float) else given
+    return node if isinstance(node, str | int | float) else given
 
 
 def _wrong(detail: Any, path: KeyPath) -> str:
@@ -213,10 +205,11 @@ def _wrong(detail: Any, path: KeyPath) -> str:
 
 
 def _list_at(path: KeyPath) -> str:
-    _, field = _field(path)
-    members = members_of_list(field.annotation) if field is not None else ()
+    field = _field(path)
+    annotation = None if field is None else field.annotation
+    members = members_of_list(annotation)
     if members[-1:] == (...,):
-        return "a list" if model_in(field.annotation) is None else "a list of sections; write it in double brackets"
+        return "a list" if model_in(annotation) is None else "a list of sections; write it in double brackets"
     if len(members) == 2:
         return "a list of two"
     return (
@@ -226,25 +219,20 @@ def _list_at(path: KeyPath) -> str:
     )
 
 
-def _field(path: KeyPath) -> tuple[type[BaseModel] | None, Any]:
-    """Follow a path of keys through the models; return the model of the last key, and its field."""
+def _field(path: KeyPath) -> FieldInfo | None:
+    """Return the field of the last key of a path; None if the schema has no such key."""
     model: type[BaseModel] | None = Scene
     field = None
     for key in path:
-        if isinstance(key, int):
-            continue
-        if model is None:
-            return None, None
-        holder, field = model, model.model_fields.get(key)
-        model = model_in(field.annotation) if field is not None else None
-        if field is None:
-            return holder, None
-    return model, field
+        if isinstance(key, str):
+            field = None if model is None else model.model_fields.get(key)
+            model = None if field is None else model_in(field.annotation)
+    return field
 
 
 def _expected(path: KeyPath, units: UnitSystem) -> str:
     """Return the description of a key; its numbers are in the units of the scene."""
-    _, field = _field(path)
+    field = _field(path)
     if field is None or not field.description:
         return ""
     text, at = field.description, place_of(path)

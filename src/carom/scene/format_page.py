@@ -77,7 +77,8 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
     for key, info in model.model_fields.items():
         for inner in _models(info):
             title = f"{above}{key}"
-            heading = f"`{title}`" if above else f"`[[{key}]]`" if _is_list(info) else f"`[{key}]`"
+            is_list = typing.get_origin(info.annotation) is tuple
+            heading = f"`{title}`" if above else f"`[[{key}]]`" if is_list else f"`[{key}]`"
             yield _table(inner, heading, inspect.getdoc(inner) or "")
             yield from _sections(inner, f"{title}.")
 
@@ -90,31 +91,25 @@ def _table(model: type[BaseModel], heading: str, text: str = "") -> str:
 
 
 def _row(key: str, info: FieldInfo) -> str:
-    dimension = next((part for part in _all_parts(info) if isinstance(part, Dimension)), None)
+    annotations = (*info.metadata, *parts_of(info.annotation))
+    dimension = next((part for part in annotations if isinstance(part, Dimension)), None)
     text = info.description or ""
     if dimension:
         text = text.removeprefix(dimension.unit).lstrip(",; ")
     unit = f"{dimension.unit} ({dimension.name})" if dimension else ""
-    cells = (f"`{key}`", ", ".join(_values(info)), unit, _default(info), text)
+    absent = isinstance(info.default, BaseModel) or info.default in (None, (), {}, "")
+    default = "needed" if info.is_required() else "" if absent else f"`{value_text(info.default)}`"
+    cells = (f"`{key}`", ", ".join(_values(info)), unit, default, text)
     return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
-def _default(info: FieldInfo) -> str:
-    if info.is_required():
-        return "needed"
-    default = info.default
-    if isinstance(default, BaseModel) or default in (None, (), {}, ""):
-        return ""
-    return f"`{value_text(default)}`"
-
-
 def _values(info: FieldInfo) -> Iterator[str]:
-    """Return what may stand at a key, one after the other."""
+    """Yield the kinds of values that a key may have."""
     known: dict[str, None] = {}
     for part in parts_of(info.annotation):
         for word in _words(part):
             known[word] = None
-    if _is_vector(info):
+    if len(members_of_list(info.annotation)) == 3:  # a vector
         known.pop("number", None)
         known["[x, y, z]"] = None
     elif members_of_list(info.annotation) and not _models(info):
@@ -138,22 +133,8 @@ _PLURALS = {"number": "numbers", "text": "texts"}
 _NAMES = {float: "number", int: "whole number", str: "text", bool: "`true`, `false`"}
 
 
-def _all_parts(info: FieldInfo) -> Iterator[Any]:
-    yield from info.metadata
-    yield from parts_of(info.annotation)
-
-
 def _models(info: FieldInfo) -> list[type[BaseModel]]:
     return [part for part in parts_of(info.annotation) if isinstance(part, type) and issubclass(part, BaseModel)]
-
-
-def _is_list(info: FieldInfo) -> bool:
-    return typing.get_origin(info.annotation) is tuple
-
-
-def _is_vector(info: FieldInfo) -> bool:
-    """Tell whether a value is three numbers."""
-    return len(members_of_list(info.annotation)) == 3
 
 
 if __name__ == "__main__":

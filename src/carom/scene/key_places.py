@@ -105,7 +105,10 @@ def naming_places(scene: Scene) -> Iterator[None]:
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
-DEEPEST = 32  # levels; the deepest key that a scene has is group.0.radius.min
+DEEPEST = (
+    32  # levels; the deepest key that a scene has is group.0.radius.min. Parsing, validation and messages recurse,
+)
+# or take time quadratic in the depth.
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}", re.MULTILINE)
@@ -113,12 +116,12 @@ _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[
 
 def line_of_long_key(text: str) -> int | None:
     """Return the 1-based line of a dotted key of more than `DEEPEST` parts, or None."""
-    found = _LONG_KEY.search(text)
-    return text.count("\n", 0, found.start()) + 1 if found else None
+    long_key = _LONG_KEY.search(text)
+    return text.count("\n", 0, long_key.start()) + 1 if long_key else None
 
 
 def is_too_deep(data: Any) -> bool:
-    """Tell whether tables and lists are nested more than `DEEPEST` levels deep, or in themselves."""
+    """Return whether tables and lists are nested more than `DEEPEST` levels deep, or in themselves."""
     level = [data]
     for _ in range(DEEPEST + 1):
         inner = (child for node in level for child in (node.values() if isinstance(node, dict) else node))

@@ -97,7 +97,9 @@ def read_text(path: Path) -> str:
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
     if text.startswith(RECORDED):
-        raise SceneError(f"{path}: a recording, not a scene; {_what_to_do_with(path)}")
+        uses = {"view": "shows it", "inspect": "says how it went", "replay": "runs it again", "resume": "continues it"}
+        listed = ", ".join(f"`{command(name, path)}` {use}" for name, use in uses.items())
+        raise SceneError(f"{path}: a recording, not a scene; {listed}")
     try:
         return text.decode("utf-8-sig")  # some editors begin a file with a byte order mark
     except UnicodeDecodeError as error:
@@ -128,8 +130,3 @@ def _read(path: Path) -> bytes:
                 raise SceneError(f"{path}: a pipe that nothing has written for {PATIENCE:g} s; give a .toml file")
             else:
                 time.sleep(_PAUSE)
-
-
-def _what_to_do_with(recording: Path) -> str:
-    done = {"view": "shows it", "inspect": "says how it went", "replay": "runs it again", "resume": "continues it"}
-    return ", ".join(f"`{command(name, recording)}` {what}" for name, what in done.items())

@@ -64,20 +64,20 @@ def alike(values: Any) -> Values:
     ValueError
         If there are none, or one occurs twice.
     """
-    found = tuple(values)
-    if not found:
+    listed = tuple(values)
+    if not listed:
         raise ValueError(f"no values; expected {_EXAMPLES}")
-    if any(isinstance(value, float) for value in found) and all(_is_number(value) for value in found):
-        found = tuple(float(value) for value in found)
-    if len(found) > MOST_RUNS:
+    are_numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in listed)
+    if are_numbers and any(isinstance(value, float) for value in listed):
+        listed = tuple(float(value) for value in listed)
+    if len(listed) > MOST_RUNS:
         raise ValueError(TOO_MANY_RUNS)
-    seen: set[Any] = set()
-    for value in found:
-        known = len(seen)
-        seen.add(_hashable(value))
-        if len(seen) == known:
+    known: set[Any] = set()
+    for value in listed:
+        if (key := _hashable(value)) in known:
             raise ValueError(f"{value} is given twice; give it once")
-    return found
+        known.add(key)
+    return listed
 
 
 def _hashable(value: Any) -> Any:
@@ -112,13 +112,13 @@ def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any
 
 def flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
     """Write nested tables under dotted keys, since TOML reads an unquoted ``contact.restitution`` as a table."""
-    found: dict[str, Any] = {}
+    flat: dict[str, Any] = {}
     for key, value in nested.items():
         if isinstance(value, Mapping):
-            found |= {f"{key}.{below}": inner for below, inner in flattened(value).items()}
+            flat |= {f"{key}.{below}": inner for below, inner in flattened(value).items()}
         else:
-            found[key] = value
-    return found
+            flat[key] = value
+    return flat
 
 
 def override(key: str, value: Any) -> str:
@@ -160,14 +160,10 @@ def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> V
     else:
         inner = [low + (high - low) * step / steps for step in range(1, steps)]
     values = [low, *(float(f"{value:.{_DIGITS}g}") for value in inner), high]
-    if all(value.is_integer() for value in values) and _are_whole(first, last):
+    as_whole = all(number.lstrip("+-").isdigit() for number in (first, last))  # without a point: a count stays whole
+    if as_whole and all(value.is_integer() for value in values):
         return alike(int(value) for value in values)
     return alike(values)
-
-
-def _are_whole(*numbers: str) -> bool:
-    """Tell whether numbers were written without a point, so that a count stays whole."""
-    return all(number.lstrip("+-").isdigit() for number in numbers)
 
 
 def _split(text: str) -> list[str]:
@@ -184,7 +180,3 @@ def _split(text: str) -> list[str]:
         else:
             parts[-1] += character
     return [part.strip() for part in parts]
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
