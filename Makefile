@@ -24,7 +24,7 @@ changed:
 test: ## the default tests, on all cores
 	pytest -q
 
-slow: ## the longer tests; those of pictures, pages and engines need the extras of CONTRIBUTING.md
+slow: ## the longer tests; those of pictures, pages and engines need more (CONTRIBUTING.md)
 	pytest -q -m "slow or needs"
 
 docs: ## the site, with its links

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import settings
 
 from carom.runs.compiling_process import start_on_a_new_installation
-from needs import need
+from needs import missing_though_required, need
 from seeds import VARIABLE, chosen_seed, is_random
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)
@@ -28,6 +28,12 @@ SEED = chosen_seed()
 for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) == signal.SIG_IGN:
         signal.signal(number, usual)
+
+
+def pytest_configure() -> None:
+    """End at once where a package that CAROM_REQUIRE requires is missing: modules of tests are skipped without it."""
+    if missing := missing_though_required():
+        raise pytest.UsageError(f"CAROM_REQUIRE: {', '.join(missing)}: not installed; pip install '.[full]'")
 
 
 def pytest_report_header() -> str:

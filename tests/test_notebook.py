@@ -5,9 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
@@ -20,7 +18,10 @@ LARGEST = 20_000  # bytes
 
 
 def read() -> Any:
-    return nbformat.read(EXAMPLE, as_version=4)  # type: ignore[no-untyped-call]
+    import nbformat
+
+    reader: Any = nbformat  # untyped
+    return reader.read(EXAMPLE, as_version=4)
 
 
 class SpyViewer:
@@ -88,6 +89,7 @@ def test_without_the_extra_one_sentence_names_it(recording: Recording, monkeypat
         recording.show()
 
 
+@pytest.mark.needs("nbclient")
 def test_the_example_notebook_is_small_and_was_executed() -> None:
     book = read()
     assert EXAMPLE.stat().st_size < LARGEST
@@ -96,10 +98,13 @@ def test_the_example_notebook_is_small_and_was_executed() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs("nbclient")
 def test_the_example_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
     shown = read()
     run = read()
     where = {"metadata": {"path": str(tmp_path)}}
+    from nbclient import NotebookClient
+
     NotebookClient(run, timeout=300, kernel_name="python3", store_widget_state=False, resources=where).execute()
     assert [results(cell) for cell in run.cells] == [results(cell) for cell in shown.cells]
     assert any("Viewer" in str(cell.get("outputs")) for cell in run.cells), "the viewer is displayed"

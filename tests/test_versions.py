@@ -10,6 +10,7 @@ from packaging.version import Version
 
 HERE = Path(__file__).parent.parent
 PROJECT = tomllib.loads((HERE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+EXTRAS = PROJECT["optional-dependencies"]
 LOWEST = {
     requirement.name: Version(next(iter(requirement.specifier)).version)
     for line in (HERE / ".ci" / "lowest.txt").read_text(encoding="utf-8").splitlines()
@@ -33,5 +34,5 @@ def test_ci_installs_the_lowest_version_of_every_dependency() -> None:
 
 
 def test_the_tools_that_ci_tests_the_lowest_versions_with_are_the_lowest_ones_too() -> None:
-    allowed = bounds(PROJECT["dependencies"]) | bounds(PROJECT["optional-dependencies"]["dev"])
+    allowed = bounds(PROJECT["dependencies"]) | bounds(EXTRAS["dev"]) | bounds(EXTRAS["movie"])
     assert {name: allowed.get(name) for name in LOWEST} == LOWEST

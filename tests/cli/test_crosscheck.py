@@ -16,9 +16,11 @@ from carom.recording.read.recording import Recording
 from carom.scene.scene_file import crosscheck_scenes
 from carom.scene.schema import Scene
 from carom_command import carom
-from needs import needed_engine
 
-pytestmark = pytest.mark.slow  # each engine and the reference run once for all of them, some six seconds
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.needs("rebound", "mujoco"),
+]  # each engine and the reference run once for all of them, some six seconds
 
 SCENE = """
 title = "Light on heavy"
@@ -56,7 +58,6 @@ max_overlap = 1e-3
 
 @pytest.fixture(scope="module")
 def checked(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    needed_engine("mujoco")
     folder = tmp_path_factory.mktemp("crosscheck")
     (folder / "pair.toml").write_text(SCENE, encoding="utf-8")
     done = carom("crosscheck", "pair.toml", "--engine", "rebound,mujoco", "--repeats", "1", "-o", "out", cwd=folder)

@@ -123,15 +123,25 @@ def test_a_sweep_is_widened_by_more_values_and_needs_no_workers_when_nothing_is_
             "give fewer values, or fewer seeds",
         ),
         (["spheres.toml", *VARY, "-o", "spheres.toml"], "is not a folder"),
-        (["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"], "expected the address of a Dask scheduler"),
-        (["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"], "no Dask scheduler answers"),
+        pytest.param(
+            ["spheres.toml", *VARY, "-o", "new", "--cluster", "nonsense"],
+            "expected the address of a Dask scheduler",
+            marks=pytest.mark.needs("distributed"),
+        ),
+        pytest.param(
+            ["spheres.toml", *VARY, "-o", "new", "--cluster", "tcp://127.0.0.1:9"],
+            "no Dask scheduler answers",
+            marks=pytest.mark.needs("distributed"),
+        ),
         (["spheres.toml", *VARY, "--plot", "x=a", "z=b"], "expected x=KEY y=KEY"),
         ([], "give one of SCENE, --table DIR and --catalog DIR"),
         (["--table", "nowhere"], "no sweep here"),
         (["--table", "out", "--sort", "energy.finl"], 'did you mean "energy.final"'),
         (["--table", "out", "--filter", "energy.final"], "expected a comparison"),
         (["--table", "out", "--filter", "energy.final<few"], 'column energy.final is numeric; got "few"'),
-        (["--table", "out", "--plot", "x=name", "y=seed"], "is not a number"),
+        pytest.param(
+            ["--table", "out", "--plot", "x=name", "y=seed"], "is not a number", marks=pytest.mark.needs("matplotlib")
+        ),
     ],
 )
 def test_a_mistake_is_one_message_and_exit_code_2(
@@ -174,6 +184,7 @@ def test_the_table_is_shown_sorted_and_filtered(first: tuple[Path, subprocess.Co
     assert keys == {"contact.restitution", "seed", "energy.final", "outcome"}
 
 
+@pytest.mark.needs("matplotlib")
 def test_a_figure_is_drawn_of_one_column_over_another(swept: Path) -> None:
     drawn = carom("sweep", "--table", "out", "--plot", "x=contact.restitution", "y=energy.final", cwd=swept)
     assert drawn.returncode == 0, drawn.stderr

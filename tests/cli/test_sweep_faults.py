@@ -44,6 +44,7 @@ def sweep_on(cluster: DaskCluster, folder: str) -> list[str]:
 
 
 @pytest.mark.slow
+@pytest.mark.needs("distributed")
 def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster: DaskCluster) -> None:
     write_scene(tmp_path)
     undisturbed, disturbed = tmp_path / "undisturbed", tmp_path / "disturbed"
@@ -66,6 +67,7 @@ def test_a_killed_worker_and_a_killed_client_lose_no_run(tmp_path: Path, cluster
 
 
 @pytest.mark.slow
+@pytest.mark.needs("distributed")
 def test_a_scheduler_that_dies_leaves_the_rest_for_the_next_time(tmp_path: Path, cluster: DaskCluster) -> None:
     write_scene(tmp_path)
     with started(*sweep_on(cluster, "out"), cwd=tmp_path) as client:

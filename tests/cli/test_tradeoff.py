@@ -15,6 +15,7 @@ from carom_command import carom
 QUICK = ("--set", "time.duration=1.0", "--set", "time.fixed_dt=0.01", "--vary", "step=2,1", "--repeats", "1")
 
 
+@pytest.mark.needs("matplotlib")
 def test_the_table_the_document_the_figure_and_the_recording_are_there(tmp_path: Path) -> None:
     done = carom("tradeoff", "figure-eight", *QUICK, cwd=tmp_path)
     assert done.returncode == 0, done.stderr

@@ -20,7 +20,6 @@ from carom.recording.source.adapters.pybullet import calls_per_frame
 from carom.recording.source.snapshot import Snapshot
 from carom.runs.overview import overview
 from carom_command import carom as command
-from needs import needed_engine
 
 FAULT = 100  # the step from which each fault is planted
 MET = 101  # the step in which the two bodies meet: what is wrong with impacts happens then
@@ -547,8 +546,10 @@ def test_the_loss_of_a_body_which_is_not_judged_is_no_integration_error_and_its_
     )
 
 
+@pytest.mark.needs("rebound")
 def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     simulation = rebound.Simulation()
     for k in range(3):
         simulation.add(m=1.0, x=float(k), vy=0.5 * k)
@@ -565,8 +566,10 @@ def test_rebound_is_read_from_its_memory_even_after_it_moved() -> None:
     assert source.state().velocity[:, 1].tolist() == [0.0, 0.5, 1.0]
 
 
+@pytest.mark.needs("rebound")
 def test_variational_particles_of_rebound_are_no_bodies(tmp_path: Path) -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     simulation = rebound.Simulation()
     for mass, x, speed in ((1.0, 0.0, 0.0), (1e-3, 1.0, 1.0), (1e-3, 2.0, 0.7)):
         simulation.add(m=mass, r=0.01, x=x, vy=speed)
@@ -579,8 +582,10 @@ def test_variational_particles_of_rebound_are_no_bodies(tmp_path: Path) -> None:
     assert last["x"].to_pylist() == [particle.x for particle in simulation.particles[:3]]
 
 
+@pytest.mark.needs("rebound")
 def test_rebound_is_recorded_in_the_units_of_the_simulation() -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     found = []
     for units, constant in ((("AU", "yr", "Msun"), None), (None, 1.0), (None, 6.674e-11)):
         simulation = rebound.Simulation()
@@ -603,8 +608,10 @@ def test_a_source_names_its_units_unless_the_recorder_does(tmp_path: Path) -> No
         assert Recording.open(path).units.named == named
 
 
+@pytest.mark.needs("rebound")
 def test_rebound_is_recorded_with_its_gravity(tmp_path: Path) -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     simulation = rebound.Simulation()
     simulation.add(m=1.0, r=0.1)
     simulation.add(m=1e-3, a=1.0, e=0.1, r=0.01)
@@ -619,8 +626,10 @@ def test_rebound_is_recorded_with_its_gravity(tmp_path: Path) -> None:
     assert summary["energy"]["max_error"] < 1e-12 and summary["momentum"]["max_error"] < 1e-12  # likewise
 
 
+@pytest.mark.needs("mujoco")
 def test_mujoco_is_recorded_with_its_planes_and_its_spheres_rest_on_them(tmp_path: Path) -> None:
-    mujoco = needed_engine("mujoco")
+    import mujoco
+
     ball = '<body name="ball" pos="0 0 0.11"><freejoint/><geom type="sphere" size="0.1" mass="1"/></body>'
     text = f'<mujoco><worldbody><geom name="floor" type="plane" size="0 0 1"/>{ball}</worldbody></mujoco>'
     model = mujoco.MjModel.from_xml_string(text)
@@ -638,8 +647,10 @@ def test_mujoco_is_recorded_with_its_planes_and_its_spheres_rest_on_them(tmp_pat
     assert recording.summary()["moments"]["impact"]["between"] == 'body 0 "ball" and floor'
 
 
+@pytest.mark.needs("mujoco")
 def test_a_limb_of_mujoco_has_the_velocity_of_its_centre_of_mass() -> None:
-    mujoco = needed_engine("mujoco")
+    import mujoco
+
     arm = '<joint type="hinge" axis="0 1 0"/><geom type="sphere" size="0.1" pos="0.5 0 0"/>'
     model = mujoco.MjModel.from_xml_string(f'<mujoco><worldbody><body pos="4 0 1">{arm}</body></worldbody></mujoco>')
     data = mujoco.MjData(model)

@@ -20,7 +20,6 @@ from carom.lab.tradeoff.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
 from carom.scene.schema import Scene
-from needs import needed_engine
 
 STAR = {"mass": 1.0, "radius": 0.01, "position": [0.0, 0.0, 0.0]}
 ROUND = (1.0 + 1e-6) ** 0.5  # m/s, the speed on a circle of radius 1 about both masses
@@ -41,6 +40,7 @@ def orbit(**sections: object) -> Scene:
     )
 
 
+@pytest.mark.needs("rebound")
 def test_rebound_keeps_the_order_of_the_bodies_and_follows_the_circle() -> None:
     scene, rebound = orbit(), engine_called("rebound")
     exact = next(setting for setting in rebound.settings(scene) if setting.name == "rebound ias15")
@@ -52,6 +52,7 @@ def test_rebound_keeps_the_order_of_the_bodies_and_follows_the_circle() -> None:
     assert run.energy_error < 1e-13  # a few hundred roundings
 
 
+@pytest.mark.needs("rebound")
 def test_steps_of_maps_for_a_dominant_body_are_parts_of_the_shortest_period() -> None:
     assert shortest_period(orbit()) == pytest.approx(2.0 * np.pi, rel=1e-6)
     assert shortest_period(orbit(body=[PLANET, {**STAR, "mass": 1e-5}])) == 0.0
@@ -59,6 +60,7 @@ def test_steps_of_maps_for_a_dominant_body_are_parts_of_the_shortest_period() ->
     assert "rebound whfast, dt = 0.3142 s" in names
 
 
+@pytest.mark.needs("rebound")
 def test_rebound_resolves_impacts_of_one_step_in_the_same_order_in_each_run() -> None:
     scene, rebound = Scene.load("crosscheck/rebound-many-at-once"), engine_called("rebound")
     setting, times = rebound.examined(scene)[0], sample_times(scene)
@@ -66,6 +68,7 @@ def test_rebound_resolves_impacts_of_one_step_in_the_same_order_in_each_run() ->
     assert len(ends) == 1
 
 
+@pytest.mark.needs("rebound")
 def test_each_halving_of_leapfrogs_step_in_rebound_quarters_its_error(tmp_path: Path) -> None:
     scene = orbit()
     leapfrog = [s for s in engine_called("rebound").settings(scene) if "leapfrog" in s.name]
@@ -79,6 +82,7 @@ def test_each_halving_of_leapfrogs_step_in_rebound_quarters_its_error(tmp_path: 
     assert Study(scene, tmp_path).results[0].complete, "a study with engines can be resumed"
 
 
+@pytest.mark.needs("rebound")
 @pytest.mark.parametrize(
     ("sections", "lack"),
     [
@@ -107,6 +111,7 @@ def test_an_engine_that_is_not_installed_or_unknown_is_refused_with_the_remedy(
 
 
 @pytest.mark.slow  # Warp starts in two seconds
+@pytest.mark.needs("newton")
 def test_newton_hands_velocity_from_sphere_to_equal_sphere_and_bounces_on_a_plane_by_its_own_coefficient() -> None:
     scene = Scene.from_dict(
         {
@@ -141,8 +146,8 @@ class Restarting:
         return State(0.1 * self.steps, np.zeros((1, 3)), np.zeros((1, 3)))
 
 
+@pytest.mark.needs("mujoco")
 def test_mujoco_keeps_the_order_and_the_names_of_bodies_of_which_some_are_fixed(tmp_path: Path) -> None:
-    needed_engine("mujoco")
     balls = [{"name": name, "position": [3.0 * k, 0.0, 0.0], "mass": 1.0 + k} for k, name in enumerate("abcd")]
     for k, ball in enumerate(balls):
         ball.update({"fixed": True} if k in (0, 2) else {"velocity": [0.0, float(k), 0.0]})
@@ -165,8 +170,8 @@ def ball_between_planes() -> Scene:
     )
 
 
+@pytest.mark.needs("mujoco")
 def test_mujoco_calls_planes_as_the_scene_does() -> None:
-    needed_engine("mujoco")
     found, scene = engine_called("mujoco"), ball_between_planes()
     source = found.begin(scene, found.settings(scene)[0]).source
     assert [plane.name for plane in source.model.planes] == ["floor", "wall"]
@@ -189,8 +194,8 @@ def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path)
     assert Recording.open(tmp_path / "run.rrd").outcome == seen.outcome
 
 
+@pytest.mark.needs("mujoco")
 def test_steps_of_engines_are_named_in_the_units_of_the_scene() -> None:
-    needed_engine("mujoco")
     scene = Scene.from_dict(
         {
             "title": "a ball",

@@ -21,7 +21,7 @@ from carom.recording.write.recorder import Recorder
 from carom.runs import publish as publishing
 from carom.show.web import index_page, site
 from carom_command import carom
-from needs import PICTURES
+from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
@@ -255,7 +255,7 @@ def published(tmp_path: Path) -> Iterator[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.needs(PICTURES)
+@pytest.mark.needs(PICTURES, BROWSER)
 def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> None:
     with chromium() as (page, errors):
         page.goto(published)

@@ -232,6 +232,7 @@ def test_threads_change_the_cost_and_no_bit(tmp_path: Path) -> None:
     assert said == [] and [result.setting.threads for result in again.results] == [1, 2]
 
 
+@pytest.mark.needs("matplotlib")
 def test_a_figure_of_settings_with_the_same_error_is_drawn_without_a_warning(tmp_path: Path) -> None:
     measured(eight(), tmp_path, "step=8,4,2,1")
     document = json.loads((tmp_path / "tradeoff.json").read_text(encoding="utf-8"))

@@ -27,7 +27,6 @@ from carom.runs.replay import replay
 from carom.runs.resume import resumable_run, resume
 from carom.scene.schema import Scene
 from carom_command import carom as command
-from needs import needed_engine
 
 FloatArray = NDArray[np.float64]
 
@@ -95,8 +94,10 @@ def test_test_particles_do_not_change_what_each_method_makes_of_the_massive_ones
     assert np.median(np.abs(found[heavy] - alone) / size[heavy, None]) < tolerance
 
 
+@pytest.mark.needs("rebound")
 def test_test_particles_move_as_those_of_rebound_beyond_n_active() -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     rng = np.random.default_rng(2)
     simulation = rebound.Simulation()
     simulation.add(m=1.0)

@@ -9,17 +9,22 @@ import sys
 from pathlib import Path
 
 import pytest
-from rerun.catalog import CatalogClient
 
 from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.recording.schema.header import SweepMember
 from carom.runs.run import simulate
 from carom.show import keeper
-from carom.show.catalog import catalog
 from carom.show.viewer import Viewer
 from needs import PICTURES
 from small_scenes import pair
+
+pytest.importorskip("datafusion")
+from rerun.catalog import CatalogClient
+
+from carom.show.catalog import catalog
+
+pytestmark = pytest.mark.needs("datafusion")
 
 
 def swept(folder: Path, restitution: float) -> Path:

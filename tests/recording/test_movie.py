@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
 import psutil
 import pytest
@@ -23,10 +22,14 @@ from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder
 from carom.show.movie import frame_times
-from carom.show.movie_file import delays_of, require_encoder, write_movie
 from carom_command import carom
 from needs import PICTURES
 from scripted_run import ScriptedRun
+
+imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+from carom.show.movie_file import delays_of, require_encoder, write_movie  # noqa: E402 - it imports the encoder
+
+pytestmark = pytest.mark.needs("imageio_ffmpeg")
 
 SIZE = (64, 48)
 COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200)]

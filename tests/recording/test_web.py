@@ -14,12 +14,12 @@ import urllib.error
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 import numpy as np
 import psutil
 import pytest
-from playwright.sync_api import Page
 
 import carom
 from browser import LOADED, chromium, pixels_of, settled, wait_until_loaded
@@ -31,7 +31,11 @@ from carom.show.presentation import presentation
 from carom.show.viewer import binary
 from carom.show.web import server, site
 from carom.show.web.server import Hosted, hosted
+from needs import BROWSER
 from other_user import as_root, run_as_nobody
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 
 @pytest.fixture(scope="module")
@@ -194,6 +198,7 @@ def test_a_port_in_use_is_named(recorded: Path, link: str) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.needs(BROWSER)
 def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: str) -> None:
     with chromium() as (page, errors):
         page.goto(link)
@@ -213,6 +218,7 @@ def test_a_browser_shows_the_recording_paused_at_the_moment_of_the_link(link: st
 
 
 @pytest.mark.slow
+@pytest.mark.needs(BROWSER)
 def test_arrow_keys_step_from_impact_to_impact(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("rack-break", ["time.duration=0.05"]), tmp_path / "run.rrd")
     at = recording.impacts()["time"][0].as_py()

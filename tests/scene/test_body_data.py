@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,6 @@ from carom.scene.data import formats as table
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.wording import JoinedNames, NumberedNames
-from needs import needed_engine
 from seeds import chosen_seed
 
 POSITION = np.array([[0.0, 0.0, 0.1], [3.0, 0.0, 0.2], [0.0, 3.0, 0.3]])
@@ -66,7 +65,8 @@ def write_npz(path: Path, **others: Any) -> None:
 
 
 def write_hdf5(path: Path, **others: Any) -> None:
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     with h5py.File(path, "w") as file:
         group = file.create_group("PartType0")
         named = {"Coordinates": POSITION, "Velocities": VELOCITY, "Masses": MASS.astype(">f8"), "Radius": RADIUS}
@@ -75,7 +75,8 @@ def write_hdf5(path: Path, **others: Any) -> None:
 
 
 def write_rebound(path: Path, **others: Any) -> None:
-    rebound = needed_engine("rebound")
+    import rebound
+
     simulation = rebound.Simulation()
     if others.get("units"):
         simulation.units = others["units"]
@@ -96,6 +97,12 @@ WRITERS: dict[str, Callable[..., None]] = {
 }
 
 
+def files(*names: str) -> list[Any]:
+    """Return parameters, with the packages that their formats need."""
+    packages = {"a.h5": "h5py", "a.bin": "rebound"}
+    return [pytest.param(name, marks=pytest.mark.needs(packages[name]) if name in packages else ()) for name in names]
+
+
 def scene_of(folder: Path, file: str, more: str = "", top: str = "") -> Scene:
     path = folder / "scene.toml"
     path.write_text(f'{top}\n[[bodies]]\nfile = "{file}"\n{more}\n', encoding="utf-8")
@@ -110,7 +117,7 @@ def complaint(folder: Path, file: str, more: str = "", top: str = "") -> str:
     return message
 
 
-@pytest.mark.parametrize("file", WRITERS)
+@pytest.mark.parametrize("file", files(*WRITERS))
 def test_bodies_of_each_format_have_the_numbers_of_the_file(tmp_path: Path, file: str) -> None:
     WRITERS[file](tmp_path / file)
     start = place(scene_of(tmp_path, file))
@@ -203,6 +210,7 @@ def test_numbers_of_a_file_are_in_the_units_of_the_scene(tmp_path: Path) -> None
     assert start.mass == pytest.approx(1e-3 * MASS, rel=1e-15)
 
 
+@pytest.mark.needs("rebound")
 def test_a_simulationarchive_in_other_units_than_si_needs_a_scene_that_names_units(tmp_path: Path) -> None:
     write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
     said = complaint(tmp_path, "a.bin")
@@ -216,6 +224,7 @@ def test_a_simulationarchive_in_other_units_than_si_needs_a_scene_that_names_uni
     assert place(scene_of(tmp_path, "a.bin", top=given)).radius == pytest.approx(RADIUS * 149597870700.0)
 
 
+@pytest.mark.needs("rebound")
 @pytest.mark.parametrize(
     ("top", "said"),
     [
@@ -234,6 +243,7 @@ def test_a_simulationarchive_whose_units_the_scene_contradicts_is_refused(tmp_pa
     assert "a.bin: its numbers are in au, day, M_sun" in message and said in message
 
 
+@pytest.mark.needs("rebound")
 def test_units_of_a_simulationarchive_contradict_only_numbers_that_are_read_from_it(tmp_path: Path) -> None:
     write_rebound(tmp_path / "a.bin", units=("days", "AU", "Msun"))
     masses = '[units]\nlength = "au"\ntime = "day"\nmass = "kg"'
@@ -242,6 +252,7 @@ def test_units_of_a_simulationarchive_contradict_only_numbers_that_are_read_from
     assert place(scene_of(tmp_path, "a.bin", top=without)).mass.tolist() == MASS.tolist()
 
 
+@pytest.mark.needs("rebound")
 def test_a_simulationarchive_in_si_or_without_units_is_read_as_it_is(tmp_path: Path) -> None:
     for units in (("s", "m", "kg"), None):
         write_rebound(tmp_path / "a.bin", units=units)
@@ -508,7 +519,8 @@ ALIKE = 50_000_000  # rows, which 1 kB may stand for
 
 
 def filled(path: Path) -> None:
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     with h5py.File(path, "w") as file:
         for name in columns():
             file.create_dataset(name, shape=(ALIKE,), dtype="f8", chunks=(ALIKE // 50,), fillvalue=1.0)
@@ -546,6 +558,11 @@ def squeezed_arrays(path: Path) -> None:
     np.savez_compressed(path, **arrays)
 
 
+def cases(of: Mapping[str, tuple[str, Any, str]]) -> list[Any]:
+    """Return the names of cases, with the packages that their formats need."""
+    return [pytest.param(name, marks=param.marks) for name, (file, *_) in of.items() for param in files(file)]
+
+
 BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "datasets of a fill value": ("a.h5", filled, "would take 3200000000 bytes of memory"),
     "columns of nulls": ("a.arrow", nulls, "column x is of type null; write numbers or texts"),
@@ -557,7 +574,7 @@ BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
 }
 
 
-@pytest.mark.parametrize("case", BOMBS)
+@pytest.mark.parametrize("case", cases(BOMBS))
 def test_a_small_file_that_would_fill_the_memory_is_refused_before_it_is_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
 ) -> None:
@@ -576,7 +593,7 @@ def test_names_in_a_dictionary_are_not_repeated_without_bound(tmp_path: Path, mo
     assert "column name has 3000 bytes, which are too many" in complaint(tmp_path, "a.feather")
 
 
-@pytest.mark.parametrize("case", FILES)
+@pytest.mark.parametrize("case", cases(FILES))
 def test_a_hostile_file_is_refused_in_one_sentence(tmp_path: Path, case: str) -> None:
     file, write, expected = FILES[case]
     write(tmp_path / file)
@@ -603,7 +620,7 @@ def test_a_format_whose_package_is_missing_names_what_to_install(
     assert f"pip install '{package}>=" in complaint(tmp_path, file)
 
 
-@pytest.mark.parametrize("file", [file for file in WRITERS if file != "a.bin"])
+@pytest.mark.parametrize("file", files(*(file for file in WRITERS if file != "a.bin")))
 def test_a_damaged_file_is_refused_in_one_sentence_or_read(tmp_path: Path, file: str) -> None:
     WRITERS[file](tmp_path / file)
     whole, rng = (tmp_path / file).read_bytes(), np.random.default_rng(chosen_seed())

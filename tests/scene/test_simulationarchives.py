@@ -13,15 +13,16 @@ import pytest
 from carom.errors import SceneError
 from carom.physics.space import Space
 from carom.scene.schema import Scene
-from needs import needed_engine
 
-rebound = needed_engine("rebound")
+pytestmark = pytest.mark.needs("rebound")
 
 APART = "contact.enabled = false\n"
 
 
 def save(path: Path, prepare: Callable[[Any], None] = lambda simulation: None, units: Any = None) -> Any:
     """Write a star of mass 1 with two bodies of mass 0.01; return the simulation."""
+    import rebound
+
     simulation = rebound.Simulation()
     if units:
         simulation.units = units

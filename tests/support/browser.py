@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import Page, TimeoutError, sync_playwright
 
-from needs import BROWSER, CHROMIUM, need
+from needs import CHROMIUM
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 OPTIONS = (
     *("--no-sandbox", "--no-first-run", "--disable-quic", "--disable-sync"),
@@ -25,7 +28,8 @@ PAINTED = 60_000  # ms
 @contextlib.contextmanager
 def chromium(width: int = 800, height: int = 500) -> Iterator[tuple[Page, list[str]]]:
     """Give an empty page, and the list of what goes wrong in it: errors in the console, and exceptions."""
-    need(BROWSER)
+    from playwright.sync_api import sync_playwright
+
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=CHROMIUM, args=list(OPTIONS))
         try:
@@ -39,6 +43,8 @@ def chromium(width: int = 800, height: int = 500) -> Iterator[tuple[Page, list[s
 
 def wait_until_loaded(page: Page, errors: list[str]) -> None:
     """Wait until the viewer shows the recording; or else fail with what the page says."""
+    from playwright.sync_api import TimeoutError
+
     try:
         page.wait_for_selector("body[data-state=loaded]", timeout=LOADED)
     except TimeoutError as error:

@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 EXTRAS = (
@@ -67,7 +68,7 @@ def without_screen_and_driver() -> dict[str, str]:
 
 def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment: dict[str, str]) -> str:
     """Take a path of a command; return what is wrong with its end, or nothing."""
-    import shlex  # noqa: PLC0415
+    import shlex
 
     code, said, arguments = path
     extra = SHORT if command in ("run", "sweep", "shrink") and arguments.startswith("two-spheres") else ()
@@ -87,12 +88,16 @@ def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment
 
 
 def main() -> None:
-    """Take all paths, the first command first."""
-    with tempfile.TemporaryDirectory() as folder:
-        for command in sorted(PATHS, key=lambda name: name != FIRST):
-            for path in PATHS[command]:
-                if fault := fault_of(command, path, Path(folder), without_screen_and_driver()):
-                    sys.exit(fault)
+    """Take all paths, the first command first and then two commands at a time."""
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(2) as threads:
+
+        def fault_in(command: str) -> str:
+            faults = (fault_of(command, path, Path(folder), without_screen_and_driver()) for path in PATHS[command])
+            return next(filter(None, faults), "")
+
+        others = (name for name in PATHS if name != FIRST)
+        if fault := fault_in(FIRST) or next(filter(None, threads.map(fault_in, others)), ""):
+            sys.exit(fault)
     print(f"{sum(map(len, PATHS.values()))} paths of {len(PATHS)} commands")  # noqa: T201
 
 

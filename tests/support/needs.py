@@ -1,54 +1,57 @@
-"""What some tests need of the machine: they are skipped with the reason where it is absent, or fail if it is required.
+"""What some tests need: they are skipped with the reason where it is absent, or fail where it is required.
 
-``CAROM_REQUIRE=pictures,browser,engines`` requires all, as CI does.
+A need is ``pictures`` (a Vulkan driver and Xvfb), ``browser`` (Chromium and Playwright), or a package of an extra, by
+the name by which it is imported. ``CAROM_REQUIRE=engines,extras,pictures,browser`` requires all, as CI does.
 """
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import shutil
 from functools import cache
-from typing import Any
 
 import pytest
 
 from carom.errors import RecordingError
 
-PICTURES, BROWSER, ENGINES = "pictures", "browser", "engines"
+PICTURES, BROWSER = "pictures", "browser"
 CHROMIUM = "/usr/bin/chromium"  # Debian's; Playwright's own browser is not downloaded
+PACKAGES = {  # by what CAROM_REQUIRE calls them
+    "engines": ("mujoco", "newton", "rebound"),
+    "extras": ("datafusion", "distributed", "h5py", "imageio_ffmpeg", "matplotlib", "nbclient", "rerun_notebook"),
+}
+GROUPS = {PICTURES: PICTURES, BROWSER: BROWSER} | {name: group for group, names in PACKAGES.items() for name in names}
 _REQUIRED = set(filter(None, os.environ.get("CAROM_REQUIRE", "").split(",")))
-if unknown := _REQUIRED - {PICTURES, BROWSER, ENGINES}:
-    raise ValueError(f"CAROM_REQUIRE: no {', '.join(sorted(unknown))}; it takes {PICTURES}, {BROWSER} and {ENGINES}")
+if unknown := _REQUIRED - {PICTURES, BROWSER, *PACKAGES}:
+    raise ValueError(f"CAROM_REQUIRE: no {', '.join(unknown)}; it takes {', '.join((PICTURES, BROWSER, *PACKAGES))}")
+
+
+def missing_though_required() -> list[str]:
+    """Return the packages that are required and not installed."""
+    return [name for name, group in GROUPS.items() if group in _REQUIRED and name != group and _missing(name)]
 
 
 def need(what: str) -> None:
     """Skip a test if something is absent; fail if it is required."""
     if reason := _missing(what):
-        _end(what, reason)
-
-
-def needed_engine(name: str) -> Any:
-    """Import an engine's package, which the test needs."""
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        _end(ENGINES, f"the engine {name} is not installed")
-
-
-def _end(what: str, reason: str) -> None:
-    if what in _REQUIRED:
-        pytest.fail(f"{reason} (CAROM_REQUIRE has {what})")
-    pytest.skip(reason, allow_module_level=True)
+        if GROUPS[what] in _REQUIRED:
+            pytest.fail(f"{reason} (CAROM_REQUIRE has {GROUPS[what]})")
+        pytest.skip(reason)
 
 
 @cache
 def _missing(what: str) -> str:
-    if what == BROWSER:
-        return "" if shutil.which(CHROMIUM) else f"there is no {CHROMIUM}: apt-get install chromium"
+    if what not in GROUPS:
+        raise ValueError(f"{what}: no such need; tests/support/needs.py has them")
     if what != PICTURES:
-        raise ValueError(f"{what}: no such need")
-    from carom.show.viewer import Viewer, virtual_screen  # noqa: PLC0415 - most tests need none
+        package = "playwright" if what == BROWSER else what
+        if importlib.util.find_spec(package) is None:
+            return f"{package} is not installed: pip install '.[full]'"
+        if what == BROWSER and not shutil.which(CHROMIUM):
+            return f"there is no {CHROMIUM}: apt-get install chromium"
+        return ""
+    from carom.show.viewer import Viewer, virtual_screen
 
     try:
         for screen in ("", "100x100"):

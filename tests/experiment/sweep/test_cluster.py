@@ -11,8 +11,12 @@ from typing import Any
 
 import pytest
 
-from carom.lab.sweep.cluster import DaskWorkers
 from carom.runs.workers import TaskDroppedError
+
+pytest.importorskip("distributed")
+from carom.lab.sweep.cluster import DaskWorkers
+
+pytestmark = pytest.mark.needs("distributed")
 
 
 class Future:

@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.errors import ExperimentError
-from carom.lab.sweep import figure
 from carom.lab.sweep.folder import Folder
 from carom.lab.sweep.manifest import Run
 from carom.lab.sweep.table import chosen, rows_of, write
@@ -64,7 +63,10 @@ def test_a_word_among_numbers_or_quantities_meets_no_comparison_but_unequal() ->
     assert (found("dt!=auto"), found("dt!=0.02")) == ("bcd", "abd")
 
 
+@pytest.mark.needs("matplotlib")
 def test_a_figure_has_the_unit_of_a_column_of_quantities_on_its_axis() -> None:
+    from carom.lab.sweep import figure
+
     rows = rows_of([Run("a", {"r": "50 cm"}, 1, "done", ""), Run("b", {"r": "1 m"}, 1, "done", "")])
     unit = figure._unit(rows, "r")
     assert figure._labelled("r", unit) == "r (cm)"

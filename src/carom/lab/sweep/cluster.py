@@ -154,6 +154,8 @@ def _client_of(address: str) -> Client:
         raise ExperimentError(f"--cluster {address}: expected the address of a Dask scheduler, as tcp://10.0.0.1:8786")
     try:
         socket.create_connection((matched[1], int(matched[2])), _CONNECT).close()
-        return Client(address, set_as_default=False, timeout=_CONNECT)  # type: ignore[no-untyped-call]
+        connect: Any = Client  # untyped
+        client: Client = connect(address, set_as_default=False, timeout=_CONNECT)
+        return client
     except (OSError, OverflowError) as error:
         raise ExperimentError(f"--cluster {address}: no Dask scheduler answers: {error}") from None

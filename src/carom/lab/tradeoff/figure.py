@@ -58,7 +58,10 @@ def styled(size: float) -> AbstractContextManager[None]:
         import matplotlib as mpl  # noqa: PLC0415 - an extra
     except ImportError:
         raise ExperimentError(f"a figure needs matplotlib: {install_extra('plot')}") from None
-    return mpl.rc_context({"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK})
+    context: AbstractContextManager[None] = mpl.rc_context(
+        {"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
+    )
+    return context
 
 
 def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
