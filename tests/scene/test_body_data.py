@@ -301,7 +301,7 @@ def test_the_plan_knows_what_the_bodies_from_data_do(tmp_path: Path) -> None:
         assert (needs.contact.modelled, needs.spin.modelled) == (touches, turns)
     heavy = heaviest(scene_of(tmp_path, "a.npz"))
     assert heavy.name == "body 2"
-    assert heavy.share == pytest.approx(0.5, rel=1e-15)
+    assert heavy.fraction == pytest.approx(0.5, rel=1e-15)
 
 
 def test_a_scene_remembers_the_count_and_the_digest_of_its_file(tmp_path: Path) -> None:

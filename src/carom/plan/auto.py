@@ -42,6 +42,12 @@ BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all ane
 TREES = ("tree", "fast-multipole")  # methods that sort bodies into boxes, with an error by the opening angle
 TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
+HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolling about each other takes 600 a turn
+WIDEST_HELD_PART = 0.1
+WIDEST_HELD = 3.0  # times the step of held bodies
+WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
+WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
+
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:
     """Decide how gravity is summed.
@@ -58,7 +64,7 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", 
 
 
 def uses_tree(scene: Scene) -> bool:
-    """Tell whether gravity is summed over boxes, with an error that the opening angle sets."""
+    """Return whether gravity is summed over boxes, with an error that the opening angle sets."""
     return gravity_method(scene) in TREES
 
 
@@ -72,7 +78,7 @@ def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
 
 
 def why_late(scene: Scene) -> str:
-    """Say why impacts are resolved at the end of the step; empty if they are not."""
+    """Return the reason why impacts are resolved at the end of the step; empty if they are not."""
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
@@ -84,7 +90,7 @@ def why_late(scene: Scene) -> str:
 
 
 def inexact_impacts(scene: Scene) -> str:
-    """Say how far an impact of two bodies that touch nothing else is from the exact one; empty if it is not.
+    """Return how far an impact of two bodies that touch nothing else is from the exact one; empty if it is not.
 
     A force that changes along a step gives the bodies another approach than on their true paths. Self-gravity does so
     by about a dt²/r; that of bodies which are small and fast enough is rounding. The impulse follows exactly from the
@@ -151,7 +157,7 @@ def integrator(scene: Scene) -> Integrator:
 
 
 def _meets_seldom(scene: Scene) -> bool:
-    """Tell whether bodies that may meet are on their own almost always: planets, moons and comets.
+    """Return whether bodies that may meet are on their own almost always: planets, moons and comets.
 
     In steps of leapfrog, a second at most, eighty years of a comet took hours; Gauss–Radau takes a second.
     """
@@ -174,7 +180,7 @@ def _accurate(scene: Scene) -> str:
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
-    """Tell whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
+    """Return whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
     bent = contact_parts.load(scene) != "" and not (pulls.damping(scene) or pulls.further(scene))
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
@@ -188,7 +194,7 @@ def holding(scene: Scene) -> Scene:
 
 
 def _leaves_step_free(scene: Scene) -> bool:
-    """Tell whether an integrator may choose the steps by their error: it knows the forces, and no key sets a step."""
+    """Return whether an integrator may choose the steps by their error: it knows the forces, and no key sets a step."""
     rule = scene.time
     if pulls.further(scene):
         return False
@@ -297,13 +303,6 @@ def auto_interval(scene: Scene, duration: float) -> float:
     """Return the time between the frames of a recording that chooses them itself, for a duration; both in s."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
     return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
-
-
-HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolling about each other takes 600 a turn
-WIDEST_HELD_PART = 0.1
-WIDEST_HELD = 3.0  # times the step of held bodies
-WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
-WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
 
 
 @dataclass(frozen=True, slots=True)

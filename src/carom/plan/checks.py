@@ -21,9 +21,27 @@ ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: 2400 abort at 4 × 10⁵ bodies
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
+EARTH = 9.81  # m/s², written as 9.8 to 9.82
+LIGHTEST = 100.0  # kg/m³; balls of cork have 200
+
 INTEGRATOR: KeyPath = ("time", "integrator")
 METHOD: KeyPath = ("gravity", "method")
 BOUNDARY: KeyPath = ("domain", "boundary")
+
+
+class _TreeError(NamedTuple):
+    """The error of positions over the size of the system, as a power of the opening angle."""
+
+    error: float  # at 1 rad
+    order: int
+
+
+TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
+    "tree": _TreeError(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
+    "fast-multipole": _TreeError(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
+}
+MONOPOLES = 19.0  # largest factor on it without quadrupoles
+SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
 
 
 def memory_estimate(scene: Scene) -> int:
@@ -40,33 +58,16 @@ def refuse_impossible(scene: Scene) -> None:
         With the key and what would be right.
     """
     with naming_places(scene):
-        _refuse_impossible(scene)
-
-
-def _refuse_impossible(scene: Scene) -> None:
-    _refuse_test_particles(scene)
-    refuse_coarse_tree(scene)
-    _refuse_times_of_impact(scene)
-    _refuse_forces_of_mid_step(scene)
-    _refuse_damping(scene)
-    _refuse_further_forces(scene)
-    _refuse_what_no_error_controls(scene)
-    _refuse_what_is_no_hierarchy(scene)
-    needed, there = memory_estimate(scene), _memory()
-    if needed > there:
-        raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
-            f"{there / 1e9:.3g} GB; lower the count",
-            _largest_count(scene),
-        )
-    _refuse_small_address_space(scene)
-    _refuse_narrow_box(scene)
-
-
-def _largest_count(scene: Scene) -> tuple[str | int, ...]:
-    """Return the key that asks for most bodies; empty without groups."""
-    counts = [group.count for group in scene.group]
-    return ("group", counts.index(max(counts)), "count") if counts else ()
+        _refuse_test_particles(scene)
+        _refuse_coarse_tree(scene)
+        _refuse_times_of_impact(scene)
+        _refuse_forces_of_mid_step(scene)
+        _refuse_damping(scene)
+        _refuse_further_forces(scene)
+        _refuse_what_no_error_controls(scene)
+        _refuse_what_is_no_hierarchy(scene)
+        _refuse_small_memory(scene)
+        _refuse_narrow_box(scene)
 
 
 def _refuse_test_particles(scene: Scene) -> None:
@@ -90,6 +91,25 @@ def _refuse_test_particles(scene: Scene) -> None:
         f"{wrong}: the impulse of a test particle in a contact is not defined; set contact.enabled = false, or give it "
         "a mass",
         key,
+    )
+
+
+def _refuse_coarse_tree(scene: Scene) -> None:
+    """Refuse a tree whose error is larger than the requested one; name an opening angle that is small enough."""
+    accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
+    if accuracy is None or method not in TREE_ERRORS:
+        return
+    law = TREE_ERRORS[method]
+    worst = law.error if gravity.quadrupoles or method != "tree" else MONOPOLES * law.error
+    error, angle = worst * gravity.opening_angle**law.order, (accuracy / worst) ** (1 / law.order)
+    if error <= accuracy:
+        return
+    tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
+    rounded = int(100 * angle) / 100  # down
+    better = f"gravity.opening_angle = {rounded}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
+    raise SceneError(
+        f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
+        ("time", "accuracy"),
     )
 
 
@@ -227,10 +247,21 @@ def _refuse_narrow_box(scene: Scene) -> None:
         )
 
 
-def _refuse_small_address_space(scene: Scene) -> None:
-    """Refuse scenes that do not fit under ``ulimit -v``, at which Rerun and OpenBLAS abort the process."""
+def _refuse_small_memory(scene: Scene) -> None:
+    """Refuse scenes that do not fit into memory, or under ``ulimit -v``, at which Rerun and OpenBLAS abort."""
     import resource  # noqa: PLC0415 - POSIX only
 
+    try:
+        memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError, OSError):
+        memory = 2**47  # not known: the whole address space
+    needed, counts = memory_estimate(scene), [group.count for group in scene.group]
+    if needed > memory:
+        raise SceneError(
+            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
+            f"{memory / 1e9:.3g} GB; lower the count",
+            ("group", counts.index(max(counts)), "count") if counts else (),
+        )
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     needed = ADDRESSES_OF_LIBRARIES + ADDRESSES_PER_BODY * scene.count
     if limit != resource.RLIM_INFINITY and limit < needed:
@@ -240,69 +271,13 @@ def _refuse_small_address_space(scene: Scene) -> None:
         )
 
 
-def _memory() -> int:
-    """Return the physical memory of this machine in bytes; the whole address space if it is not known."""
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return 2**47
-
-
-class _Law(NamedTuple):
-    """The position error over the size, as a power of the opening angle."""
-
-    error: float  # at 1 rad
-    order: int
-
-
-TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
-    "tree": _Law(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
-    "fast-multipole": _Law(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
-}
-MONOPOLES = 19.0  # largest factor on it without quadrupoles
-SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
-
-
-def refuse_coarse_tree(scene: Scene) -> None:
-    """Refuse a tree whose error is larger than the requested one.
-
-    Raises
-    ------
-    SceneError
-        With an opening angle that is small enough.
-    """
-    accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
-    if accuracy is None or method not in TREE_ERRORS:
-        return
-    law = TREE_ERRORS[method]
-    worst = law.error if gravity.quadrupoles or method != "tree" else MONOPOLES * law.error
-    error, angle = worst * gravity.opening_angle**law.order, (accuracy / worst) ** (1 / law.order)
-    if error <= accuracy:
-        return
-    tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
-    better = f"gravity.opening_angle = {_floor(angle)}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
-    raise SceneError(
-        f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
-        ("time", "accuracy"),
-    )
-
-
-def _floor(angle: float) -> float:
-    """Round an angle down to two decimals."""
-    return int(100 * angle) / 100
-
-
-EARTH = 9.81  # m/s², written as 9.8 to 9.82
-LIGHTEST = 100.0  # kg/m³; balls of cork have 200
-
-
 def doubts(scene: Scene) -> list[str]:
     """Return what may be a mistake in a scene, a sentence each."""
     return [*_nothing_moves(scene), *_field_of_the_earth(scene), *_default_radius(scene)]
 
 
 def _nothing_moves(scene: Scene) -> list[str]:
-    """Say so if no force acts and every velocity is 0."""
+    """Return a sentence if no force acts and every velocity is 0."""
     if differing(scene) or pushing(scene) or dampings(scene) or scene.contact.allow_overlap:
         return []
     moving = any(any(body.velocity) or any(body.angular_velocity) for body in scene.body)

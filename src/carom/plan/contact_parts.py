@@ -25,7 +25,7 @@ def contact(scene: Scene) -> Part:
 
 
 def moves_relatively(scene: Scene) -> bool:
-    """Tell whether two bodies start with different velocities, or may overlap and so be pushed apart.
+    """Return whether two bodies start with different velocities, or may overlap and so be pushed apart.
 
     Planes, walls and fixed bodies do not move; a uniform field or a moving medium moves bodies relative to them.
     """
@@ -79,7 +79,7 @@ def load(scene: Scene) -> str:
 
 
 def field_presses(scene: Scene) -> bool:
-    """Tell whether the uniform field or a medium presses bodies onto something fixed."""
+    """Return whether the uniform field or a medium presses bodies onto something fixed."""
     return scene.anchored and pushing(scene) != ""
 
 

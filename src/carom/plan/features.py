@@ -65,8 +65,8 @@ class Requirements:
     @property
     def parts(self) -> tuple[Part, ...]:
         """All parts, in the order in which a step uses them."""
-        found = _by_name(self)
-        return tuple(found[name] for name in PARTS)
+        parts = _by_name(self)
+        return tuple(parts[name] for name in PARTS)
 
     @property
     def gravity(self) -> Part:
@@ -111,7 +111,7 @@ def require(scene: Scene) -> Requirements:
 
 def _by_name(needs: Requirements) -> dict[str, Part]:
     """Return all parts by their names."""
-    single = [found for found in vars(needs).values() if isinstance(found, Part)]
+    single = [part for part in vars(needs).values() if isinstance(part, Part)]
     return {part.name: part for part in (*single, *needs.forces.values())}
 
 
@@ -155,7 +155,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
 
 
 def _contradiction(scene: Scene, name: str) -> str:
-    """Say why a part cannot be forced on, and what to do instead; empty if it can."""
+    """Return the reason why a part cannot be forced on, and what to do instead; empty if it can."""
     match name:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
@@ -237,9 +237,9 @@ def _integrator(scene: Scene) -> Part:
     if scene.time.integrator != AUTO:
         return Part(name, True, f'time.integrator = "{chosen}"')
     if chosen == "wisdom-holman":
-        name_of, share = heaviest(scene)
+        heavy, fraction = heaviest(scene)
         turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
-        return Part(name, True, f"{chosen}: {name_of} has {100.0 * share:.5g} % of the mass, and {turns}")
+        return Part(name, True, f"{chosen}: {heavy} has {100.0 * fraction:.5g} % of the mass, and {turns}")
     if scene.time.accuracy is not None and (chosen != "leapfrog" or contact_parts.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
     if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
@@ -263,7 +263,7 @@ def _integrator(scene: Scene) -> Part:
 
 
 def _why_accurate(scene: Scene, chosen: str) -> str:
-    """Say why an integrator is the cheapest for an accuracy."""
+    """Return the reason why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
         return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
@@ -280,7 +280,7 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
 
 
 def _not_by_pairs(scene: Scene) -> str:
-    """Say why bodies that pull each other and never touch are too much for Gauss–Radau integration."""
+    """Return the reason why bodies that pull each other and never touch are too much for Gauss–Radau integration."""
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
     if force := pulls.further(scene):

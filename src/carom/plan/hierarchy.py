@@ -15,17 +15,19 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
-DOMINANT = 0.99  # share of the mass from which a body dominates
+DOMINANT = 0.99  # fraction of the mass from which a body dominates
 FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
 MOST_BODIES = 100  # for "auto"; more may meet often, and each close encounter is integrated with all bodies
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
+LEAST_DISTANCE = 8.0  # sums of radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+MOST_APART = 32  # bodies; more that draw together soon meet often
 
 
 class Heaviest(NamedTuple):
     """The heaviest body of a scene."""
 
     name: str
-    share: float  # of the mass of all
+    fraction: float  # of the mass of all
 
 
 class _Point(NamedTuple):
@@ -66,7 +68,7 @@ def heaviest(scene: Scene) -> Heaviest:
 
 
 def why_no_hierarchy(scene: Scene) -> str:
-    """Say why bodies do not simply orbit a dominant one, and what would be right; empty if they do."""
+    """Return the reason why bodies do not simply orbit a dominant one, and what would be right; empty if they do."""
     gravity = scene.gravity
     if not pulls.gravity(scene).modelled:
         return 'without gravity between bodies; take "auto"'
@@ -81,10 +83,10 @@ def why_no_hierarchy(scene: Scene) -> str:
     if fixed is not None:
         called = body_called(fixed, scene.body[fixed].name)
         return f'with {called} fixed, but all bodies have to move; set fixed = false, or take "auto"'
-    name, share = heaviest(scene)
-    if share <= DOMINANT:
-        share_of = f"{name} has {100.0 * share:.4g} % of the mass, and more than 99 % are needed"
-        return f'without a dominant body: {share_of}; take "auto"'
+    name, fraction = heaviest(scene)
+    if fraction <= DOMINANT:
+        why = f"{name} has {100.0 * fraction:.4g} % of the mass, and more than 99 % are needed"
+        return f'without a dominant body: {why}; take "auto"'
     return ""
 
 
@@ -137,12 +139,8 @@ def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
     return Orbit(period, axis * (1.0 - e), axis * (1.0 + e), axis * (mass / (3.0 * heavy)) ** (1.0 / 3.0))
 
 
-LEAST_DISTANCE = 8.0  # sums of radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more that draw together soon meet often
-
-
 def far_apart(scene: Scene) -> bool:
-    """Tell whether bodies are few and begin far apart, as planets, moons and comets do; not where groups place them."""
+    """Return whether there are few bodies, no groups, and large distances at the start, as of planets and comets."""
     if scene.group or not 2 <= scene.count <= MOST_APART:
         return False
     position = np.array([body.position for body in scene.body]).reshape(-1, 3)

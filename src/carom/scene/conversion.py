@@ -102,9 +102,9 @@ def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wro
         changed = {}
         for key, inner in value.items():
             if (below := at.below.get(key)) and not (type(inner) in _NUMBERS and not units.converts):
-                found = _walked(inner, below, units, (*path, key), wrong)
-                if found is not inner:
-                    changed[key] = found
+                number = _walked(inner, below, units, (*path, key), wrong)
+                if number is not inner:
+                    changed[key] = number
         return {**value, **changed} if changed else value
     if isinstance(value, list | tuple):
         if not units.converts and _NUMBERS.issuperset(map(type, value)):
@@ -159,8 +159,8 @@ def place(key: str) -> _Place | None:
 
 @cache
 def _places(model: type[BaseModel]) -> dict[str, _Place]:
-    found = {key: _place(info.annotation, dimension_in(info.metadata)) for key, info in model.model_fields.items()}
-    return {key: at for key, at in found.items() if at.dimension or at.below}
+    places = {key: _place(info.annotation, dimension_in(info.metadata)) for key, info in model.model_fields.items()}
+    return {key: at for key, at in places.items() if at.dimension or at.below}
 
 
 def _place(annotation: Any, dimension: Dimension | None) -> _Place:
@@ -195,7 +195,7 @@ def members_of_list(annotation: Any) -> tuple[Any, ...]:
     if origin is tuple:
         return members
     if origin in (typing.Union, types.UnionType, typing.Annotated):
-        return next((found for part in members if (found := members_of_list(part))), ())
+        return next((inner for part in members if (inner := members_of_list(part))), ())
     return ()
 
 

@@ -105,10 +105,8 @@ def naming_places(scene: Scene) -> Iterator[None]:
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
-DEEPEST = (
-    32  # levels; the deepest key that a scene has is group.0.radius.min. Parsing, validation and messages recurse,
-)
-# or take time quadratic in the depth.
+# Parsing, validation and messages recurse, or take time quadratic in the depth.
+DEEPEST = 32  # levels; the deepest key that a scene has is group.0.radius.min
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}", re.MULTILINE)

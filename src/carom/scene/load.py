@@ -239,24 +239,24 @@ def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
     """Find the bodies of each [[bodies]]; return the scene and its text with their counts and digests."""
-    found, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
+    sources, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:
             material = material_called(scene, section.material) if section.material else None
-            found.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material)))
-            row += len(found[-1].columns)
+            sources.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material)))
+            row += len(sources[-1].columns)
         except SceneError as error:
             wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))
             row += section.count or 0
     _refuse(wrong)
-    taken, refuted = take_over_laws(scene, units, data.get("gravity", {}), found)
+    taken, refuted = take_over_laws(scene, units, data.get("gravity", {}), sources)
     _refuse(
         [
             partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {scene.bodies[index].called}: {why}")
             for index, why in refuted.items()
         ]
     )
-    known = [{"count": len(one.columns), "sha256": one.sha256} for one in found]
+    known = [{"count": len(one.columns), "sha256": one.sha256} for one in sources]
     sections = tuple(section.model_copy(update=values) for section, values in zip(scene.bodies, known, strict=True))
     if sections != scene.bodies or taken:
         document: Any = tomlkit.parse(text) if len(text) <= _COMMENTED else copy.deepcopy(data)
@@ -269,7 +269,7 @@ def _with_bodies(
         gravity = scene.gravity.model_copy(update=numbers)
         scene = scene.model_copy(update={"bodies": sections, "gravity": gravity})
     files = source.files if isinstance(source, HeldBodies) else source if isinstance(source, DataFiles) else None
-    scene._held = HeldBodies(sections, tuple(found), units, files)
+    scene._held = HeldBodies(sections, tuple(sources), units, files)
     return scene, text
 
 
@@ -292,14 +292,14 @@ def scene_with_arrays(scene: Scene, keep: bool, arrays: Mapping[str, Any]) -> Sc
     data = tomllib.loads(scene.toml)
     others = {key: value for key, value in data.items() if keep or key not in ("body", "group")}
     held = scene.held if keep else None
-    sections, found = ([], []) if held is None else (list(held.sections), list(held.found))
-    return _scene(others, sections, found, wanted, name, made_of)
+    sections, kept = ([], []) if held is None else (list(held.sections), list(held.bodies))
+    return _scene(others, sections, kept, wanted, name, made_of)
 
 
 def _scene(
     data: Mapping[str, Any],
     sections: list[BodyData],
-    found: list[SourcedBodies],
+    held_bodies: list[SourcedBodies],
     arrays: Mapping[str, Any],
     name: str | ArrayLike | None,
     made_of: str | None,
@@ -318,6 +318,8 @@ def _scene(
     section = {**prefix, **own, "count": len(columns), "sha256": columns.sha256}
     kept = data.get("bodies", [])[: len(sections)]
     held = HeldBodies(
-        (*sections, BodyData.model_validate(section)), (*found, SourcedBodies(columns, columns.sha256, material)), units
+        (*sections, BodyData.model_validate(section)),
+        (*held_bodies, SourcedBodies(columns, columns.sha256, material)),
+        units,
     )
     return scene_from_dict({**data, "bodies": [*kept, section]}, held)

@@ -167,12 +167,12 @@ def made_of(scene: Scene, matter: AnyMatter) -> AnyMatter:
 
 def between(scene: Scene, one: str, other: str) -> Coefficients:
     """Return the coefficients of a contact of two materials."""
-    meeting = combined(_own(scene, one), _own(scene, other))
+    meeting = combined(_coefficients_of(scene, one), _coefficients_of(scene, other))
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
     return meeting if pair is None else pair.completed(meeting)
 
 
-def _own(scene: Scene, name: str) -> Coefficients:
+def _coefficients_of(scene: Scene, name: str) -> Coefficients:
     material, default = material_called(scene, name), scene.contact.coefficients
     return default if material is None else material.completed(default)
 

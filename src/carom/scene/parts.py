@@ -42,5 +42,5 @@ class Part:
 
 
 def unknown(name: str) -> str:
-    """Say that there is no part of that name, and suggest the nearest."""
+    """Return the message that there is no part of that name, and suggest the nearest."""
     return f'no part "{name}"; {suggestion(name, PARTS)}'

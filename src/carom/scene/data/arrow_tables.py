@@ -76,13 +76,13 @@ def open_arrow(path: Path, called: str, snapshot: int) -> Table:
         _refuse_claims(source, _STREAM_IN_FILE if file else 0, called, path.stat().st_size)
         source.seek(_STREAM_IN_FILE if file else 0)  # a footer could name other batches than those
         reader = pyarrow.ipc.open_stream(source)
-        found, rows = list[pa.RecordBatch](), 0
+        batches, rows = list[pa.RecordBatch](), 0
         for batch in reader:
             rows += batch.num_rows
             refuse_many_rows(called, rows)
             batch.validate(full=True)
-            found.append(batch)
-        table = pa.Table.from_batches(found, reader.schema)
+            batches.append(batch)
+        table = pa.Table.from_batches(batches, reader.schema)
 
     def read(wanted: list[str], _: Sequence[str]) -> pa.Table:
         for name in wanted:
@@ -106,7 +106,7 @@ def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) 
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
-    """Tell whether each value takes memory of its own: a few bytes may stand for any number of nulls or runs."""
+    """Return whether each value takes memory of its own: a few bytes may stand for any number of nulls or runs."""
     if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
         return False
     if pa.types.is_dictionary(kind):

@@ -156,8 +156,16 @@ def read_columns(
         fixed=fixed,
         name=reader.names(),
     )
-    _refuse_moving_fixed(columns, table.called)
-    _refuse_inertia(columns, table.called)
+    moves = columns.velocity.any(axis=1) | columns.angular_velocity.any(axis=1)
+    mistakes = {
+        "is fixed and has a velocity or an angular_velocity; set one of them to 0": columns.fixed & moves,
+        "has a mass of 0 and a moment of inertia; set both to 0, or none": (mass == 0.0) & (columns.inertia > 0.0),
+        "has no moment of inertia, but a mass; give it one that is more than 0": (mass > 0.0)
+        & (columns.inertia == 0.0),
+    }
+    for mistake, rows in mistakes.items():
+        if rows.any():
+            raise SceneError(f"{table.called}: row {int(np.argmax(rows))} {mistake}")
     unused = unused_columns(section, mapping, table.names)
     return columns, (*table.notes, *((f"{table.called}: columns that are not used: {unused}",) if unused else ()))
 
@@ -199,10 +207,10 @@ class _Reader:
             return np.tile(np.array(constant), (self._rows, 1))
         if len(columns) == 1:
             return self._numbers(quantity, columns[0])
-        found = np.empty((self._rows, 3))
+        array = np.empty((self._rows, 3))
         for axis, column in enumerate(columns):
-            found[:, axis] = self._numbers(quantity, column)
-        return found
+            array[:, axis] = self._numbers(quantity, column)
+        return array
 
     def numbers(self, quantity: str) -> FloatArray:
         """Return (n,) numbers."""
@@ -224,7 +232,7 @@ class _Reader:
         return None if columns is None else texts_of(self._raw[columns[0]])
 
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
-        """Take one of several steps, and check the shape."""
+        """Return one of several steps, and check the shape."""
         dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
         if array.ndim == dimensions + 1:
             if not -len(array) <= self._section.snapshot < len(array):
@@ -274,29 +282,6 @@ def _refuse_other_units(table: Table, units: UnitSystem, mapping: ColumnMapping)
         f"{table.called}: its numbers are in {table.units}, and {scene}; write units = "
         f'"{table.units}" at the top of the scene, or [units] with {named}'
     )
-
-
-def _refuse_inertia(columns: BodyColumns, called: str) -> None:
-    """Refuse a body that has one of mass and moment of inertia, and 0 for the other."""
-    wrong = (columns.mass == 0.0) & (columns.inertia > 0.0)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise SceneError(f"{called}: row {row} has a mass of 0 and a moment of inertia; set both to 0, or none")
-    wrong = (columns.mass > 0.0) & (columns.inertia == 0.0)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise SceneError(f"{called}: row {row} has no moment of inertia, but a mass; give it one that is more than 0")
-
-
-def _refuse_moving_fixed(columns: BodyColumns, called: str) -> None:
-    if not columns.anchors:
-        return
-    moving = columns.fixed & (columns.velocity.any(axis=1) | columns.angular_velocity.any(axis=1))
-    if moving.any():
-        row = int(np.argmax(moving))
-        raise SceneError(
-            f"{called}: row {row} is fixed and has a velocity or an angular_velocity; set one of them to 0"
-        )
 
 
 def columns_of_arrays(

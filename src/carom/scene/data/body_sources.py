@@ -96,15 +96,15 @@ class DataFiles:
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
     """Return the names of data files in the folders whose digests differ from those in the scene."""
-    found = list[str]()
+    changed = list[str]()
     for section in sections:
         path = next(
             (folder / section.file for folder in folders if section.file and (folder / section.file).is_file()), None
         )
         with contextlib.suppress(OSError):
             if path is not None and path.stat().st_size <= LARGEST_DATA and _digest(path) != section.sha256:
-                found.append(str(section.file))
-    return found
+                changed.append(str(section.file))
+    return changed
 
 
 def _digest(path: Path) -> str:
@@ -120,7 +120,7 @@ class HeldBodies:
     ----------
     sections
         The [[bodies]] that they were read for.
-    found
+    bodies
         The bodies of each.
     units
         The units that the scene's numbers had.
@@ -129,7 +129,7 @@ class HeldBodies:
     """
 
     sections: tuple[BodyData, ...]
-    found: tuple[SourcedBodies, ...]
+    bodies: tuple[SourcedBodies, ...]
     units: UnitSystem = SI
     files: DataFiles | None = field(default=None, compare=False)
 
@@ -137,18 +137,18 @@ class HeldBodies:
         """Return the bodies; read the file again if its section or the units have changed."""
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
-            found = self.found[wanted.index]
-            if found.material in (None, wanted.material):
-                return found
+            bodies = self.bodies[wanted.index]
+            if bodies.material in (None, wanted.material):
+                return bodies
         if self.files is None:
             raise SceneError("it cannot be changed, because its file is not at hand: only its name can")
         return self.files.find(wanted)
 
 
 def take_over_laws(
-    scene: Scene, units: UnitSystem, given: Mapping[str, Any], found: list[SourcedBodies]
+    scene: Scene, units: UnitSystem, given: Mapping[str, Any], each_bodies: list[SourcedBodies]
 ) -> tuple[dict[str, float], dict[int, str]]:
-    """Compare the laws that moved the bodies in their files with the scene; add notes to the bodies in ``found``.
+    """Compare the laws that moved the bodies in their files with the scene; add notes to the bodies in ``each_bodies``.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def take_over_laws(
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()
-    for index, bodies in enumerate(found):
+    for index, bodies in enumerate(each_bodies):
         law, notes = bodies.law, list[str]()
         if law is None:
             continue
@@ -187,5 +187,5 @@ def take_over_laws(
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")
         called = scene.bodies[index].called
-        found[index] = bodies._replace(notes=(*bodies.notes, *(f"{called}: {note}" for note in notes)))
+        each_bodies[index] = bodies._replace(notes=(*bodies.notes, *(f"{called}: {note}" for note in notes)))
     return taken, refuted

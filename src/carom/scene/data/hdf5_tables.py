@@ -25,12 +25,12 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
     with h5py.File(path, "r") as file:
         names = list[str]()
 
-        def see(name: str | bytes, node: Any) -> bool | None:
+        def add(name: str | bytes, node: Any) -> bool | None:
             if isinstance(name, str) and isinstance(node, h5py.Dataset) and node.ndim:  # bytes: not UTF-8
                 names.append(name)
             return True if len(names) > _MOST_DATASETS else None
 
-        file.visititems(see)  # follows no links, which could lead out of the file
+        file.visititems(add)  # follows no links, which could lead out of the file
     return _Datasets(path, called, names)
 
 

@@ -1,4 +1,4 @@
-"""Which columns of a table hold which quantity: as the scene says, or by their usual names."""
+"""The columns of a table for each quantity: those that the scene names, or those with usual names."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z in place of the st
     "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
     "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
 }
-_RIVALS = (("mass", "density"), ("radius", "diameter"))  # of which one follows from the other
+_RIVALS = (("mass", "density"), ("radius", "diameter"))  # one gives the other
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
 _LONGEST_NAME = 40  # characters
@@ -60,23 +60,29 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
     SceneError
         If a column is missing, or two hold the same quantity.
     """
-    found: ColumnMapping = {}
+    mapping: ColumnMapping = {}
     for quantity in QUANTITIES:
         asked = getattr(section.columns, quantity)
         if asked is not None:
-            found[quantity] = tuple(_named(column, names, called, quantity) for column in _several(asked))
+            columns = (asked,) if isinstance(asked, str) else asked
+            mapping[quantity] = tuple(_named(column, names, called, quantity) for column in columns)
         elif not _is_given(section, quantity):
             candidates = _candidates(section, quantity, names)
             if len(candidates) > 1:
-                raise SceneError(_ambiguous(quantity, candidates, called))
+                shown = " and ".join(" ".join(columns) for columns in candidates[:2])
+                quoted = ", ".join(f'"{column}"' for column in candidates[0])
+                column = f"[{quoted}]" if len(candidates[0]) > 1 else quoted
+                raise SceneError(
+                    f"{called}: two columns for {quantity}, {shown}; say which: columns = {{ {quantity} = {column} }}"
+                )
             if candidates:
-                found[quantity] = candidates[0]
+                mapping[quantity] = candidates[0]
             elif quantity != "position":  # which is refused as missing
                 _refuse_part(quantity, names, called)
     for first, second in _RIVALS:
-        _refuse_rivals(section, found, first, second, called)
-    _refuse_missing(section, found, names, called)
-    return found
+        _refuse_rivals(section, mapping, first, second, called)
+    _refuse_missing(section, mapping, names, called)
+    return mapping
 
 
 def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
@@ -119,12 +125,8 @@ def printable(name: str) -> str:
     return "".join(char if char.isprintable() else "�" for char in name[:_LONGEST_NAME])
 
 
-def _several(asked: str | tuple[str, ...]) -> tuple[str, ...]:
-    return (asked,) if isinstance(asked, str) else asked
-
-
 def _is_given(section: BodyData, quantity: str) -> bool:
-    """Tell whether the scene itself says what the bodies have in common, so that no column is looked for."""
+    """Return whether the scene gives a value for all bodies, so that no column is needed."""
     if quantity in ("mass", "density"):
         return section.mass is not None or section.density is not None
     if quantity == "diameter":
@@ -138,7 +140,8 @@ def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str
     """Find a column by the name that the scene gives it."""
     exact = [name for name in names if name == column] or [name for name in names if _plain(name) == _plain(column)]
     if not exact:
-        raise SceneError(f'{called}: there is no column "{column}" for {quantity}; {_nearest(column, names)}')
+        known = suggestion(column, names) if len(names) <= _MOST_SHOWN else _listed(names)
+        raise SceneError(f'{called}: there is no column "{column}" for {quantity}; {known}')
     if len(exact) > 1:
         raise SceneError(f'{called}: {len(exact)} columns are called "{column}"; give each column its own name')
     return exact[0]
@@ -182,30 +185,23 @@ def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
 
 
 def _plain(name: str) -> str:
-    """Return what is compared of a name: of a path in HDF5 the last part."""
+    """Return a name as it is compared: without case, and of a path in HDF5 the last part."""
     return name.rsplit("/", 1)[-1].strip().casefold()
 
 
-def _ambiguous(quantity: str, candidates: Sequence[tuple[str, ...]], called: str) -> str:
-    shown = " and ".join(" ".join(columns) for columns in candidates[:2])
-    quoted = ", ".join(f'"{column}"' for column in candidates[0])
-    column = f"[{quoted}]" if len(candidates[0]) > 1 else quoted
-    return f"{called}: two columns for {quantity}, {shown}; say which: columns = {{ {quantity} = {column} }}"
-
-
-def _refuse_rivals(section: BodyData, found: ColumnMapping, first: str, second: str, called: str) -> None:
+def _refuse_rivals(section: BodyData, mapping: ColumnMapping, first: str, second: str, called: str) -> None:
     """Refuse two quantities of which one follows from the other; what the scene names is preferred."""
-    if first in found and second in found:
+    if first in mapping and second in mapping:
         asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
         if len(asked) != 1:
             raise SceneError(
-                f"{called}: columns for {first} and for {second}, {found[first][0]} and {found[second][0]}; "
-                f'say which: columns = {{ {first} = "{found[first][0]}" }}'
+                f"{called}: columns for {first} and for {second}, {mapping[first][0]} and {mapping[second][0]}; "
+                f'say which: columns = {{ {first} = "{mapping[first][0]}" }}'
             )
-        del found[second if asked == [first] else first]
+        del mapping[second if asked == [first] else first]
 
 
-def _refuse_missing(section: BodyData, found: ColumnMapping, names: Sequence[str], called: str) -> None:
+def _refuse_missing(section: BodyData, mapping: ColumnMapping, names: Sequence[str], called: str) -> None:
     """Refuse a table without a position, a radius or a mass."""
     wanted = {
         "position": "x, y and z, or position",
@@ -213,7 +209,7 @@ def _refuse_missing(section: BodyData, found: ColumnMapping, names: Sequence[str
         "mass": "mass or m, or density",
     }
     for quantity, usual in wanted.items():
-        given = quantity in found or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in found
+        given = quantity in mapping or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in mapping
         if not given:
             constant = "" if quantity == "position" else f", or give {quantity} = … for all bodies"
             one = '["…", "…", "…"]' if quantity in VECTORS else '"…"'
@@ -221,10 +217,6 @@ def _refuse_missing(section: BodyData, found: ColumnMapping, names: Sequence[str
                 f"{called}: no column for {quantity} (usually {usual}); {_listed(names)}; name it with "
                 f"columns = {{ {quantity} = {one} }}{constant}"
             )
-
-
-def _nearest(column: str, names: Sequence[str]) -> str:
-    return suggestion(column, names) if len(names) <= _MOST_SHOWN else _listed(names)
 
 
 def _listed(names: Sequence[str]) -> str:

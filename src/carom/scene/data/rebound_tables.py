@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +35,13 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
             raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
         simulation = archive[snapshot % count]
         simulation.synchronize()  # maps leave positions and velocities of different times in between
-    said = list(dict.fromkeys(str(warning.message) for warning in given))
-    notes = [] if not any(_DAMAGED in text for text in said) else [_cut_off(simulation, snapshot % count, count)]
-    notes += [
-        f"REBOUND warns: {text.splitlines()[0]}" for text in said if not any(k in text for k in (_DAMAGED, *_KNOWN))
+    texts = list(dict.fromkeys(str(warning.message) for warning in given))
+    notes = [
+        f"REBOUND warns: {text.splitlines()[0]}" for text in texts if not any(k in text for k in (_DAMAGED, *_KNOWN))
     ]
+    if any(_DAMAGED in text for text in texts):
+        which = f"of {counted(count, 'intact snapshot')} number {snapshot % count}, t = {simulation.t:g}, is read"
+        notes.insert(0, f"the file is damaged or ends early; {which}")
     if simulation.gravity not in (*_GRAVITY, "none"):
         raise SceneError(f'{called}: its gravity is "{printable(str(simulation.gravity))}", which carom does not have')
     if simulation.boundary not in ("none", "open", "periodic"):
@@ -65,21 +66,17 @@ def open_rebound(path: Path, called: str, snapshot: int) -> Table:
     return table
 
 
-def _cut_off(simulation: Any, index: int, count: int) -> str:
-    snapshots = counted(count, "intact snapshot")
-    return f"the file is damaged or ends early; of {snapshots} number {index}, t = {simulation.t:g}, is read"
-
-
 def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
     """Return the particles; a radius or mass that REBOUND has as 0 throughout is left out."""
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
     simulation.serialize_particle_data(xyz=position, vxvyvz=velocity, m=mass, r=radius)
-    names = _names(simulation, n)
-    found: dict[str, Raw] = {"position": position[:n], "velocity": velocity[:n]}
-    found |= {"mass": _attracting(simulation, mass[:n], called, notes), "radius": radius[:n]}
-    there = {name: array for name, array in found.items() if array.any() or name == "position"}
+    unnamed = getattr(simulation, "_N_name_list", 1) == 0  # REBOUND has names from version 5 on
+    names = [] if unnamed else [getattr(simulation.particles[k], "name", None) or "" for k in range(n)]
+    arrays: dict[str, Raw] = {"position": position[:n], "velocity": velocity[:n]}
+    arrays |= {"mass": _attracting(simulation, mass[:n], called, notes), "radius": radius[:n]}
+    there = {name: array for name, array in arrays.items() if array.any() or name == "position"}
     return there | ({"name": np.array(names, dtype=object)} if any(names) else {})
 
 
@@ -99,10 +96,3 @@ def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]
             "each other, which carom does not have; set N_active = -1 or testparticle_type = 0 in REBOUND"
         )
     return mass
-
-
-def _names(simulation: Any, n: int) -> Sequence[str]:
-    """Return the names; empty texts where there are none. REBOUND has them from version 5 on."""
-    if getattr(simulation, "_N_name_list", 1) == 0:
-        return []
-    return [getattr(simulation.particles[k], "name", None) or "" for k in range(n)]

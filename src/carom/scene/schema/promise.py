@@ -94,16 +94,16 @@ def _values_by_key(given: Any) -> Any:
     """Read the varied values: lists as they are, text in the syntax of `--vary`."""
     if not isinstance(given, dict):
         return given
-    found: dict[str, Values] = {}
+    values: dict[str, Values] = {}
     count = 0
     for key, value in flattened(given).items():
-        found[key] = (
+        values[key] = (
             values_of(value) if isinstance(value, str) else alike(value if isinstance(value, list) else [value])
         )
-        count += len(found[key])
+        count += len(values[key])
         if count > MOST_RUNS:
             raise ValueError(f"more than {MOST_RUNS} values; give fewer")
-    return found
+    return values
 
 
 class Sweep(Section):

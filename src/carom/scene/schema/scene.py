@@ -99,13 +99,13 @@ class Scene(Forces, Heading):
     def data(self) -> tuple[BodyColumns, ...]:
         """The bodies of each [[bodies]]."""
         held = self.held
-        return () if held is None else tuple(found.columns for found in held.found)
+        return () if held is None else tuple(bodies.columns for bodies in held.bodies)
 
     @property
     def notes(self) -> list[tuple[str, ...]]:
         """Sentences for each [[bodies]]: what of its file is not used, or is read in another way."""
         held = self.held
-        return [] if held is None else [found.notes for found in held.found]
+        return [] if held is None else [bodies.notes for bodies in held.bodies]
 
     def _private(self, name: str) -> Any:
         """Return a private attribute. By its name Pydantic takes 2 µs, and a run that begins asks 250 times."""

@@ -42,12 +42,12 @@ class UnitSystem:
         given: dict[str, str] = {}
         for part in text.split(","):
             try:
-                found = unit(part).dimension
+                kind = unit(part).dimension
             except UnitError as error:
                 raise UnitError(f"{error}{_SUCH_AS}") from None
-            if found not in OWN or found.plain in given:
-                raise UnitError(f'"{part.strip()}" {_not_wanted(found, given)}{_SUCH_AS}')
-            given[found.plain] = part.strip()
+            if kind not in OWN or kind.plain in given:
+                raise UnitError(f'"{part.strip()}" {_not_wanted(kind, given)}{_SUCH_AS}')
+            given[kind.plain] = part.strip()
         for dimension in OWN:
             if dimension.plain not in given:
                 raise UnitError(f"{dimension.called} is missing{_SUCH_AS}")
@@ -71,10 +71,10 @@ class UnitSystem:
             parts = str(properties["units"]).split(", ")
             given = parts if len(parts) == len(OWN) else [""] * len(OWN)
             return cls({dimension.plain: part for dimension, part in zip(OWN, given, strict=True)}, own=True)
-        found = {key: str(properties[f"units.{key}"]) for key in NAMED if f"units.{key}" in properties}
-        for key, text in found.items():
+        texts = {key: str(properties[f"units.{key}"]) for key in NAMED if f"units.{key}" in properties}
+        for key, text in texts.items():
             unit_of(text, NAMED[key])
-        return cls(found)
+        return cls(texts)
 
     def properties(self) -> dict[str, str]:
         """Return entries for a recording's properties; none for SI."""
@@ -143,7 +143,7 @@ class UnitSystem:
         return nearest_float(self._size(dimension)) if self.converts else 1.0
 
     def agrees(self, other: UnitSystem, dimension: Dimension) -> bool:
-        """Tell whether numbers of a dimension are in the same unit in both."""
+        """Return whether numbers of a dimension are in the same unit in both."""
         return self._size(dimension) == other._size(dimension)
 
     def shown(self, number: float, dimension: Dimension) -> float:
@@ -224,10 +224,10 @@ def _power(name: str, power: int) -> str:
 _SUCH_AS = f'; expected a length, a time and a mass, such as "au, day, solar mass", or "{WITHOUT}"'
 
 
-def _not_wanted(found: Dimension | None, given: Mapping[str, str]) -> str:
-    if found in OWN:
-        return f"is a second {found.name}" if found.plain in given else ""
-    return f"is {found.called}" if found else "is neither a length, a time nor a mass"
+def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
+    if kind in OWN:
+        return f"is a second {kind.name}" if kind.plain in given else ""
+    return f"is {kind.called}" if kind else "is neither a length, a time nor a mass"
 
 
 SI = UnitSystem()

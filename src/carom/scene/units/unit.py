@@ -156,16 +156,16 @@ def unit_of(text: str, dimension: Dimension) -> Unit:
         If it is none, or one of another dimension.
     """
     try:
-        found = unit(text)
+        known = unit(text)
     except UnknownUnitError as error:
         if error.name != text.strip():  # one of a product, which may have any dimension
             raise
         alike = set(written_names(name for name in names() if unit(name).exponents == dimension.exponents))
         raise UnknownUnitError(error.name, alike if _nearest(error.name, alike) else _written()) from None
-    if found.exponents != dimension.exponents:
-        what = f"{found.dimension.called}, not" if found.dimension else "not"
+    if known.exponents != dimension.exponents:
+        what = f"{known.dimension.called}, not" if known.dimension else "not"
         raise UnitError(f'"{text.strip()}" is {what} {dimension.called}')
-    return found
+    return known
 
 
 @cache
@@ -173,11 +173,11 @@ def registry() -> UnitRegistry[Any]:
     """Return the units that carom knows."""
     from pint import UnitRegistry  # noqa: PLC0415 - slow to import, and most scenes need none
 
-    found: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
+    units: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
     for line in DEFINITIONS.read_text(encoding="utf-8").splitlines():
         if line and not line.startswith("#"):
-            found.define(line)
-    return found
+            units.define(line)
+    return units
 
 
 def names() -> Iterator[str]:
@@ -197,7 +197,7 @@ def _with_signs(written: str) -> str:
 def _joined(text: str) -> str:
     """Join words that are one name, such as "solar mass", by an underscore."""
     known = set(names())
-    return _WORDS.sub(lambda found: f"{found[1]}{'_' if f'{found[1]}_{found[2]}' in known else ' '}", text)
+    return _WORDS.sub(lambda pair: f"{pair[1]}{'_' if f'{pair[1]}_{pair[2]}' in known else ' '}", text)
 
 
 @cache
@@ -234,23 +234,23 @@ def quantity(text: str, dimension: Dimension) -> Fraction:
     UnitError
         If the text is not a number with a unit of that dimension. The message says what would be right.
     """
-    found = _parts(text)
+    parts = _parts(text)
     if text.lstrip().startswith("["):
         raise UnitError(f"a list, in which each text needs quotes{_such_as(dimension)}")
     if _THOUSANDS.match(text):
         raise UnitError(f'commas between thousands; write "{text.replace(",", "").strip()}"')
     if text.count(",") > 1:
         raise UnitError(f"several numbers need brackets: [{text.strip()[:LONGEST]}]")
-    if not found:
+    if not parts:
         raise UnitError(f"expected a number, or a text with a unit{_such_as(dimension)}")
     if _DECIMAL_COMMA.match(text):
         raise UnitError(f'a decimal comma; write "{_DECIMAL_COMMA.sub(_POINT, text).strip()}"')
-    if not found[2].strip():
+    if not parts[2].strip():
         raise UnitError(
             f"a text needs a unit{_such_as(dimension)}; for {dimension.unit} write the number without quotes"
         )
     try:
-        return Fraction(found[1]) * unit_of(found[2], dimension).size
+        return Fraction(parts[1]) * unit_of(parts[2], dimension).size
     except UnitError as error:
         raise UnitError(f"{error}; expected {dimension.called}{_such_as(dimension)}") from None
 
@@ -270,14 +270,14 @@ class Physical(NamedTuple):
 
 def physical(text: str) -> Physical | None:
     """Read a quantity of any dimension; None if the text is none."""
-    found = _parts(text)
-    if not found or not found[2].strip():
+    parts = _parts(text)
+    if not parts or not parts[2].strip():
         return None
     try:
-        of = unit(found[2])
+        of = unit(parts[2])
     except UnitError:
         return None
-    return Physical(Fraction(found[1]) * of.size, of, found[2].strip())
+    return Physical(Fraction(parts[1]) * of.size, of, parts[2].strip())
 
 
 def nearest_float(value: Fraction) -> float:
