@@ -228,6 +228,7 @@ def test_a_full_disk_ends_the_run_with_a_readable_file(tmp_path: Path) -> None:
     assert Recording.open(tmp_path / "x.rrd").frames > 0
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_cleanly_with_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "x.rrd"
     run = subprocess.Popen(

@@ -88,6 +88,7 @@ def test_an_interrupt_while_the_command_starts_is_one_line(after: float, tmp_pat
     assert "interrupted" in stderr.splitlines()[-1]
 
 
+@pytest.mark.slow
 def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_path: Path) -> None:
     run = start(tmp_path, *LONG)
     wait_for_frames(tmp_path / "x.rrd", run)
@@ -101,6 +102,7 @@ def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_p
     assert said or Recording.open(tmp_path / "x.rrd").finished
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [False, True])
 def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: bool, tmp_path: Path) -> None:
     child, terminal = pty.fork()
@@ -122,6 +124,7 @@ def test_the_interrupt_key_and_a_closed_terminal_close_the_recording(closed: boo
     assert Recording.open(path).outcome.startswith(f"interrupted: stopped by {who}")
 
 
+@pytest.mark.slow
 def test_a_run_on_a_terminal_shows_its_progress_and_then_how_it_ended(tmp_path: Path) -> None:
     scene = ["elastic-gas", "--set", "time.duration=20", "--set", "record.every=0.01"]  # some seconds of work
     child, terminal = pty.fork()
@@ -160,6 +163,7 @@ def test_a_run_goes_on_when_nobody_reads_its_progress(tmp_path: Path) -> None:
         assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
+@pytest.mark.slow
 def test_standard_output_that_is_full_is_one_sentence_and_the_recording_is_whole(tmp_path: Path) -> None:
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
@@ -171,6 +175,7 @@ def test_standard_output_that_is_full_is_one_sentence_and_the_recording_is_whole
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
+@pytest.mark.slow
 def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path: Path) -> None:
     script = 'exec "$@" 0<&- 1>&- 2>&-'
     done = subprocess.run(["sh", "-c", script, "sh", *command(*SHORT)], cwd=tmp_path, check=False)
@@ -178,6 +183,7 @@ def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("encoding", "arguments"),
     [
@@ -213,6 +219,7 @@ def test_an_address_space_that_is_too_small_is_refused_before_a_library_aborts(t
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_run_fits_into_an_address_space_that_allocators_would_reserve(tmp_path: Path) -> None:
     # 2 GB: Rerun and Arrow reserved a GiB each, and OpenBLAS or Arrow aborted for want of a few kB.
     script = f'ulimit -v 1950000; exec "{sys.executable}" -m carom run two-spheres -o x.rrd'
@@ -221,6 +228,7 @@ def test_a_run_fits_into_an_address_space_that_allocators_would_reserve(tmp_path
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 
+@pytest.mark.slow
 def test_a_scene_that_does_not_fit_into_the_address_space_is_refused_in_one_sentence(tmp_path: Path) -> None:
     big = "elastic-gas --set group.0.count=400000 -o x.rrd"
     script = f'ulimit -v 1950000; exec "{sys.executable}" -m carom run {big}'

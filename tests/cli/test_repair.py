@@ -56,6 +56,7 @@ def test_in_place_leaves_an_earlier_repair_alone_and_replaces_an_earlier_torn_fi
     assert len(list(tmp_path.iterdir())) == 3
 
 
+@pytest.mark.slow
 def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path: Path) -> None:
     before = tear(run_file)
     with Claim(run_file):

@@ -47,6 +47,7 @@ def test_a_replay_that_fails_tells_a_script_why(folder: Path, monkeypatch: pytes
     assert json.loads(done.stdout) == {"same": False, "ended": "the state is no longer finite"}
 
 
+@pytest.mark.slow
 def test_a_resumed_run_is_the_file_itself_or_another(folder: Path) -> None:
     done = carom("resume", "ts.rrd", "--until", "3", "-o", "longer.rrd", "--json", cwd=folder)
     told = json.loads(done.stdout)

@@ -40,6 +40,7 @@ def swept(first: tuple[Path, subprocess.CompletedProcess[str]], tmp_path: Path) 
     return tmp_path
 
 
+@pytest.mark.slow
 def test_runs_that_cannot_run_are_told_and_the_others_finish(
     first: tuple[Path, subprocess.CompletedProcess[str]],
 ) -> None:

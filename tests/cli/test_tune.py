@@ -35,6 +35,7 @@ def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measureme
     assert again.returncode == 2 and "exists; give --force" in again.stderr
 
 
+@pytest.mark.slow
 def test_a_cheaper_setting_that_loses_frames_is_named_with_its_reason(tmp_path: Path) -> None:
     frames = ("--set", "time.duration=20.0", "--set", "record.every=0.02")
     vary = ("--vary", "step=1,32", "--repeats", "1")
@@ -45,6 +46,7 @@ def test_a_cheaper_setting_that_loses_frames_is_named_with_its_reason(tmp_path: 
     assert left_out.endswith(" s; a recording would have 314 frames of 1001.")
 
 
+@pytest.mark.slow
 def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replaces(tmp_path: Path) -> None:
     command = ("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT)
     study = tmp_path / "recordings" / "tradeoff" / "figure-eight" / "tradeoff.json"
@@ -79,6 +81,7 @@ def test_a_limit_that_cannot_be_measured_is_refused_before_any_setting_is_timed(
     assert not list(tmp_path.glob("*-tuned.toml"))
 
 
+@pytest.mark.slow
 def test_without_values_to_vary_it_searches_and_tells_a_script_what_it_found(tmp_path: Path) -> None:
     short = ("--set", "time.duration=1.0", "--set", "time.fixed_dt=0.01", "--set", "record.every=0.25")
     done = carom("tune", "figure-eight", "--error", "energy=1e-5", "--repeats", "1", "--json", *short, cwd=tmp_path)

@@ -52,6 +52,7 @@ def test_a_second_run_into_the_file_of_a_first_is_refused_even_with_force(tmp_pa
     assert [path.name for path in tmp_path.iterdir()] == ["x.rrd"]
 
 
+@pytest.mark.slow
 def test_of_two_runs_started_together_one_records_and_one_is_refused(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "carom", "run", "elastic-gas", "--set", "time.duration=2", "-o", "x.rrd"]
     pair = [

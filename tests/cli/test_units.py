@@ -194,6 +194,7 @@ def test_a_question_about_the_beginning_is_refused_in_the_units_of_the_scene(fol
     assert "t = 0 ms is not after the beginning" in said
 
 
+@pytest.mark.slow
 def test_times_of_impacts_in_a_study_are_in_the_units_of_the_scene(folder: Path) -> None:
     table = printed(folder, "tradeoff", "cm.toml", "--vary", "step=1,2", "--repeats", "1", "-o", "study")
     settings = json.loads((folder / "study" / "tradeoff.json").read_text(encoding="utf-8"))["settings"]

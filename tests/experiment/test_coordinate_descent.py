@@ -45,6 +45,7 @@ def eight(**time: float) -> Scene:
     return Scene.load("figure-eight", [*keys, "record.every=0.25"])
 
 
+@pytest.mark.slow
 def test_the_step_is_searched_beyond_the_settings_that_a_study_begins_with(tmp_path: Path) -> None:
     tuning = search(eight(), tmp_path, energy=1e-4)
     assert tuning.best is not None and tuning.best.errors is not None
@@ -83,6 +84,7 @@ def test_a_limit_that_no_step_keeps_ends_the_search(tmp_path: Path) -> None:
     assert tuning.why_none().startswith("position below 1e-13 is rounding")
 
 
+@pytest.mark.slow
 def test_an_integrator_that_cannot_win_gets_no_shorter_steps(tmp_path: Path) -> None:
     """Euler errs by 10⁵ times the limit: to be of use its steps would have to be about as many times shorter."""
     tuning = search(eight(), tmp_path, position=1e-8)

@@ -31,6 +31,7 @@ def bounced(tmp_path_factory: pytest.TempPathFactory) -> tuple[Reference, Path]:
     return make_reference(scene), path
 
 
+@pytest.mark.slow
 def test_a_missed_impact_is_named_by_the_number_that_event_takes(bounced: tuple[Reference, Path]) -> None:
     # impacts at 0.5 s, and then every 1 s: of ball and end, wall and ball, in turn; the fourth, at 3.5 s, is missed
     reference, path = bounced

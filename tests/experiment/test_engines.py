@@ -60,6 +60,7 @@ def test_steps_of_maps_for_a_dominant_body_are_parts_of_the_shortest_period() ->
     assert "rebound whfast, dt = 0.3142 s" in names
 
 
+@pytest.mark.slow
 @pytest.mark.needs("rebound")
 def test_rebound_resolves_impacts_of_one_step_in_the_same_order_in_each_run() -> None:
     scene, rebound = Scene.load("crosscheck/rebound-many-at-once"), engine_called("rebound")

@@ -190,6 +190,7 @@ RESTING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RESTING)
 def test_the_steps_of_bodies_that_come_to_rest_are_foreseen_to_a_factor_of_two(name: str) -> None:
     scene = RESTING[name]
@@ -203,6 +204,7 @@ def test_the_steps_of_bodies_that_come_to_rest_are_foreseen_to_a_factor_of_two(n
         assert "held" in found.limits and "acceleration" in found.limits
 
 
+@pytest.mark.slow
 def test_the_steps_of_contacts_at_rest_that_gauss_radau15_leaves_to_leapfrog_are_foreseen() -> None:
     scene = scene_of(
         [{"position": [0.0, 0.0, 1.0], "radius": 0.5}, {"position": [0.0, 0.0, 2.2], "radius": 0.5}],

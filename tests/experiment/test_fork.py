@@ -65,6 +65,7 @@ def many(path: Path, at: float, seeds: int, outcome: str | None = None) -> Ensem
     return ensemble(start, branch, seeds, 1, here, expression)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("override", ["contact.restitution=0.5", "gravity.constant=1.0", "record.check_every=3"])
 def test_a_fork_that_changes_nothing_has_the_bits_of_the_recording(override: str, tmp_path: Path) -> None:
     scene = cloud(10, time={"duration": 2.0}, contact={"restitution": 0.5})

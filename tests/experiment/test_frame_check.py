@@ -180,6 +180,7 @@ def test_altered_events_of_the_end_are_found(component: str, whole: Path, tmp_pa
     assert result.difference is not None and result.difference.quantity == "/events at the end"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     ["outcome", "contacts.total", "energy.max_error", "moments.impact.between", "frames", "contacts.impacts_counted"],
@@ -223,6 +224,7 @@ def test_an_older_recording_whose_scene_was_altered_is_compared_before_it_is_res
     assert resume(untouched, untouched.space(), tmp_path / "longer.rrd").ok
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("every", [pytest.param("step", marks=pytest.mark.slow), 0.05])
 def test_a_clip_replays_wherever_it_begins(every: str | float, tmp_path: Path) -> None:
     scene = cloud(12, time={"duration": 1.0, "max_dt": 0.02}, record={"every": every, "impacts": "all"})

@@ -45,6 +45,7 @@ def moments_of(scene: Scene) -> list[float]:
     return moments
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("timing", "integrator", "order"),
     [("end-of-step", "leapfrog", 1), ("time-of-impact", "leapfrog", 2), ("time-of-impact", "euler", 1)],

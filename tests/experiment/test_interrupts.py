@@ -45,6 +45,7 @@ for k in range(3):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_a_script_of_several_runs_and_leaves_a_complete_recording(number: int, tmp_path: Path) -> None:
     command = [sys.executable, "-c", LOOP, str(tmp_path)]

@@ -45,6 +45,7 @@ def elastic_balls(count: int, order: Any = None) -> Scene:
     return scene_of(bodies, gravity={"constant": 1.0}, contact=smooth, time={"duration": 6.0, "fixed_dt": 0.01})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [8, pytest.param(20, marks=pytest.mark.slow)])
 def test_the_uncertainty_of_an_exact_course_covers_what_renumbering_the_bodies_changes(count: int) -> None:
     # the same physics with other rounding, which contacts amplify: of 20 balls to more than 1e-3 before the end

@@ -30,7 +30,7 @@ from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
 from edited_recordings import changed, mapped
-from small_scenes import cloud
+from small_scenes import bundled, cloud
 
 # parts of their durations
 SHORT = {
@@ -45,7 +45,7 @@ SHORT = {
 }
 
 
-@pytest.mark.parametrize("name", bundled_scenes())
+@pytest.mark.parametrize("name", bundled(quick=("figure-eight", "planet-with-gravel", "two-spheres")))
 def test_every_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads(name: str, tmp_path: Path) -> None:
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={SHORT.get(name, 0.5) * scene.time.duration}"])
@@ -66,6 +66,7 @@ def test_a_window_is_replayed_from_the_checkpoint_before_it(tmp_path: Path) -> N
     assert result.same and result.compared == np.count_nonzero((times >= before.time) & (times <= 2.0))
 
 
+@pytest.mark.slow
 def test_a_recording_with_drag_keeps_its_losses_and_replays_from_any_checkpoint(tmp_path: Path) -> None:
     medium = {"relaxation_time": 1.0, "medium_velocity": [0.2, 0.0, 0.0]}
     recording = carom.run(cloud(drag=medium), tmp_path / "cloud.rrd")

@@ -36,6 +36,7 @@ def made(rubble: Recording) -> Report:
     return report(rubble, rubble.path.with_name("rubble.zip"))
 
 
+@pytest.mark.slow
 def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, made: Report) -> None:
     assert made.size == made.path.stat().st_size < 10_000_000
     assert "same bits" in made.replayed and made.picture == ""
@@ -68,6 +69,7 @@ def test_a_report_on_a_moment_has_that_moment_in_it(
         assert Recording.open(path).fingerprints()["time"].to_pylist()[-1] == end
 
 
+@pytest.mark.slow
 def test_a_clip_too_large_to_attach_gets_fewer_frames(
     rubble: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

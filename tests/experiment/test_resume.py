@@ -22,9 +22,8 @@ from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.resume import claimed_target, resumable_run, resume
 from carom.runs.run import simulate
-from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
-from small_scenes import cloud, two_planets
+from small_scenes import bundled, cloud, two_planets
 
 LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # a tenth says as much
 CONTENT = ("fingerprints", "energy", "steps", "momentum", "events", "phases", "dt_limits")
@@ -74,7 +73,7 @@ def stopped(scene: Scene, path: Path, at: float) -> Recording:
     return Recording.open(path)
 
 
-@pytest.mark.parametrize("name", bundled_scenes())
+@pytest.mark.parametrize("name", bundled(quick=("five-materials", "kepler-orbits", "two-spheres")))
 def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name: str, tmp_path: Path) -> None:
     scene = Scene.load(name)
     scene = Scene.load(name, [f"time.duration={(0.1 if name in LONG else 0.3) * scene.time.duration}"])
@@ -117,6 +116,7 @@ def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Pa
     assert "duration = 1.5" in resumed.scene_toml
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     path = tmp_path / "killed.rrd"
     short = ["--set", "record.every=2.0", "--set", "time.duration=8000.0"]  # to the first hundred contacts

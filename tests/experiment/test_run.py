@@ -277,7 +277,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
     return run
 
 
-LONG = ("asteroid-belt", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # three to six seconds each
+LONG = ("asteroid-belt", "cloud-collapse", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # seconds each
 
 
 @pytest.mark.parametrize(

@@ -105,6 +105,7 @@ def test_the_orbit_of_eccentricity_0999_closes() -> None:
     assert np.abs(space.state.position[1] - start).max() <= 0.022 * 2 * 2 * np.pi * 6e-6
 
 
+@pytest.mark.slow
 def test_a_scene_that_moves_as_a_whole_takes_the_same_steps() -> None:
     # Collisions amplify the rounding of velocities at 10⁶ m/s, so late steps may differ a little: 1 %.
     moving, resting = extreme("moving-frame"), extreme("moving-frame", "group.0.velocity.mean=[0.0, 0.0, 0.0]")

@@ -92,6 +92,7 @@ def test_a_trajectory_is_read_as_it_was_written(tmp_path: Path) -> None:
         Trajectory.load(tmp_path / "other.npz")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("integrator", "order"),
     [("euler", 1), ("leapfrog", 2), ("leapfrog-dkd", 2), pytest.param("yoshida4", 4, marks=pytest.mark.slow)],
@@ -108,6 +109,7 @@ def test_errors_against_the_reference_fall_with_the_order_of_the_integrator(inte
         assert np.polyfit(np.log(factors), np.log(kind), 1)[0] == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.slow
 def test_impacts_at_the_end_of_a_step_are_late_by_half_a_step_on_average() -> None:
     # gaps of 0.5 mm take a quarter of a step: the chain's contacts are late by anything up to dt each, and add up
     late = ["contact.timing=end-of-step"]
@@ -122,6 +124,7 @@ def test_impacts_at_the_end_of_a_step_are_late_by_half_a_step_on_average() -> No
     assert errors[1].impact < errors[0].impact / 8, "first order"
 
 
+@pytest.mark.slow
 def test_a_pair_that_never_meets_counts_as_met_at_the_horizon() -> None:
     scene = pair(time={"duration": 2.0, "fixed_dt": 0.05})
     reference = make_reference(scene)

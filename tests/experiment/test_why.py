@@ -397,6 +397,7 @@ def test_the_work_of_a_floor_is_what_friction_does(friction: float, tmp_path: Pa
     assert cause.work == pytest.approx(0.5 * 2.0 * (speed**2 - 7.0**2), rel=1e-12, abs=1e-12)  # rounding of 49 J
 
 
+@pytest.mark.slow
 def test_a_ball_that_slips_until_it_rolls_loses_two_sevenths_of_its_energy_to_its_contact(tmp_path: Path) -> None:
     scene = scene_of(
         [{"position": [0, 0, 0.1], "velocity": [4, 0, 0], "radius": 0.1, "mass": 2.0}],
@@ -410,6 +411,7 @@ def test_a_ball_that_slips_until_it_rolls_loses_two_sevenths_of_its_energy_to_it
     assert cause.energy_lost == pytest.approx(2.0 * 4.0**2 / 7.0, rel=1e-9)  # rounding of 1000 steps
 
 
+@pytest.mark.slow
 def test_only_what_the_recording_lists_as_an_impact_is_called_one(tmp_path: Path) -> None:
     bodies = [
         {"position": [0, 0, 0.2], "radius": 0.2, "mass": 5.0},

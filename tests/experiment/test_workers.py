@@ -110,6 +110,7 @@ def test_nothing_listens_and_no_name_in_a_file_system_leads_to_a_worker(tmp_path
         command.wait()
 
 
+@pytest.mark.slow
 def test_nothing_that_another_user_has_planted_is_imported(tmp_path: Path) -> None:
     """Dask took modules from `dask-scratch-space` in the temporary folder, and `python -c` from the current one."""
     temporary, evidence = tmp_path / "temporary", tmp_path / "evidence"

@@ -381,6 +381,7 @@ def test_the_first_step_does_not_depend_on_how_the_whole_moves_lies_or_is_number
         assert abs(1.0 / Space(scene_from(other), threads=1).first_dt - expected) <= tolerance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "integrator", [REVERSIBLE[0], *(pytest.param(name, marks=pytest.mark.slow) for name in REVERSIBLE[1:])]
 )

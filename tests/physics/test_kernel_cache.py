@@ -65,6 +65,7 @@ def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
     return values, compiled, folder
 
 
+@pytest.mark.slow
 def test_processes_that_start_together_compile_each_kernel_once(package: Path) -> None:
     with ThreadPoolExecutor(2) as pool:
         answers = list(pool.map(lambda _: call(package), range(2)))

@@ -132,6 +132,7 @@ def test_the_same_stack_does_not_stand_on_stages_alone() -> None:
     assert space.extremes.overlap is not None and space.extremes.overlap.value > 10 * G * 0.01**2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [*(pytest.param(dt, marks=pytest.mark.slow) for dt in (0.2, 0.5)), None])
 def test_two_touching_spheres_stay_where_they_are_for_ten_thousand_free_falls(dt: float | None) -> None:
     # A free fall of the pair takes 1.1 √(R³/GM) ≈ 1.6 s. None is the adaptive step, which goes to max_dt = 1 s.
@@ -145,6 +146,7 @@ def test_two_touching_spheres_stay_where_they_are_for_ten_thousand_free_falls(dt
     assert space.extremes.impacts == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("dt", [pytest.param(0.05, marks=pytest.mark.slow), 0.2])
 @pytest.mark.parametrize("part", [0.5, 0.99])
 def test_a_contact_binary_that_turns_as_one_keeps_touching(part: float, dt: float) -> None:

@@ -40,6 +40,7 @@ def way(time: float, speed: float) -> float:
     return speed * slid - 0.5 * slows * slid * slid + 5.0 / 7.0 * speed * (time - slid)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("accuracy", "speed"),
     [

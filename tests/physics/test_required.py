@@ -193,6 +193,7 @@ CHOICES: list[tuple[str, Sections, set[str]]] = [
 SLOW = ("without gravity and field", "without pushes", "at a fixed step")  # each starts a process
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("sections", "absent"),
     [pytest.param(*case, id=name, marks=pytest.mark.slow if name in SLOW else ()) for name, *case in CHOICES],

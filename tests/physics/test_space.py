@@ -147,6 +147,7 @@ def test_each_integrator_has_its_order(integrator: str, order: int) -> None:
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
 
 
+@pytest.mark.slow
 def test_two_touching_spheres_do_not_sink() -> None:
     # The free-fall time of the pair is about 1.1 √(R³/GM) ≈ 1.6 s: a thousand of them.
     space = Space(scene_of(TOUCHING, gravity={"constant": 1.0}, time={"duration": 1600.0, "max_dt": 0.1}, record={}))
@@ -346,6 +347,7 @@ def test_bodies_are_wrapped_into_the_periodic_box(restitution: float) -> None:
     assert np.linalg.norm(momentum_of(space.state)) > 0.0
 
 
+@pytest.mark.slow
 def test_phases_tell_free_colliding_and_settled_apart() -> None:
     phases = [frame.phase for frame in Space(Scene.load("cloud-collapse")).run()]
     changes = [phase for k, phase in enumerate(phases) if k == 0 or phases[k - 1] != phase]
@@ -503,6 +505,7 @@ def test_the_profile_accounts_for_every_part_of_the_step() -> None:
     assert {"timestep", "integrate", "search", "gravity", "response", "energy"} <= set(space.profile.seconds())
 
 
+@pytest.mark.slow
 def test_every_status_that_another_thread_reads_is_that_of_a_finished_step() -> None:
     scene = cloud(time={"duration": 6.0, "cfl": 0.05}, record={"check_every": 7, "every": 0.1})
     alone = Space(scene)

@@ -149,6 +149,7 @@ def raise_at_the_end(lo: int, hi: int, visits: NDArray[Any], flags: NDArray[Any]
         looks += 1
 
 
+@pytest.mark.slow
 def test_an_exception_in_a_piece_that_a_helper_does_reaches_the_caller() -> None:
     team = Team(2)
     for _ in range(3):

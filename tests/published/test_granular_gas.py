@@ -58,6 +58,7 @@ def test_rough_spheres_share_their_energy_as_boltzmanns_equation_says(restitutio
     assert measured == pytest.approx(boltzmann[boltzmann[:, 0] > 25.0, 1].mean(), rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("restitution", "error"), [(1.0, -0.034), pytest.param(0.9, -0.048, marks=pytest.mark.slow)])
 def test_boltzmanns_ratio_is_a_little_below_that_of_maxwellian_distributions(restitution: float, error: float) -> None:
     # Huthmann & Zippelius close their equations with Maxwellians. Fast spheres spin faster than slow ones, ⟨v² ω²⟩ is

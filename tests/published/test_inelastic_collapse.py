@@ -54,6 +54,7 @@ def collide_alternately(restitution: float) -> tuple[int, NDArray[np.float64]]:
         count += 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("restitution", "collisions"), [(1.0, 3), (0.7, 3), (0.3, 4), (0.15, 5), (0.1, 6), (0.08, 11), (0.075, 17)]
 )
@@ -69,6 +70,7 @@ def test_beads_above_the_threshold_part_after_as_many_collisions_as_they_must(
     assert np.allclose(space.state.velocity[:, 0], velocity, rtol=0, atol=collisions * 2.3e-16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("timing", ["end-of-step", "time-of-impact"])
 @pytest.mark.parametrize("sweeps", [1, 8, pytest.param(1000, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("restitution", [0.0, 0.02, 0.05, 0.0715])

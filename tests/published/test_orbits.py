@@ -27,6 +27,7 @@ def test_the_figure_eight_returns_after_a_period() -> None:
     assert np.abs(space.state.position - start).max() <= 3.1e-8
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("integrator", "eccentricity", "error"),
     [
@@ -69,6 +70,7 @@ def test_leapfrog_keeps_the_energy_of_a_kepler_orbit_as_well_as_its_form_can(
         assert worst <= 2.6e-5, "the bound that issue 6 sets"
 
 
+@pytest.mark.slow
 def test_a_cold_uniform_ball_falls_together_in_its_free_fall_time() -> None:
     # Free fall of a uniform ball of radius R and mass M: every shell reaches the centre at π/2 √(R³/(2 G M)) =
     # 1.110721 √(R³/GM). At 0.9 of it a shell is at x of its radius with arccos √x + √(x (1 - x)) = 0.9 π/2; of 2000

@@ -46,6 +46,7 @@ def test_a_sliding_sphere_rolls_at_five_sevenths_when_friction_has_turned_it(dt:
     assert frame.velocity[0, 0] == pytest.approx(5 / 7 * v0, rel=1e-13)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mu", "cosine"), [(0.0, 2 / 3), pytest.param(50.0, 10 / 17, marks=pytest.mark.slow)], ids=["sliding", "rolling"]
 )

@@ -100,6 +100,7 @@ def test_the_apocentres_are_keplers_to_a_ten_millionth_at_a_fine_step() -> None:
     assert np.allclose(apocentres(distance)[:4], exact, rtol=1e-7, atol=0)
 
 
+@pytest.mark.slow
 def test_the_pair_is_at_rest_in_the_end() -> None:
     _, distance, space = separations(max_dt=0.01, target_dx=1e-4, duration=100.0)
     assert abs(distance[-1] - 4.0) <= 1e-6

@@ -197,6 +197,7 @@ def test_an_interval_without_a_frame_is_told_with_what_there_is(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_a_full_disk_leaves_the_clip_that_was_there(recorded: Path, tmp_path: Path) -> None:
     (tmp_path / "clip.rrd").write_bytes(b"the one before")
     code = f"""

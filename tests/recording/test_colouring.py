@@ -56,6 +56,7 @@ def test_bodies_at_rest_have_a_colour(reference: float) -> None:
     assert len(set(colouring.speed_colours(np.zeros(3), reference).tolist())) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by", ["speed", "graph", "island"])
 def test_a_recording_in_colours_of_each_frame_replays_with_the_same_bits(by: str, tmp_path: Path) -> None:
     recording = carom.run(cloud(12, time={"duration": 1.0}, record={"colour_by": by}), tmp_path / "cloud.rrd")

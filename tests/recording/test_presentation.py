@@ -115,6 +115,7 @@ def test_a_step_that_a_clip_of_some_bodies_does_not_have_is_replaced_with_the_re
     assert step.missing == "the clip shows only some of the bodies"
 
 
+@pytest.mark.slow
 def test_a_floor_is_drawn_under_the_bodies_that_are_shown(tmp_path: Path) -> None:
     ball = {"position": [0, 0, 0.1], "velocity": [5, 0, 0], "radius": 0.1}
     scene = scene_of(

@@ -293,6 +293,7 @@ def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, s
     assert [file.name for file in tmp_path.iterdir()] == ["run.rrd"]
 
 
+@pytest.mark.slow
 def test_a_run_that_is_killed_leaves_the_recording_that_it_would_have_replaced(
     tmp_path: Path, scripted: ScriptedRun
 ) -> None:
@@ -340,6 +341,7 @@ sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
 """
 
 
+@pytest.mark.slow
 def test_a_program_that_forks_after_a_recording_records_in_the_child(tmp_path: Path) -> None:
     script = FORKED.format(tests=SUPPORT, folder=str(tmp_path))
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60, check=False)
@@ -412,6 +414,7 @@ def test_a_full_disk_leaves_a_readable_file(tmp_path: Path) -> None:
         subprocess.run(["umount", tmp_path], check=True)
 
 
+@pytest.mark.slow
 def test_a_limit_on_the_size_of_files_leaves_a_readable_file(tmp_path: Path) -> None:
     path = tmp_path / "run.rrd"
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, 9_000_000))"

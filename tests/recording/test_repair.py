@@ -213,6 +213,7 @@ def test_a_file_that_is_not_a_recording_cannot_be_repaired(tmp_path: Path, conte
     assert not (tmp_path / "fixed.rrd").exists()
 
 
+@pytest.mark.slow
 def test_a_file_full_of_beginnings_does_not_take_for_ever(tmp_path: Path) -> None:
     # Every 17 bytes something that looks like a message over half of the file: 100 000 candidates.
     size = 1_700_000

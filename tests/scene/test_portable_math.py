@@ -39,6 +39,7 @@ def test_powers_are_right_to_the_rounding_of_their_exponent() -> None:
     assert power(np.array([1.0, 4.0]), 0.5).tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_bodies_are_placed_with_the_same_bits_where_numpy_has_no_wide_instructions() -> None:
     dispatched = " ".join(np._core._multiarray_umath.__cpu_dispatch__)  # type: ignore[attr-defined]
     starts = []

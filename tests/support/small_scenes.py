@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
@@ -14,11 +15,17 @@ from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.parallel.thread_team import Team
 from carom.scene.matter import PairCoefficients
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces, InitialBodies
 
 FloatArray = NDArray[np.float64]
+
+
+def bundled(quick: tuple[str, ...]) -> list[Any]:
+    """Return the bundled scenes as parameters, of which all but the quick ones are slow."""
+    return [pytest.param(name, marks=() if name in quick else pytest.mark.slow) for name in bundled_scenes()]
 
 
 def scene_of(bodies: list[dict[str, Any]], **sections: Any) -> Scene:
