@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from carom.recording.read.impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
-from carom.recording.schema.impacts import RecordedImpacts
 from carom.runs.report import worst_moment
 from carom.scene.parts import unknown
 from carom.scene.schema import Scene

@@ -15,7 +15,7 @@ import carom
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.recording.read.recording import Recording
-from carom.recording.schema.inventory import contents
+from carom.recording.schema.series import contents
 from carom.runs.estimate import MARKS, Estimate, estimate, flight_seconds
 from carom.runs.outlook import estimate_steps
 from carom.runs.run import header_of, recording_space, run

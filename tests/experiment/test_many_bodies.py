@@ -8,7 +8,7 @@ import pytest
 
 import carom
 from carom.errors import SceneError
-from carom.recording.read.restore import recorded_scene
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.runs.replay import replay
 from carom.runs.report import report
 from carom.runs.resume import resumable_run, resume

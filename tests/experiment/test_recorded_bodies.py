@@ -20,8 +20,8 @@ from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
 from carom.recording.export.export import write
 from carom.recording.export.snapshot import snapshots
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import recorded_scene
 from carom.recording.schema import paths
 from carom.runs.environment import versions
 from carom.runs.replay import replay
@@ -166,7 +166,9 @@ def test_a_recording_that_lacks_bodies_of_its_scene_is_damaged(
 ) -> None:
     monkeypatch.setattr(Recording, "scene_toml", recording.scene_toml.replace("count = 7", "count = 700"))
     stated = recording.info["scene_sha256"]
-    monkeypatch.setattr("carom.recording.read.restore.scene_digest", lambda text: stated)  # as of a stranger who knows
+    monkeypatch.setattr(
+        "carom.recording.read.recorded_scene.scene_digest", lambda text: stated
+    )  # as of a stranger who knows
     with pytest.raises(RecordingError, match="its scene has more bodies than it"):
         recorded_scene(Recording.open(recording.path))
 

@@ -22,7 +22,8 @@ from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.plan.auto import frame_interval
 from carom.recording.read.recording import Recording
-from carom.recording.schema import checkpoint, paths
+from carom.recording.schema import checkpoint_columns as checkpoint
+from carom.recording.schema import paths
 from carom.runs.mismatch import different
 from carom.runs.replay import Difference, replay
 from carom.runs.run import simulate
@@ -278,7 +279,7 @@ def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_agai
         return {name: column for name, column in encode(checkpoints).items() if not name.startswith(new)}
 
     with monkeypatch.context() as then:
-        then.setattr("carom.recording.schema.application_id.SCHEMA_VERSION", 1)
+        then.setattr("carom.recording.schema.header.SCHEMA_VERSION", 1)
         then.setattr(checkpoint, "encode", as_it_was)
         carom.run(cloud(12), tmp_path / "old.rrd")
     recording = Recording.open(tmp_path / "old.rrd")

@@ -12,7 +12,7 @@ from markdown_it import MarkdownIt
 
 import carom
 from carom.errors import RecordingError
-from carom.physics.event import Event
+from carom.event import Event
 from carom.recording.edit import bundle
 from carom.recording.read.recording import Recording
 from carom.runs import report as reports

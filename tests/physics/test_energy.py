@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.event import Event
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.motion import Motion
-from carom.physics.event import Event
 from carom.physics.space import Space
 from carom.runs.expectation import judge
 from carom.scene.integrators import INTEGRATORS

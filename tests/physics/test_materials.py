@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from carom.contact_table import SLIDING, STICKING
 from carom.lab.tradeoff.event_driven_reference import solve
-from carom.physics.contact.contact_table import SLIDING, STICKING
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space

@@ -12,7 +12,7 @@ from carom.physics.contact.checkpoint import SleepCheckpoint
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space
-from carom.recording.schema.checkpoint import decode, encode
+from carom.recording.schema.checkpoint_columns import decode, encode
 from carom.scene.schema import Scene
 
 PILE = [  # in a shaft with the floor z = 0: four spheres that fill its width, and one in the hollow between them

@@ -9,7 +9,7 @@ from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.read.recording import Recording
-from carom.recording.schema.checkpoint import encode, size
+from carom.recording.schema.checkpoint_columns import encode, size
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.recorder import Recorder
 from scripted_run import ScriptedRun

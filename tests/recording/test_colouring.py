@@ -9,7 +9,7 @@ from carom.recording.layout.camera import CameraFit
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.style import colouring
 from carom.runs.replay import replay
 from carom.scene.schema import Scene

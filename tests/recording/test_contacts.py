@@ -14,8 +14,8 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
+from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
-from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip

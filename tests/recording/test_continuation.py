@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rerun as rr
 
-from carom.physics.event import Event
+from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.read.positions import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
 from edited_recordings import Change, changed, mapped, retyped, with_column, without_column
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.contact_table import CONTACT_ROW
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 

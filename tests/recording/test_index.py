@@ -11,7 +11,7 @@ from carom.recording.rrd.arrow_stream import LARGEST
 from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_FOOTER, Message, messages
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING
-from carom.recording.schema import checkpoint
+from carom.recording.schema import checkpoint_columns as checkpoint
 
 
 def without_footer(path: Path) -> Path:

@@ -15,7 +15,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.materials import ShownMaterials
+from carom.recording.schema.header import ShownMaterials
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import COLOURS

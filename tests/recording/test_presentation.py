@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import carom
+from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
-from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.recording.edit.clip import clip
 from carom.recording.layout.camera import View
 from carom.recording.layout.visible_trails import TRAILS

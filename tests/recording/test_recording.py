@@ -7,7 +7,7 @@ import pytest
 import rerun as rr
 
 from carom.errors import RecordingError
-from carom.physics.event import Event
+from carom.event import Event
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write import encoder as entities

@@ -15,7 +15,7 @@ from rerun.notebook import Viewer
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import (
     StoredLayout,

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from carom.event import Event
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline, Origin
@@ -14,7 +15,6 @@ from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumBaseline
-from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
 

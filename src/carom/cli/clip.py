@@ -114,7 +114,7 @@ def _interval(
 
 def _numbers(file: Path, bodies: str | None) -> list[int] | None:
     """Find the bodies that are meant, by their numbers or names."""
-    from carom.recording.read.body_names import body_number, split_at_commas
+    from carom.recording.read.body_lookup import body_number, split_at_commas
     from carom.recording.read.recording import Recording
 
     if bodies is None:

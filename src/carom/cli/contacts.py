@@ -125,8 +125,8 @@ def _table(
 ) -> pa.Table:
     """Ask the recording, and keep the contacts of the bodies."""
     from carom.errors import RecordingError
-    from carom.recording.read.body_names import shown_body
-    from carom.recording.read.contact_tables import of_body
+    from carom.recording.read.body_lookup import shown_body
+    from carom.recording.read.recorded_contacts import of_body
 
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
@@ -152,7 +152,7 @@ def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
     """Return when these bodies were hit hardest, as far as impacts are recorded; None if they were not."""
     import numpy as np
 
-    from carom.recording.read.contact_tables import of_body
+    from carom.recording.read.recorded_contacts import of_body
 
     if not recording.records_contacts:
         return None
@@ -165,7 +165,7 @@ def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
 
 
 def _names(recording: Recording) -> Any:
-    from carom.recording.read.names import names_of
+    from carom.recording.read.body_lookup import names_of
 
     return names_of(recording)
 
@@ -203,7 +203,7 @@ def _named(recording: Recording, table: pa.Table) -> pa.Table:
     """Add the names of both bodies or planes, and to each field its unit."""
     import pyarrow as pa
 
-    from carom.recording.read.contact_tables import UNITS
+    from carom.recording.read.recorded_contacts import UNITS
 
     names, fields = _names(recording), []
     for field in table.schema:

@@ -46,7 +46,7 @@ def diff(
     from carom.lab.diff.diff import diff as compare
     from carom.lab.diff.diff import overlay
     from carom.recording.edit.bundle import opened
-    from carom.recording.read.names import names_of
+    from carom.recording.read.body_lookup import names_of
     from carom.recording.read.recording import Recording
     from carom.runs.output import refuse_itself, refuse_output
 

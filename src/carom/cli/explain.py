@@ -37,7 +37,7 @@ def explain(
     from carom.cli.live_line import LiveLine, Patience
     from carom.cli.progress import notes_on, preparing, watch_look_ahead
     from carom.cli.units import bytes_text, simulated_text
-    from carom.recording.schema.materials import ShownMaterials
+    from carom.recording.schema.header import ShownMaterials
     from carom.runs.estimate import estimate
 
     loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
@@ -140,7 +140,7 @@ def _parts(parts: list[PartCost]) -> Table:
 
 def _entities(entities: list[EntityCost]) -> Table:
     """Show the entities; those of one folder that are there for the same reason share a row, as do those left out."""
-    from carom.recording.schema.inventory import ONCE
+    from carom.recording.schema.series import ONCE
 
     rows: dict[tuple[str, str], list[EntityCost]] = {}
     for entity in entities:

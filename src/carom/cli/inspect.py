@@ -139,7 +139,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     """Count contacts and impacts, and name the deepest overlap."""
-    from carom.recording.schema.impacts import RecordedImpacts
+    from carom.recording.read.impacts import RecordedImpacts
     from carom.runs.contact_counts import counts_text, overlap_text
 
     contacts, texts = summary["contacts"], []
@@ -175,7 +175,7 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
     """Show the warnings of the run, and an empty line after them."""
     from carom.cli.warnings import warning_lines
-    from carom.physics.event import Event
+    from carom.event import Event
 
     if summary["warnings"]:
         yield f"Warnings: {len(summary['warnings'])}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from carom.physics.event import Event
+from carom.event import Event
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 

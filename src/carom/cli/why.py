@@ -70,7 +70,7 @@ def why(
     from carom.lab.why.question import question_of
     from carom.lab.why.why import why as answer_to
     from carom.recording.edit.bundle import opened
-    from carom.recording.read.names import names_of
+    from carom.recording.read.body_lookup import names_of
     from carom.recording.read.recording import Recording
     from carom.runs.output import refuse_itself, refuse_output
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.finite import refuse_infinities
-from carom.physics.event import Event
 from carom.physics.integrators.batch import Batch, BatchIntegrator
 from carom.physics.integrators.checkpoint import BY_LEAPFROG, IntegratorCheckpoint
 from carom.physics.rotation import rotate

@@ -9,15 +9,15 @@ import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
+from carom.contact_table import CONTACT_ROW
+from carom.event import Event
 from carom.physics.aligned import Room
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
-from carom.physics.contact.contact_table import CONTACT_ROW
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint_of
-from carom.physics.event import Event
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.parallel.intrinsics import pointer_to
 from carom.physics.parallel.jit import kernel

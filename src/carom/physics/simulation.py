@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.contact_table import NO_ROWS
 from carom.physics.aligned import Room
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
-from carom.physics.contact.contact_table import NO_ROWS
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.pace import PaceMonitor, remedies_of

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.event import Event
 from carom.physics.contact.contact_tap import Impulses
 from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.event import Event
 from carom.physics.look_ahead.budget import Watcher
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.placement import place

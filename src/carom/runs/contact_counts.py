@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
+from carom.contact_table import ROUNDED_OVERLAP
 from carom.scene.wording import counted
 
 EACH = "each"  # impacts during the drift of a step

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from carom.plan.auto import frame_interval, integrator
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import recorded_scene
 from carom.scene.integrators import AUTO
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

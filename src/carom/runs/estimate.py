@@ -21,7 +21,7 @@ from carom.plan.auto import frame_interval
 from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
 from carom.private_folder import temporary_folder
-from carom.recording.schema.inventory import Content, contents
+from carom.recording.schema.series import Content, contents
 from carom.recording.write.impact_plan import FILE_BYTES
 from carom.recording.write.size_probe import Taken, probe
 from carom.runs.outlook import estimate_steps

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.recording.edit.clip import Clip, clip
 from carom.recording.read.recording import Recording
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 
 MOST_BODIES = 2000  # of a clip without exact states; so few are drawn as ellipsoids
 BYTES_OF_A_BODY = 150  # of an exact state, and of what holds for all frames; compressed a little less

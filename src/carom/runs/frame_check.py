@@ -10,16 +10,15 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
-from carom.recording.read.damage import reading
-from carom.recording.read.recorded_rows import RecordedRows
+from carom.recording.read.entities import reading
+from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.event_kinds import CLOSING
 from carom.recording.schema.header import Header
+from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, Past
-from carom.recording.schema.timelines import SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 from carom.runs.environment import versions

@@ -10,20 +10,18 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.contact_table import CONTACT_ROW
 from carom.physics.contact.impact_store import MOST_IMPACTS
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
-from carom.recording.read.damage import reading
-from carom.recording.read.impacts import bodies_by_number, impacts_by_number, impacts_until
-from carom.recording.read.recorded_rows import RecordedRows
+from carom.recording.read.entities import Column, flat, reading
+from carom.recording.read.frame_rows import RecordedRows
+from carom.recording.read.impacts import RecordedImpacts, bodies_by_number, impacts_by_number, impacts_until
 from carom.recording.read.recording import Recording
-from carom.recording.read.tables import Column, flat
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.impacts import RecordedImpacts
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import chunk_of
 from carom.recording.write.impact_frames import orientations_at, positions_at

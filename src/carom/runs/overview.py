@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from carom.physics.diagnostics.extremes import ROUNDED_OVERLAP
+from carom.contact_table import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
 from carom.runs.contact_counts import counts_text, overlap_text
 from carom.runs.ending import error_text, in_words

@@ -16,8 +16,8 @@ from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.moment import interval, tolerance
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write.recorder import Recorder
 from carom.runs.environment import versions
@@ -26,6 +26,7 @@ from carom.runs.frame_check import FrameCheck, is_whole, told
 from carom.runs.mismatch import Mismatch, Value
 from carom.runs.output import claimed_output, refuse_itself, refuse_output
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
+from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
 from carom.scene.forces import FORCES
 from carom.scene.units.dimension import OF_UNIT, TIME

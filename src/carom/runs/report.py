@@ -13,8 +13,8 @@ from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.limits import OVERLAPS
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import recorded_scene
 from carom.runs.ending import in_words
 from carom.runs.environment import environment
 from carom.runs.excerpt import excerpt

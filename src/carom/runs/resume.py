@@ -11,8 +11,8 @@ from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
 from carom.recording.read.continuation import Continuation
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import recorded_scene, space_of
 from carom.recording.schema.header import Scalar
 from carom.recording.write.claim import Claim
 from carom.runs.continued_scene import continued_scene
@@ -20,6 +20,7 @@ from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name, refuse_output
 from carom.runs.replay import replay
 from carom.runs.run import Outcome, Watcher, simulate
+from carom.runs.window import space_of
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command

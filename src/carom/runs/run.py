@@ -13,16 +13,15 @@ from pathlib import Path
 import numpy as np
 
 from carom.errors import PhysicsError, RecordingError
+from carom.event import Event
 from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.event import Event
 from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.read.continuation import Continuation
+from carom.recording.read.impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header, Scalar, SweepMember
-from carom.recording.schema.impacts import RecordedImpacts
-from carom.recording.schema.materials import ShownMaterials
+from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember
 from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
 from carom.runs.closing import closing_of

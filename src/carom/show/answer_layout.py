@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 
 from carom.recording.layout.camera import View
 from carom.recording.layout.spatial_view import spatial_view
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.schema.paths import SIM_TIME
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:

@@ -14,11 +14,11 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.read.positions import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.show.answer_layout import beside_bodies
 

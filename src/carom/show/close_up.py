@@ -20,12 +20,12 @@ from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.graph_view import faint_bodies
 from carom.recording.layout.spatial_view import spatial_view
 from carom.recording.layout.surroundings import surroundings
-from carom.recording.read.names import names_of
-from carom.recording.read.positions import DrawnPaths, drawn_paths
+from carom.recording.read.body_lookup import names_of
+from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.style.line_radii import line_radii
 from carom.recording.style.single_precision import single
 from carom.recording.write.columns import Column

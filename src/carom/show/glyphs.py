@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from carom.recording.read.names import names_of
+from carom.recording.read.body_lookup import names_of
 from carom.recording.read.recording import Recording
 
 # Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some signs of mathematics

@@ -17,12 +17,11 @@ from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.layout.canvas import Canvas
-from carom.recording.read.positions import RecordedPositions
-from carom.recording.read.recorded_curves import recorded_curves
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.recorded_header import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.scene.units.dimension import TIME
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked

@@ -9,7 +9,7 @@ import numpy as np
 from carom.errors import RecordingError
 from carom.recording.read.impacts import numbered_impact
 from carom.recording.read.recording import Recording
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.show.pair import Pair, pair_of_extreme
 
 _IMPACT = "impact:"  # before the number of an impact

@@ -11,7 +11,7 @@ from carom.install import install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.schema.paths import SIM_TIME
 from carom.recording.write.rerun_compat import send_to_notebook
 from carom.show.presentation import asked
 from carom.show.request import Request

@@ -8,7 +8,7 @@ import numpy as np
 
 from carom.errors import RecordingError
 from carom.physics.frame import Frame
-from carom.recording.read.body_names import shown_body, split_at_commas
+from carom.recording.read.body_lookup import shown_body, split_at_commas
 from carom.recording.read.recording import Recording
 
 

@@ -15,13 +15,12 @@ from carom.recording.layout.canvas import Canvas
 from carom.recording.layout.curve import Curve
 from carom.recording.read.body_series import asked_quantities, body_series
 from carom.recording.read.moment import tolerance
-from carom.recording.read.recorded_curves import recorded_curves
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recorded_header import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import Index, Rows
 from carom.recording.write.statics import plane_grids
@@ -141,7 +140,7 @@ def presentation(
     plots
         Of single bodies.
     colour_by
-        What colours the bodies, one of `colouring.COLOUR_BY`; by default as recorded.
+        What colours the bodies, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     dense
         Whether to add all steps up to the next recorded frame.
     watch

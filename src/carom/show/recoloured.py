@@ -9,11 +9,11 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.recording.read.positions import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.header import STATIC_COLOURS, Header
+from carom.recording.schema.paths import STEP
 from carom.recording.style import colouring
 from carom.recording.style.body_shape import shape
 from carom.recording.write.rows import Index, Rows
@@ -40,7 +40,7 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
         raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
     if by == "material" and header.materials is None:
         raise RecordingError(f"{recording.path} has no [[material]] to colour by; take group")
-    if by in colouring.STATIC:
+    if by in STATIC_COLOURS:
         first = recording.fingerprints()
         fixed = header.static_colours(by)[recording.shown]
         found = iter([(int(first[STEP][0].as_py()), float(first["time"][0].as_py()), fixed)])

@@ -14,13 +14,12 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.frame import Frame
 from carom.physics.status import StepStatus
+from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.moment import frame_of, tolerance
-from carom.recording.read.positions import RecordedPositions
 from carom.recording.read.recording import Recording
-from carom.recording.read.window import Window
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.recording.write.impact_frames import orientations_at, positions_at
 from carom.show.pair import Pair
 
@@ -185,7 +184,7 @@ def _run(
     added: list[Frame] = []
     before, shown = None, None
     started: float | None = None
-    window = Window(recording, goal, watch=watch, contacts=True)
+    window = recording.rerun(goal, watch=watch, contacts=True)
     for frame in window.frames(earlier):
         started = clock.monotonic() if started is None else started
         if clock.monotonic() - started > limit:

@@ -10,11 +10,10 @@ from numpy.typing import NDArray
 
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.visible_trails import TRAILS
-from carom.recording.read.positions import drawn_paths
+from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
-from carom.recording.style.colouring import STATIC
+from carom.recording.schema.header import STATIC_COLOURS, Header
+from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import Index, Rows
 from carom.show.supplement import Static
 
@@ -41,7 +40,7 @@ class Trails:
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None
         self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
         by = header.coloured_by
-        self._colours = header.static_colours(by if by in STATIC else "group")[recording.shown]
+        self._colours = header.static_colours(by if by in STATIC_COLOURS else "group")[recording.shown]
 
     def show(self, camera: CameraFit, until: float) -> None:
         """Make the camera include the paths up to a time (s)."""

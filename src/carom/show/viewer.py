@@ -24,7 +24,7 @@ from carom.install import install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.schema.paths import SIM_TIME
 from carom.show import keeper
 from carom.show.keeper import HOST, has_screen, screen_is_remote
 from carom.show.supplement import Supplement

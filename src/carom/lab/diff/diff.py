@@ -15,8 +15,8 @@ from carom.errors import RecordingError, SceneError
 from carom.lab.diff.divergence import Curve, Divergence, Verdict, divergence_of, verdict
 from carom.lab.diff.frame_alignment import FrameAlignment
 from carom.lab.diff.impact_divergence import ImpactDivergence, impact_divergence
+from carom.recording.read.recorded_scene import RecordedBodies
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import RecordedBodies
 from carom.scene.key_places import DEEPEST, is_too_deep, line_of_long_key
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

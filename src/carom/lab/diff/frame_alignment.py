@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carom.errors import RecordingError
 from carom.lab.diff.divergence import Curve
 from carom.physics.periodic_box import minimum_images
-from carom.recording.read.positions import RecordedPositions
+from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recording import Recording
 
 FloatArray = NDArray[np.float64]

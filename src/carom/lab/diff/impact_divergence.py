@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carom.lab.diff.frame_alignment import SAME_TIME
 from carom.recording.read.impacts import count_at, impacts_by_number
 from carom.recording.read.recording import Recording
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

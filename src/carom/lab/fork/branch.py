@@ -13,9 +13,10 @@ from carom.physics.space import Space
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.recording.read.moment import tolerance
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import checkpoint_before, recorded_scene, space_of
 from carom.runs.continued_scene import continued_scene
+from carom.runs.window import checkpoint_before, space_of
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from carom.errors import PhysicsError
-from carom.physics.event import Event
+from carom.event import Event
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.runs.environment import versions

@@ -8,8 +8,9 @@ from pathlib import Path
 from carom.errors import RecordingError
 from carom.physics.placement import place
 from carom.recording.edit.bundle import is_bundle, opened
+from carom.recording.read.recorded_scene import recorded_scene, start_of
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import checkpoint_before, recorded_scene, start_of
+from carom.runs.window import checkpoint_before
 from carom.scene.load import load_scene
 from carom.scene.scene_file import RECORDED
 from carom.scene.schema import Scene

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from carom.errors import ExperimentError, PhysicsError
+from carom.event import Event
 from carom.lab.shrink.budget import Budget, OutOfTime
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.judges import Judges
 from carom.lab.shrink.literal import BODIES, Document
 from carom.lab.shrink.observation import Observation, Touches, said_by
-from carom.physics.event import Event
 from carom.physics.frame import Frame
 from carom.physics.schedule import Every, Schedule
 from carom.physics.space import Space

@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.contact_table import CONTACT_ROW, OPEN
 from carom.physics.checkpoint import Checkpoint
-from carom.physics.contact.contact_table import CONTACT_ROW, OPEN
 from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
+from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.read.restore import recorded_scene, space_of
+from carom.runs.window import space_of
 from carom.scene.schema import Scene
 
 FloatArray = NDArray[np.float64]

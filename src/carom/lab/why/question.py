@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from carom.errors import RecordingError
-from carom.recording.read.body_names import body_number
-from carom.recording.read.names import names_of
+from carom.recording.read.body_lookup import body_number, names_of
 from carom.recording.read.recording import Recording
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.contact_table import IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.contact_table import IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.law import LAW, Materials, material_index
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.aligned import joined, picked
-from carom.physics.contact.contact_table import CONTACT_ROW, NO_ROWS
 
 Records = NDArray[np.void]
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
+from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.pipeline import ContactPipeline
@@ -19,7 +20,6 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline
 from carom.physics.diagnostics.motion import Motion
-from carom.physics.event import Event
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

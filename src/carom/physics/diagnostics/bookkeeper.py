@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from carom.errors import PhysicsError
+from carom.event import Event
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.activity import Activity
@@ -17,7 +18,6 @@ from carom.physics.diagnostics.finite import refuse_infinities
 from carom.physics.diagnostics.horizon import end_of_promise
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
-from carom.physics.event import Event
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator

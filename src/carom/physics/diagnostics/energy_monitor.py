@@ -11,12 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.event import Event
 from carom.scene.integrators import Integrator
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem

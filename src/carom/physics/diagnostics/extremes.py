@@ -7,15 +7,14 @@ from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any
 
+from carom.contact_table import ROUNDED_OVERLAP
+from carom.event import Event
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.momentum import Momentum
-from carom.physics.event import Event
 from carom.scene.units.dimension import ENERGY
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
-
-ROUNDED_OVERLAP = 1e-13  # of a radius; bodies that just touch overlap by this much at most, by rounding
 
 
 @dataclass(frozen=True, slots=True)

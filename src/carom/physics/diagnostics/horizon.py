@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from carom.physics.event import Event
+from carom.event import Event
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 

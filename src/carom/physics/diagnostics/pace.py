@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from carom.physics.event import Event
+from carom.event import Event
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.schema import Scene

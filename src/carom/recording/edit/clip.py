@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from carom.errors import RecordingError
 from carom.recording.edit.selection import Selection
-from carom.recording.read.damage import reading
+from carom.recording.read.entities import reading
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import Scalar
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.units.dimension import TIME

@@ -10,17 +10,16 @@ import pyarrow as pa
 
 from carom.errors import DamageError, RecordingError
 from carom.recording.edit.restored_blueprint import new_layout
-from carom.recording.read.damage import reading
+from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
 from carom.recording.read.frame_tables import rising
 from carom.recording.read.recording import Recording
 from carom.recording.read.statics import UNFINISHED
-from carom.recording.read.tables import FINGERPRINTS, table
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Entry, Store
 from carom.recording.rrd.salvage import Salvage, salvage
 from carom.recording.schema import paths
-from carom.recording.schema.application_id import schema_version
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.header import schema_version
+from carom.recording.schema.paths import STEP
 from carom.recording.write.chunk_writer import Writer
 from carom.recording.write.rerun_compat import StoredLayout
 from carom.scene.units.dimension import TIME
@@ -111,7 +110,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
             try:
                 for chunk in recording.chunks([entry]):
                     if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would have all frames refused
-                        kept.append(rising(table(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
+                        kept.append(rising(join_rows(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
                     writer.send(chunk)
             except DamageError as error:  # carom or Rerun would not have written it
                 lost.append(f"{_named(entry)} ({error})")
@@ -160,7 +159,9 @@ def units_of(recording: Recording) -> UnitSystem:
 
 def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]:
     """Return the number of frames, and step and time (s) of the last one."""
-    steps, times = ([row for table in fingerprints for row in table[name].to_pylist()] for name in (STEP, "time"))
+    steps, times = (
+        [row for join_rows in fingerprints for row in join_rows[name].to_pylist()] for name in (STEP, "time")
+    )
     return len(steps), max(steps, default=None), max(times, default=None)
 
 

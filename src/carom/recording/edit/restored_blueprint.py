@@ -7,8 +7,7 @@ import rerun.blueprint as rrb
 
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
-from carom.recording.read.recorded_curves import recorded_curves
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recorded_header import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 

@@ -9,11 +9,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.physics.periodic_box import minimum_images
-from carom.recording.read.contact_tables import join_some
+from carom.recording.read.recorded_contacts import join_some
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]
@@ -107,7 +106,7 @@ class Selection:
         apart = centres.astype(np.float64) - point
         size = float(np.max(np.abs(centres), initial=0.0))
         if self._box is not None:
-            apart = minimum_images(apart, self._box)
+            apart -= self._box * np.round(apart / self._box)  # the nearest image
             size += float(np.max(self._box))
         return bool(np.any(np.max(np.abs(apart), axis=1) <= _ROUNDING * size))
 

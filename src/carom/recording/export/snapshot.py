@@ -5,18 +5,20 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Checkpoint
 from carom.recording.read.body_states import AXES
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
-from carom.recording.read.window import Watcher, Window
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
+    from carom.runs.window import Watcher
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -72,7 +74,7 @@ def snapshots(
     if recording.engine:
         yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
         return
-    window = Window(recording, goal, watch=watch)
+    window = recording.rerun(goal, watch=watch)
     own = _own(recording, window.fixed)
     wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
     frames = window.frames(np.inf if everything else goal)

@@ -15,7 +15,7 @@ from carom.recording.layout.graph_view import graph_view, has_graph
 from carom.recording.layout.plot_views import Curves, energy_view, plot_views, whole_time
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.schema.paths import SIM_TIME
 
 if TYPE_CHECKING:
     from carom.show.body_plots import BodyPlots

@@ -13,12 +13,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.frame import Frame
 from carom.recording.schema.header import Header
+
+if TYPE_CHECKING:
+    from carom.physics.frame import Frame
 
 FloatArray = NDArray[np.float64]
 

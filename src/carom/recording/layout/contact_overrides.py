@@ -11,7 +11,7 @@ from rerun.encodings import EntityPathLike
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import SIM_TIME
+from carom.recording.schema.paths import SIM_TIME
 
 Overrides = dict[EntityPathLike, VisualizerLike]
 

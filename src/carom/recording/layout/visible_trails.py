@@ -7,7 +7,7 @@ import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
 from rerun.encodings import EntityPathLike
 
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.paths import SIM_TIME, STEP
 
 TRAILS = "trails"
 

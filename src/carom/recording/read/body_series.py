@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.physics.status import StepStatus
-from carom.recording.read.body_names import body_number, split_at_commas
+from carom.recording.read.body_lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 from carom.scene.wording import body_called
+
+if TYPE_CHECKING:
+    from carom.physics.status import StepStatus
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -145,11 +148,9 @@ def _recorded(recording: Recording, bodies: Sequence[int]) -> _Read:
 
 
 def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[StepStatus], None]) -> _Read:
-    from carom.recording.read.window import Window  # noqa: PLC0415 - loads Numba
-
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    window, wanted = Window(recording, float(times[0]), watch=watch), set(steps.tolist())
+    window, wanted = recording.rerun(float(times[0]), watch=watch), set(steps.tolist())
     found: dict[str, list[FloatArray]] = {vector: [] for vector, *_ in _VECTORS}
     for frame in window.frames(np.inf):
         if frame.step in wanted:

@@ -1,4 +1,4 @@
-"""The exact state of the bodies at a time, as a table: from a checkpoint, or by a replay of the steps up to it."""
+"""Exact states of the bodies as tables: of all bodies at a time, or of one body over a time, and the checkpoints."""
 
 from __future__ import annotations
 
@@ -10,13 +10,20 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.recording.read.moment import frame_of, tolerance
-from carom.recording.schema.timelines import STEP
+from carom.recording.read.body_lookup import body_number, shown_body
+from carom.recording.read.entities import Entities, Values, reading, values_of
+from carom.recording.read.moment import frame_of, goal_of, tolerance
+from carom.recording.rrd.arrow_stream import release_memory
+from carom.recording.schema import paths
+from carom.recording.schema.paths import STEP
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recording import Recording
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 AXES = {
     "position": ("x", "y", "z"),  # m
@@ -29,9 +36,13 @@ AXES = {
 def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     """Return the state of all bodies at the end of the step that contains a time (s); see `BodyTable`."""
     at = recording.moment(at)
-    checkpoint, source = _checkpoint_of(recording, at), "checkpoint"
+    row, source, checkpoint = frame_of(recording, at), "checkpoint", None
+    if row is not None:
+        step = int(recording.fingerprints()[STEP][row].as_py())
+        checkpoint = recording.checkpoint(step) if step in recording.checkpoint_times else None
     if checkpoint is None:
-        checkpoint, source = _replayed(recording, at)
+        window = recording.rerun(goal_of(recording, at))
+        checkpoint, source = window.state_at(at), window.source
     n = len(checkpoint.position)
     states = state_table([checkpoint], slice(None))
     columns = {"body": pa.array(np.arange(n)), "name": pa.array(recording.bodies.name)}
@@ -54,21 +65,109 @@ def state_table(states: Sequence[Checkpoint], which: slice | int | NDArray[np.in
     return pa.table(columns)
 
 
-def _checkpoint_of(recording: Recording, at: float) -> Checkpoint | None:
-    row = frame_of(recording, at)
-    if row is None:
-        return None
-    step = int(recording.fingerprints()[STEP][row].as_py())
-    return recording.checkpoint(step) if step in recording.checkpoint_times else None
+def trajectory(recording: Recording, body: int | str, start: float, end: float, *, replay: bool) -> pa.Table:
+    """Return the path of one body; see `Recording.trajectory`."""
+    number = body_number(recording, body)
+    frames = recording.fingerprints()
+    times = frames["time"].to_numpy()
+    inside = np.flatnonzero((times >= start - tolerance(start)) & (times <= end + tolerance(end)))
+    if len(inside) == 0:
+        raise RecordingError(f"{recording.path} has no frame from {recording.units.span(start, end, TIME, 'g')}")
+    steps = frames[STEP].to_numpy()[inside]
+    if not replay:
+        return _recorded_path(recording, number, steps, times[inside])
+    window = recording.rerun(float(times[inside[0]]))
+    table = state_table(window.states(steps.tolist()), number)
+    exact = pa.array(np.ones(table.num_rows, dtype=bool))
+    return table.append_column("exact", exact).replace_schema_metadata({"source": window.source})
 
 
-def _replayed(recording: Recording, at: float) -> tuple[Checkpoint, str]:
-    from carom.recording.read.window import Window  # noqa: PLC0415 - loads Numba
+def _recorded_path(recording: Recording, number: int, steps: IntArray, times: FloatArray) -> pa.Table:
+    """Take positions from the drawn ones, float32, and whole states from checkpoints, float64."""
+    position = _drawn(recording, number, steps)
+    exact = np.isin(steps, recording.checkpoint_steps)
+    states: dict[int, Checkpoint] = {}
+    for row in np.flatnonzero(exact).tolist():
+        states[row] = recording.checkpoint(int(steps[row]))
+        position[row] = states[row].position[number]
+    lost = np.flatnonzero(np.isnan(position).any(axis=1))
+    if len(lost):
+        step = int(steps[lost[0]])
+        raise RecordingError(f"{recording.path} has no positions at step {step}: a piece of it is missing")
+    columns: dict[str, Any] = {STEP: steps, "time": times}
+    columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
+    for quantity in ("velocity", "orientation", "angular_velocity"):
+        if all(getattr(state, quantity) is not None for state in states.values()):
+            columns |= _at_checkpoints(quantity, states, number, len(steps))
+    told = {"source": "recorded: float64 at checkpoints, float32 elsewhere"}
+    return pa.table(columns | {"exact": exact}).replace_schema_metadata(told)
 
-    goal = min(at - tolerance(at), float(recording.fingerprints()["time"][-1].as_py()))
-    window = Window(recording, goal)
-    for frame in window.frames(goal):
-        if frame.time >= goal:
-            return frame.checkpoint, window.source
-    when = recording.units.text(at, TIME, ".9g")
-    raise RecordingError(f"{recording.path} ends before {when} when it is run again; its bits are not the same")
+
+def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
+    """Return the drawn positions of a body, (k, 3) m; NaN where there are none."""
+    shown = recording.shown
+    place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
+    entries = [
+        entry
+        for entry in recording.store.entries
+        if entry.entity_path == paths.BODIES
+        and entry.first_step is not None
+        and entry.first_step <= steps[-1]
+        and (entry.last_step or 0) >= steps[0]
+    ]
+    with reading(recording.path):
+        for chunk in recording.chunks(entries):
+            own = chunk.batch[STEP].to_numpy()
+            name = next((name for name in paths.CENTRES if name in chunk.components), None)
+            if name is None:
+                continue
+            values = chunk.batch[name].flatten()
+            while pa.types.is_nested(values.type):
+                values = values.flatten()
+            centres = values.to_numpy().reshape(len(own), len(shown), 3)
+            at = np.searchsorted(steps, own)
+            known = steps[np.minimum(at, len(steps) - 1)] == own
+            position[at[known]] = centres[known, place] + recording.origin
+    return position
+
+
+def _at_checkpoints(quantity: str, states: dict[int, Checkpoint], number: int, rows: int) -> dict[str, pa.Array]:
+    """Make columns that have values at checkpoints, and nulls elsewhere."""
+    missing = np.ones(rows, dtype=bool)
+    values = np.zeros((rows, len(AXES[quantity])))
+    for row, state in states.items():
+        values[row], missing[row] = getattr(state, quantity)[number], False
+    return {name: pa.array(column, mask=missing) for name, column in zip(AXES[quantity], values.T, strict=True)}
+
+
+def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Values], step: int) -> Checkpoint:
+    """Return the exact state at a step; see `Recording.checkpoint`.
+
+    Parameters
+    ----------
+    start
+        The state in which a clip begins; empty if it is a whole run.
+    """
+    from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
+
+    row = _row(recording, entities, start, step)
+    release_memory()
+    found = decode(step, row, len(recording.bodies.mass))
+    frames = recording.fingerprints()
+    own = np.flatnonzero(frames[STEP].to_numpy() == step)
+    if len(own) and frames["fingerprint"][int(own[0])].as_py() != found.fingerprint:
+        raise RecordingError(
+            f"{recording.path}: the checkpoint at step {step} does not have the fingerprint of its frame; "
+            "one is damaged"
+        )
+    return found
+
+
+def _row(recording: Recording, entities: Entities, start: dict[str, Values], step: int) -> dict[str, Values]:
+    for chunk in entities.chunks_at(step, paths.CHECKPOINT):
+        rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
+        if len(rows):
+            return {name: values_of(chunk.batch[name][int(rows[-1])]) for name in chunk.components}
+    if start and int(start[STEP][0]) == step:
+        return {name: values.copy() for name, values in start.items()}
+    raise RecordingError(f"{recording.path} has no checkpoint at step {step}")

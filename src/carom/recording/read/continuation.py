@@ -5,22 +5,23 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from carom.physics.checkpoint import Checkpoint
-from carom.recording.read import tables
-from carom.recording.read.impacts import impacts_until
+from carom.recording.read.entities import EVENTS, flat, optional_text
+from carom.recording.read.impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.event_kinds import CLOSING, kind_of
-from carom.recording.schema.impacts import RecordedImpacts
-from carom.recording.schema.timelines import IMPACT, STEP
+from carom.recording.schema.paths import CLOSING, IMPACT, STEP, kind_of
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
 
 
 class Continuation:
@@ -81,6 +82,6 @@ class Continuation:
 
 def _closes(chunk: Chunk) -> pa.BooleanArray:
     """Tell of each event whether it was written because the run ended."""
-    texts = tables.flat(chunk, "TextLog:text", tables.EVENTS["TextLog:text"]).to_pylist()
-    kinds = tables.optional_text(chunk, "kind").to_pylist()
+    texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
+    kinds = optional_text(chunk, "kind").to_pylist()
     return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())

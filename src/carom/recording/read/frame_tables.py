@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.errors import DamageError, RecordingError
-from carom.physics.event import Event
-from carom.recording.read import tables
-from carom.recording.read.events import event_table, warnings_of
-from carom.recording.read.series import scalar_series
+from carom.event import Event
+from carom.recording.read.entities import EVENTS, FINGERPRINTS, MOMENTA, SCALARS, STATES, join_rows
 from carom.recording.read.statics import Statics, named
 from carom.recording.schema import paths
+from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP, kind_of
 from carom.recording.schema.series import is_recorded, names_below
-from carom.recording.schema.timelines import STEP
 from carom.scene.start import HalfSpaces
 
 
@@ -53,12 +51,12 @@ class FrameTables(Statics):
 
         With names, only these are read. RecordingError if nothing is left of one that the scene has.
         """
-        return self._series(paths.STEP, names)
+        return self._series(paths.STEPS, names)
 
     @named
     def momentum(self) -> pa.Table:
         """Momentum (kg m/s), angular momentum (kg m²/s), and their relative errors."""
-        return self._entities.table(paths.MOMENTUM, tables.MOMENTA)
+        return self._entities.table(paths.MOMENTUM, MOMENTA)
 
     @named
     def events(self) -> pa.Table:
@@ -66,11 +64,25 @@ class FrameTables(Statics):
 
         Recordings made before events had kinds say only of some, by their texts, which kind they are.
         """
-        return event_table(self._entities)
+        events = self._entities.table(paths.EVENTS, EVENTS, optional=("kind",))
+        events = events.rename_columns([name.removeprefix("TextLog:") for name in events.column_names])
+        texts = zip(events["kind"].to_pylist(), events["text"].to_pylist(), strict=True)
+        kinds = pa.array([kind_of(kind, text) for kind, text in texts], pa.string())
+        events = events.set_column(events.column_names.index("kind"), "kind", kinds)
+        # events logged at the end are about earlier steps
+        return events.take(np.argsort(events[STEP].to_numpy(), kind="stable"))
 
     def warnings(self, until: int | None = None) -> list[Event]:
         """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
-        return warnings_of(self.events(), float(self.info["time_scale"]), until)
+        table = self.events()
+        seconds = table[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * float(self.info["time_scale"])
+        columns = (table[name].to_pylist() for name in ("level", "text", "kind"))
+        events = [Event(*row) for row in zip(table[STEP].to_pylist(), seconds.tolist(), *columns, strict=True)]
+        return [
+            event
+            for event in events
+            if event.level == "WARN" and event.kind not in CLOSING and (until is None or event.step <= until)
+        ]
 
     @named
     def phases(self) -> pa.Table:
@@ -126,21 +138,40 @@ class FrameTables(Statics):
 
     @cached_property
     def _fingerprints(self) -> pa.Table:
-        return rising(self._entities.table(paths.FINGERPRINT, tables.FINGERPRINTS))
+        return rising(self._entities.table(paths.FINGERPRINT, FINGERPRINTS))
 
     def _states(self, path: str) -> pa.Table:
-        table = self._entities.table(path, tables.STATES)
+        table = self._entities.table(path, STATES)
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        found = scalar_series(self._entities, root, names, self._fingerprints)
+        """Return some scalars below an entity, or all, of the frames that have a value in each.
+
+        A run that was killed may have sent half a batch, and a repaired file may lack any piece: a scalar without rows
+        is left out.
+        """
+        entities, frames = self._entities.below(root), self._fingerprints
+        scalars: dict[str, pa.Table] = {}
+        for name in names or entities:
+            chunks = self._entities.chunks(entities[name], "Scalars:scalars") if name in entities else iter(())
+            rows = join_rows(f"{root}/{name}", chunks, SCALARS)
+            if rows.num_rows:
+                scalars[name] = rows
         known = names_below(root)
         for name in names:
-            if name not in known and name not in found.column_names:
+            if name not in known and name not in scalars:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
-            if name not in found.column_names and self.frames and is_recorded(root, name, self.info):
+            if name not in scalars and self.frames and is_recorded(root, name, self.info):
                 raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
-        return found
+        columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
+        columns |= {name: rows["Scalars:scalars"] for name, rows in scalars.items()}
+        steps = {name: rows[STEP].to_numpy() for name, rows in scalars.items()}
+        own = frames[STEP].to_numpy()
+        if all(np.array_equal(column, own) for column in steps.values()):
+            return pa.table(columns)
+        common = reduce(np.intersect1d, steps.values(), own)
+        places = {name: np.searchsorted(steps.get(name, own), common) for name in columns}
+        return pa.table({name: column.take(pa.array(places[name])) for name, column in columns.items()})
 
 
 def rising(fingerprints: pa.Table) -> pa.Table:

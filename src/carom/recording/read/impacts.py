@@ -1,8 +1,9 @@
-"""The impacts of a recording: as they were recorded, or else by running the steps again."""
+"""The impacts of a recording, and how many of the run's impacts it has."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,29 +11,43 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.errors import DamageError, RecordingError
-from carom.physics.contact.contact_table import CONTACT_ROW
-from carom.recording.read.body_names import shown_body
-from carom.recording.read.contact_tables import (
+from carom.recording.read.body_lookup import shown_body
+from carom.recording.read.entities import Column, flat, reading
+from carom.recording.read.moment import interval, tolerance
+from carom.recording.read.recorded_contacts import (
     MEASURED,
     check_pairs,
     finite,
     modes,
     of_body,
-    of_shown,
     table_of,
-    table_of_rows,
 )
-from carom.recording.read.damage import reading
-from carom.recording.read.moment import interval, tolerance
-from carom.recording.read.tables import Column, flat
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
-from carom.recording.schema.impacts import RecordedImpacts
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
-    from carom.recording.read.window import Watcher
+    from carom.runs.window import Watcher
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedImpacts:
+    """How many impacts are recorded, and how many are not."""
+
+    recorded: int = 0
+    left_out: int = 0
+
+    @property
+    def count(self) -> int:
+        """All impacts."""
+        return self.recorded + self.left_out
+
+    def __str__(self) -> str:
+        if not self.left_out:
+            return {0: "none", 1: "the only one is recorded"}.get(self.recorded, f"all {self.recorded} recorded")
+        return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
+
 
 IntArray = NDArray[np.int64]
 
@@ -52,11 +67,15 @@ def impacts(
     first, last = interval(recording, start, end)
     first, last = first - tolerance(first), last + tolerance(last)
     number = None if body is None else shown_body(recording, body)
+
+    def replayed() -> pa.Table:
+        return recording.rerun(first, contacts=True, watch=watch).impacts(first, last)
+
     if recording.records_contacts and not replay:
         with reading(recording.path):
             table = _recorded(recording, first, last)
-        return of_body(finite(table, lambda: _replayed(recording, first, last, watch)), number)
-    return of_body(_replayed(recording, first, last, watch), number)
+        return of_body(finite(table, replayed), number)
+    return of_body(replayed(), number)
 
 
 def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
@@ -188,22 +207,3 @@ def _table(recording: Recording, chunk: Chunk, time: NDArray[np.float64]) -> pa.
         "mode": modes(flat(chunk, "mode", Column(pa.uint8())).to_numpy(), path),
     }
     return table_of(columns, "")
-
-
-def _replayed(recording: Recording, first: float, last: float, watch: Watcher | None) -> pa.Table:
-    from carom.recording.read.window import Window  # noqa: PLC0415 - loads Numba
-
-    steps = recording.fingerprints()[STEP]
-    begin, end, left_out = int(steps[0].as_py()), int(steps[-1].as_py()), 0
-    window = Window(recording, first, contacts=True, watch=watch)
-    found = [np.empty(0, CONTACT_ROW)]
-    for frame in window.frames(np.inf):
-        if frame.impacts is not None:
-            found.append(frame.impacts)
-            left_out += frame.impacts_left_out
-        if frame.time > last or frame.step >= end:
-            break
-    rows = np.concatenate(found)
-    inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
-    table = of_shown(table_of_rows(rows[inside], window.source), recording)
-    return table.replace_schema_metadata({"source": window.source, "left_out": str(left_out)})

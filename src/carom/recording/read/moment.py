@@ -5,6 +5,8 @@ Of a run that was killed, neither is known: then the frame before which contacts
 
 from __future__ import annotations
 
+import math
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,11 +14,19 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.recording.read.given_time import check_times
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
+
+
+def check_times(**times: object) -> None:
+    """Raise a RecordingError if a time, by the name of its argument, is neither a number nor None."""
+    for name, time in times.items():
+        is_time = isinstance(time, Real) and not isinstance(time, bool) and not math.isnan(time)
+        if time is not None and not is_time:
+            raise RecordingError(f"{name} = {time!r}: a time is a number, in seconds")
+
 
 _RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, which people type again
 
@@ -87,6 +97,11 @@ def _moment_of_shown(recording: Recording, last: float) -> float:
 def tolerance(time: float) -> float:
     """Return the error in s of a time that was printed and typed again."""
     return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
+
+
+def goal_of(recording: Recording, at: float) -> float:
+    """Return the time (s) that a step must reach to contain a time; the last recorded step contains all later times."""
+    return min(at - tolerance(at), float(recording.fingerprints()["time"][-1].as_py()))
 
 
 def frame_of(recording: Recording, at: float) -> int | None:

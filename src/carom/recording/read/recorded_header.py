@@ -1,18 +1,22 @@
-"""Reads the header of a run back from its recording."""
+"""The header of a recorded run and the outlines of its plots, for a layout that is made after the run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carom.recording.read.materials import materials_of
-from carom.recording.read.recording import Recording
+from carom.recording.layout.curve import Curve
+from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
-from carom.recording.style.colouring import COLOUR_BY
+from carom.recording.schema.header import COLOUR_BY, Header
+from carom.recording.schema.paths import ENERGY, STEP, STEPS
+from carom.recording.schema.series import SERIES
 from carom.scene.forces import FORCES
+
+if TYPE_CHECKING:
+    from carom.recording.read.recording import Recording
 
 
 def header_of_recording(recording: Recording) -> Header:
@@ -56,3 +60,15 @@ def _colour_by(info: Mapping[str, Any]) -> str:
     """Return what the bodies are coloured by; older recordings do not store it."""
     known = str(info.get("colour_by", "auto"))
     return known if known in COLOUR_BY else "auto"
+
+
+def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:
+    """Return the outlines of all recorded and plotted series, by their paths; up to a step if one is given."""
+    curves: dict[str, Curve] = {}
+    tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
+    for series in SERIES:
+        table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
+        if series.plot is not None and name in table.column_names:
+            kept = slice(None) if until is None else table[STEP].to_numpy() <= until
+            curves[series.path] = Curve.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
+    return curves

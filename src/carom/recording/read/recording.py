@@ -12,33 +12,26 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.errors import DamageError, RecordingError
-from carom.recording.read import tables
-from carom.recording.read.body_states import bodies_at
-from carom.recording.read.body_table import BodyTable
-from carom.recording.read.contacts import contacts
-from carom.recording.read.damage import reading
-from carom.recording.read.entities import Values
+from carom.recording.read.body_states import bodies_at, checkpoint_at, trajectory
+from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
 from carom.recording.read.frame_tables import FrameTables
-from carom.recording.read.given_time import check_times
-from carom.recording.read.html import html_of
 from carom.recording.read.impacts import impacts
-from carom.recording.read.moment import moment
-from carom.recording.read.statics import named
-from carom.recording.read.summary import summary
-from carom.recording.read.trajectory import trajectory
+from carom.recording.read.moment import check_times, moment
+from carom.recording.read.recorded_contacts import contacts
+from carom.recording.read.statics import BodyTable, named
+from carom.recording.read.summary import html_of, summary
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import RECORDING, Chunk, Entry
 from carom.recording.schema import paths
-from carom.recording.schema.application_id import schema_version
-from carom.recording.schema.body_names import names_of
-from carom.recording.schema.given_bodies import decode
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.header import schema_version
+from carom.recording.schema.paths import STEP
+from carom.recording.schema.stored_bodies import decode_bodies, decode_names
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
-    from carom.recording.read.window import Watcher
+    from carom.runs.window import Watcher, Window
 
 
 class Recording(FrameTables):
@@ -74,7 +67,7 @@ class Recording(FrameTables):
         self.refuse_overlay()
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
         n = len(self.shown) if self.is_partial else n
-        names, groups = names_of(stored), np.asarray(stored["group"])
+        names, groups = decode_names(stored), np.asarray(stored["group"])
         if len(names) != n or groups.shape != (n,) or groups.dtype != np.int64:
             raise DamageError(f"names or groups of its bodies are not those of {n} bodies")
         mass, radius, inertia = (self._sizes(stored[name], name, n) for name in ("mass", "radius", "inertia"))
@@ -185,8 +178,8 @@ class Recording(FrameTables):
 
     @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
-        """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.given_bodies`."""
-        return decode(self._given, index, row, place, self.bodies)
+        """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.stored_bodies`."""
+        return decode_bodies(self._given, index, row, place, self.bodies)
 
     def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> NDArray[np.float64]:
         array = np.asarray(values)
@@ -198,11 +191,19 @@ class Recording(FrameTables):
     @named
     def checkpoint_times(self) -> dict[int, float]:
         """Simulated times (s) of the checkpoints by step, rising; a clip's first may precede its frames."""
-        table = self._entities.table(paths.CHECKPOINT, tables.CHECKPOINT_TIMES)
+        table = self._entities.table(paths.CHECKPOINT, CHECKPOINT_TIMES)
         times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
         times |= {int(step): float(time) for step, time in rows}
         return dict(sorted(times.items()))
+
+    def rerun(
+        self, before: float, *, contacts: bool = False, threads: int | None = None, watch: Watcher | None = None
+    ) -> Window:
+        """Run again from the last checkpoint before a time (s), for what is not recorded; see `carom.runs.window`."""
+        from carom.runs.window import Window  # noqa: PLC0415 - loads the physics
+
+        return Window(self, before, contacts=contacts, threads=threads, watch=watch)
 
     @property
     def checkpoint_steps(self) -> list[int]:
@@ -219,8 +220,6 @@ class Recording(FrameTables):
             If there is none at this step, or it is damaged: not finite, or different from its digest or from the
             fingerprint of its frame.
         """
-        from carom.recording.read.checkpoint import checkpoint_at  # noqa: PLC0415 - loads Numba, which looking at a file does not need
-
         if isinstance(step, bool) or not isinstance(step, (int, np.integer)):
             raise RecordingError(
                 f"checkpoint {step!r}: give one of checkpoint_steps, such as {self.checkpoint_steps[:1]}"

@@ -1,19 +1,24 @@
-"""The summary of a recording that `carom inspect` prints."""
+"""The summary of a recording, as `carom inspect` prints it and as a table in a notebook."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
+from carom.contact_table import ROUNDED_OVERLAP
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.impacts import impacts_until
-from carom.recording.read.materials import materials_of
+from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema.properties import NOTES
-from carom.scene.wording import body_called
+from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.system import UnitSystem
+from carom.scene.wording import body_called, counted
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
@@ -161,7 +166,7 @@ def _moments(recording: Recording) -> dict[str, Any]:
         moment["bodies"] = [end for end in ends if end < n]
         moment["planes"] = planes or [end - n for end in ends if end >= n]
         if not moment.get("between"):
-            from carom.recording.read.names import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
+            from carom.recording.read.body_lookup import names_of  # noqa: PLC0415 - loads Numba, for old recordings only
 
             ends = moment["bodies"] + [plane + n for plane in moment["planes"]]
             moment["between"] = names_of(recording).pair(ends) if ends else ""
@@ -191,3 +196,34 @@ def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
                 inner = inner.setdefault(name, {})
             inner[path[-1]] = value
     return found
+
+
+def html_of(recording: Recording) -> str:
+    """Return the summary of a recording as an HTML table; of a file that cannot be read, why."""
+    try:
+        rows = _rows(recording.summary(), recording.units)
+    except RecordingError as error:
+        return f"<p>{escape(str(error))}</p>"
+    cells = "".join(f"<tr><th>{escape(name)}</th><td>{escape(text)}</td></tr>" for name, text in rows.items())
+    return f"<table><caption>{escape(recording.path.name)}</caption>{cells}</table>"
+
+
+def _rows(summary: dict[str, Any], units: UnitSystem) -> dict[str, str]:
+    energy, overlap = summary["energy"], summary["contacts"]["max_overlap"]
+    counts = counted(summary["frames"], "frame"), counted(summary["steps"], "step")
+    rows = {
+        "scene": f"{summary['scene']['title']}, {counted(summary['bodies'], 'body')}",
+        "outcome": str(summary["outcome"]),
+        "length": ", ".join((*counts, units.text(summary["sim_time"], TIME))),
+    }
+    if not math.isnan(energy["initial"]):
+        first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
+        rows["energy"] = f"{first} at first, {last} at last"
+        rows["energy error"] = f"{_number(energy['max_error'])} of the energy scale"
+    if overlap is None or overlap > ROUNDED_OVERLAP:
+        rows["deepest overlap"] = f"{_number(overlap)} of a radius"
+    return rows
+
+
+def _number(value: float | None) -> str:
+    return "not recorded" if value is None else f"{value:.6g}"

@@ -24,7 +24,7 @@ from carom.recording.rrd.messages import (
     store_named,
     store_of,
 )
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
 
 _ZIP = b"PK\x03\x04"  # begins a zip file, such as a bug report's
 _SHORTEST = 100  # bytes of a chunk's message; its schema alone has more

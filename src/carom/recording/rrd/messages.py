@@ -17,7 +17,7 @@ from carom.errors import DamageError
 from carom.recording.rrd import protobuf
 from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import Message
-from carom.recording.schema.timelines import SIM_TIME, STEP
+from carom.recording.schema.paths import SIM_TIME, STEP
 
 RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 

@@ -11,7 +11,7 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
 _COARSEST = 1.0e-6  # s; in a shorter step, impacts would have times of less than three digits

@@ -1,8 +1,9 @@
-"""What a recording says about a run before its first frame."""
+"""What a recording states about a run before its first frame: bodies, materials, and the parts of its model."""
 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
@@ -11,13 +12,65 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.recording.schema import palette
-from carom.recording.schema.materials import ShownMaterials
+from carom.recording.schema.paths import SCHEMA_VERSION
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.forces import FORCES
+from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
+from carom.scene.schema import Scene
 from carom.scene.start import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem
 
+Colours = NDArray[np.uint32]
+
+
+@dataclass(frozen=True)
+class ShownMaterials:
+    """Materials of a scene that has any."""
+
+    names: list[str]  # (a,) of the materials that bodies have
+    colours: list[int]  # (a,) 0xRRGGBBAA
+    index: NDArray[np.int64]  # (n,) the material of each body
+    has_colours: bool  # whether the scene gives a material a colour
+    contacts: list[KindOfContact]
+
+    @classmethod
+    def of(cls, scene: Scene) -> ShownMaterials | None:
+        """Return the materials of a scene; None if it has none but that of [contact]."""
+        if not scene.material:
+            return None
+        found = body_materials(scene)
+        known = [material_called(scene, name) for name in found.names]
+        given = [material.colour if material else None for material in known]
+        contacts = kinds_of_contacts(scene)
+        return cls(found.names, palette.material_colours(given), found.index, any(given), contacts)
+
+    def body_colours(self) -> Colours:
+        """Return the colour of each body, (n,)."""
+        return np.array(self.colours, dtype=np.uint32)[self.index]
+
+    @property
+    def described(self) -> list[dict[str, Any]]:
+        """Each material, how many bodies have it, and what they may touch, as `carom inspect --json` prints it."""
+        count = np.bincount(self.index, minlength=len(self.names)).tolist()
+        return [
+            {
+                "name": name,
+                "bodies": bodies,
+                "colour": palette.name_of(colour),
+                "contacts": {kind.other(name): kind.coefficients._asdict() for kind in self._of(name)},
+            }
+            for name, bodies, colour in zip(self.names, count, self.colours, strict=True)
+        ]
+
+    def _of(self, name: str) -> list[KindOfContact]:
+        """Return the kinds of contacts of a material."""
+        return [kind for kind in self.contacts if name in kind.between]
+
+
 Scalar = str | int | float | bool
+
+STATIC_COLOURS = ("group", "material")  # what colours bodies for the whole run
+COLOUR_BY = (*STATIC_COLOURS, "speed", "graph", "island")
 
 _FLAGS = {
     "accuracy": "promises",
@@ -119,3 +172,22 @@ class Header:
 def scene_digest(text: str) -> str:
     """Return the SHA-256 of a scene's text, in hexadecimal digits; a recording states it beside the text."""
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+_PATTERN = re.compile(r"carom-([0-9]{1,9})-[0-9a-f]+")
+
+
+def application_id(header: Header) -> str:
+    """``carom-<schema>-<layout>``.
+
+    A viewer keeps one layout, with its camera, per application id. The id therefore includes a hash of the scene.
+    Rerun replaces slashes, so it has none.
+    """
+    layout = hashlib.sha256(f"{header.scene_toml}\n{header.bodies} {header.spins}".encode()).hexdigest()
+    return f"carom-{SCHEMA_VERSION}-{layout[:12]}"
+
+
+def schema_version(identity: str) -> int | None:
+    """Read the schema version from an application id; None if carom did not make the recording."""
+    match = _PATTERN.fullmatch(identity)
+    return None if match is None else int(match.group(1))

@@ -1,4 +1,16 @@
-"""Paths of the entities of a recording, those of scalars apart (`series`), and the version of the schema."""
+"""The timelines and entities of a recording, the kinds of its events, and the version of the schema.
+
+The entities of scalars are in `series`.
+"""
+
+from __future__ import annotations
+
+import re
+
+STEP = "step"  # a count
+SIM_TIME = "sim_time"  # a duration in ns, scaled: see `Clock`
+IMPACT = "impact"  # a count, from 1 on: rows of impacts, and of the bodies at the moments of some of them
+
 
 SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed; 1: checkpoints could only be read
 
@@ -19,7 +31,7 @@ FORCE_FRICTION = "world/forces/friction"
 IMPACTS = "impacts"
 IMPACT_ENERGY = "impacts.energy"  # no entity: in the property `arrows`
 ENERGY = "energy"
-STEP = "step"
+STEPS = "step"
 DT_LIMIT = "step/limit"
 PHASE = "phase"
 EVENTS = "events"
@@ -31,3 +43,17 @@ STATIC_STATE = "state/bodies"
 GIVEN_STATE = "scene/bodies"  # the bodies of [[bodies]] at time 0
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as
+
+
+CLOSING = frozenset({"extreme", "end"})  # written when a run ends: a resumed run writes its own
+
+_BY_TEXT = (  # the texts, or their beginnings, of events in older recordings without kinds
+    (re.compile(r"^end: "), "end"),
+    (re.compile(r" of the run[,:.]"), "extreme"),
+    (re.compile(r"^Energy rose"), "energy-rise"),
+)
+
+
+def kind_of(recorded: str, text: str) -> str:
+    """Return the recorded kind of an event or, without one, the kind that its text implies; "" if unknown."""
+    return recorded or next((kind for pattern, kind in _BY_TEXT if pattern.search(text)), "")

@@ -11,6 +11,7 @@ from typing import Any
 from carom.errors import DamageError
 
 MOST_BODIES = 10_000_000
+LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]]
 _NUMBERS = re.compile(r"([0-9]{1,9}(,[0-9]{1,9})*)?")

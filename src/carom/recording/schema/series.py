@@ -1,6 +1,7 @@
 """The scalars of every frame: the one table that encoder, plots, inventory and docs/recording.md are made from.
 
-A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md.
+A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md. The inventory at the end
+lists all entities that a recording of a scene has.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from carom.plan.features import Requirements
+from carom.recording.schema import paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
 from carom.recording.schema.palette import LINES
-from carom.recording.schema.paths import ENERGY, STEP
+from carom.recording.schema.paths import ENERGY, STEPS
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.units.system import UnitSystem
 
@@ -20,6 +23,7 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.physics.diagnostics.energy import Energy
     from carom.physics.frame import Frame
+
 
 BLUE, RED, GREEN, PURPLE, GREY = (LINES[name] for name in ("blue", "red", "green", "purple", "grey"))
 THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen: a thinner one is blended with the ground
@@ -87,8 +91,8 @@ class Series:
     flat_is_dull: bool = False  # its plot is left out if it is constant; every series' is if it is 0 throughout
 
     def __post_init__(self) -> None:
-        if self.path.partition("/")[0] not in (ENERGY, STEP):
-            raise ValueError(f"the series {self.path}: a path begins with {ENERGY}/ or {STEP}/, whose tables have it")
+        if self.path.partition("/")[0] not in (ENERGY, STEPS):
+            raise ValueError(f"the series {self.path}: a path begins with {ENERGY}/ or {STEPS}/, whose tables have it")
         if self.part is not None and self.part not in RECORDED_PARTS:
             raise ValueError(f"the series {self.path}: no part {self.part}; take one of {', '.join(RECORDED_PARTS)}")
 
@@ -225,3 +229,58 @@ def _below(root: str) -> list[Series]:
 
 def _last_part(series: Series) -> str:
     return series.path.rpartition("/")[2]
+
+
+ONCE = "once, however long it is"
+
+_PARTS = {  # entity → the part of the model that it requires
+    paths.CONTACTS: "contact",
+    paths.TORQUE: "torque",
+    paths.ANGULAR_ACCELERATION: "torque",
+}
+_ALWAYS = {  # entity → why it is recorded
+    paths.DT_LIMIT: "adaptive or not",
+    paths.PHASE: "where it changes",
+    paths.EVENTS: "where something happens",
+    paths.FINGERPRINT: "the bits of every frame",
+    paths.MOMENTUM: "momentum",
+    paths.CHECKPOINT: "the exact state, at times",
+    paths.STATIC_STATE: ONCE,
+    paths.SCENE: ONCE,
+    paths.SCENE_TOML: ONCE,
+    paths.WORLD: ONCE,
+}
+
+
+class Content(NamedTuple):
+    """An entity, whether a recording of the scene has it, and why."""
+
+    path: str
+    recorded: bool
+    why: str
+
+
+def _contact_data(header: Header) -> Iterator[Content]:
+    without = "no contact" if not header.collides else 'record.impacts = "none"'
+    kept = "all" if header.record_impacts == "all" else "at most a fifth of the file, else the largest"
+    for path, why in ((paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
+        yield Content(path, header.records_contacts, why if header.records_contacts else without)
+    rubs = header.records_contacts and header.has_friction
+    why = "the same contacts" if rubs else without if not header.records_contacts else "no friction"
+    yield Content(paths.FORCE_FRICTION, rubs, why)
+
+
+def contents(header: Header, needs: Requirements) -> Iterator[Content]:
+    """Return every entity that a recording may have."""
+    parts = {part.name: part.modelled for part in needs.parts}
+    yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
+    needed = [*_PARTS.items(), *((series.path, series.part) for series in SERIES)]
+    for path, name in needed:
+        there = name is None or parts[name]
+        yield Content(path, there, (name or "always") if there else f"no {name}")
+    yield from _contact_data(header)
+    for path, why in _ALWAYS.items():
+        yield Content(path, True, why)
+    yield Content(paths.PLANES, header.planes is not None, ONCE if header.planes is not None else "no planes")
+    yield Content(paths.WALLS, header.walls is not None, ONCE if header.walls is not None else "no walls")
+    yield Content(paths.PERIODIC_BOX, header.box is not None, ONCE if header.box is not None else "no periodic box")

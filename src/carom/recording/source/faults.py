@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, fields
 
 from carom.errors import RecordingError
-from carom.physics.event import Event
+from carom.event import Event
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
+from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
@@ -19,11 +20,10 @@ from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount
 from carom.physics.diagnostics.motion import Motion
-from carom.physics.event import Event
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.recording.schema.checkpoint import LARGEST
 from carom.recording.schema.header import Header, Scalar
+from carom.recording.schema.properties import LARGEST
 from carom.recording.source.audit import Audit
 from carom.recording.source.faults import Fault, Finding, Tolerances
 from carom.recording.source.proximity import Moment, Proximity

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.recording.schema.checkpoint import LARGEST
+from carom.recording.schema.properties import LARGEST
 from carom.recording.source.source import Source, State, time_of
 
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` go through Python

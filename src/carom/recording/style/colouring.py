@@ -12,9 +12,6 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Colours = NDArray[np.uint32]
 
-STATIC = ("group", "material")
-COLOUR_BY = (*STATIC, "speed", "graph", "island")
-
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 _SPEEDS = np.array(
     [0x5001A2FF, 0x7501A8FF, 0x9A169FFF, 0xB83289FF, 0xD14E72FF, 0xE56B5DFF, 0xF58C46FF, 0xFDB130FF, 0xF9DB24FF],

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from carom.physics.frame import Frame
-from carom.recording.schema.checkpoint import size
+from carom.recording.schema.checkpoint_columns import size
 
 
 class CheckpointPlan:

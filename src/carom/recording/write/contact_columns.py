@@ -10,8 +10,8 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
+from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.aligned import picked
-from carom.physics.contact.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.frame import Frame
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL
 from carom.recording.style import impulse_scale

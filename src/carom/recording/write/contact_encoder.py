@@ -11,8 +11,8 @@ from rerun import ComponentColumn
 
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
+from carom.recording.read.impacts import RecordedImpacts
 from carom.recording.schema.header import Header
-from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.style import arrows, impulse_scale
 from carom.recording.write.columns import any_column

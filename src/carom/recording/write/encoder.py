@@ -10,13 +10,14 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
+from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
-from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.curve import Curve
-from carom.recording.schema import checkpoint, palette
+from carom.recording.read.impacts import RecordedImpacts
+from carom.recording.schema import checkpoint_columns as checkpoint
+from carom.recording.schema import palette
 from carom.recording.schema.header import Header
-from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.schema.paths import (
     ANGULAR_ACCELERATION,
     BODIES,

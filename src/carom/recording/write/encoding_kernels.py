@@ -11,7 +11,7 @@ import numpy as np
 from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
-from carom.physics.contact.contact_table import CONTACT_ROW
+from carom.contact_table import CONTACT_ROW
 from carom.physics.parallel.intrinsics import pointer_to
 from carom.physics.parallel.jit import inline, inner, kernel, long_kernel
 from carom.recording.style.arrows import part_of_longest

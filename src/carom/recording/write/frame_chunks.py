@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 import pyarrow as pa
 
 from carom.physics.frame import Frame
-from carom.recording.read.recorded_rows import BY_EVENT
+from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.timelines import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows
 

@@ -14,17 +14,17 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
+from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.event import Event
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.read.continuation import Continuation
-from carom.recording.read.recorded_curves import recorded_curves
+from carom.recording.read.impacts import RecordedImpacts
+from carom.recording.read.recorded_header import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.schema.impacts import RecordedImpacts
 from carom.recording.write.address_reserve import AddressReserve
 from carom.recording.write.batch_queue import BatchQueue
 from carom.recording.write.checkpoint_plan import CheckpointPlan

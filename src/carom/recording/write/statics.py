@@ -10,12 +10,10 @@ from numpy.typing import NDArray
 from rerun.components import FillMode
 
 from carom.recording.schema import palette, paths
-from carom.recording.schema.body_names import stored_names
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.given_bodies import encode
-from carom.recording.schema.header import Header
+from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.schema.series import recorded
-from carom.recording.style import colouring
+from carom.recording.schema.stored_bodies import encode_bodies, encode_names
 from carom.recording.style.body_shape import shape
 from carom.recording.style.curve_style import curve_style
 from carom.recording.style.line_radii import line_radii
@@ -43,7 +41,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
     yield (
         paths.STATIC_STATE,
         rr.AnyValues(
-            **stored_names(header.names),
+            **encode_names(header.names),
             group=header.group,
             mass=header.mass,
             radius=header.radius,
@@ -51,7 +49,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
         ),
     )
     if header.data:
-        yield paths.GIVEN_STATE, rr.AnyValues(**encode(header.data))
+        yield paths.GIVEN_STATE, rr.AnyValues(**encode_bodies(header.data))
     if header.has_torque:
         yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
         yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
@@ -67,7 +65,7 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
 
 
 def _bodies(header: Header) -> Iterable[Static]:
-    is_static = header.coloured_by in colouring.STATIC
+    is_static = header.coloured_by in STATIC_COLOURS
     colours = header.static_colours(header.coloured_by) if is_static else None
     radius = single(header.radius)
     match shape(header):

@@ -12,13 +12,13 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from carom.errors import RecordingError
-from carom.physics.event import Event
+from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.rrd.arrow_stream import release_memory
-from carom.recording.schema import checkpoint, paths
-from carom.recording.schema.application_id import application_id
+from carom.recording.schema import checkpoint_columns as checkpoint
+from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.header import Header, Scalar, scene_digest
+from carom.recording.schema.header import Header, Scalar, application_id, scene_digest
 from carom.recording.style.arrow_length import arrow_length
 from carom.recording.write.columns import any_values
 from carom.recording.write.durable_sink import FLUSH, DurableSink

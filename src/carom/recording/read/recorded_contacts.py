@@ -1,7 +1,9 @@
-"""The contacts of one step of a recording: as they were recorded, or else by running the step again."""
+"""Tables of contacts and impacts, and the contacts of one step as they were recorded."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
 
@@ -9,21 +11,114 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.errors import DamageError, RecordingError
-from carom.physics.contact.contact_table import IMPACT_MODE
-from carom.recording.read.contact_tables import check_pairs, finite, modes, of_shown, table_of, table_of_rows
-from carom.recording.read.damage import reading
-from carom.recording.read.moment import frame_of, tolerance
+from carom.contact_table import IMPACT_MODE, MODES
+from carom.errors import DamageError, RecordingError, SceneError
+from carom.recording.read.entities import reading
+from carom.recording.read.moment import frame_of, goal_of
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.timelines import STEP
-from carom.scene.units.dimension import TIME
+from carom.recording.schema.paths import STEP
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
-    from carom.recording.read.window import Watcher
+    from carom.runs.window import Watcher
+
 
 FloatArray = NDArray[np.float64]
+
+IntArray = NDArray[np.int64]
+
+SCHEMA = pa.schema(
+    [
+        ("step", pa.int64()),
+        ("time", pa.float64()),  # s, of the impact, or the end of the step
+        ("i", pa.int64()),  # i < j
+        ("j", pa.int64()),  # from n on: planes and walls
+        *((name, pa.float64()) for name in ("x", "y", "z")),  # m, the contact point
+        *((name, pa.float64()) for name in ("nx", "ny", "nz")),  # the normal, from i to j
+        ("approach_speed", pa.float64()),  # m/s
+        ("normal_impulse", pa.float64()),  # N s
+        ("tangential_impulse", pa.float64()),  # N s
+        ("mode", pa.string()),
+        ("energy_lost", pa.float64()),  # J
+    ]
+)
+MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
+UNITS = {  # of the columns that have one
+    "time": "s",
+    **dict.fromkeys(("x", "y", "z"), "m"),
+    "approach_speed": "m/s",
+    **dict.fromkeys(("normal_impulse", "tangential_impulse"), "N s"),
+    "energy_lost": "J",
+}
+SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
+
+
+def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
+    """Make a table of columns; those that are not there are null."""
+    rows = len(columns["step"])
+    arrays = [
+        pa.array(columns[field.name], field.type) if field.name in columns else pa.nulls(rows, field.type)
+        for field in SCHEMA
+    ]
+    return pa.table(arrays, schema=SCHEMA).replace_schema_metadata({SOURCE: source})
+
+
+def table_of_rows(rows: NDArray[np.void], source: str) -> pa.Table:
+    """Make a table of rows, (k,) `CONTACT_ROW`."""
+    plain = ("step", "time", "i", "j", "x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse")
+    columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in plain}
+    friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
+    columns["tangential_impulse"] = np.sqrt(np.sum(friction * friction, axis=0))
+    columns["energy_lost"] = rows["restitution_loss"] + rows["friction_loss"]
+    return table_of(columns | {"mode": modes(rows["mode"], "a replay")}, source)
+
+
+def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
+    """Return a recorded table, or the one of a replay where a value was too large for float32, above 3.4e38.
+
+    A run that cannot be repeated keeps its infinite numbers.
+    """
+    if any(bool(np.isinf(recorded[name].to_numpy()).any()) for name in MEASURED):
+        with suppress(RecordingError, SceneError):
+            return repeat()
+    return recorded
+
+
+def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
+    """Return the modes of contacts as texts."""
+    if len(numbers) and int(numbers.max()) >= len(MODES):
+        raise DamageError(f"/{path} has a contact in a mode that there is not")
+    return pa.array(MODES).take(pa.array(numbers))
+
+
+def of_body(table: pa.Table, body: int | None) -> pa.Table:
+    """Keep the rows of a body; None keeps all."""
+    if body is None:
+        return table
+    own = (table["i"].to_numpy() == body) | (table["j"].to_numpy() == body)
+    return table.filter(pa.array(own))
+
+
+def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
+    """Keep the rows of bodies that a recording shows, among each other or with planes."""
+    if recording.shows_all:
+        return table
+    pairs = np.stack([table["i"].to_numpy(), table["j"].to_numpy()], axis=1)
+    return table.filter(pa.array(join_some(pairs, recording.shown, int(recording.info["bodies"]))))
+
+
+def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> NDArray[np.bool_]:
+    """Tell which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
+    among = np.isin(pairs, chosen)
+    return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
+
+
+def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
+    """Refuse pairs (k, 2) that cannot be. DamageError if there are any."""
+    if np.any((pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] >= bodies)):
+        raise DamageError(f"/{path} has contacts of bodies that are not there")
+
 
 _SAME = 1e-5  # relative, of sums of float32 impulses, and of the length of a float32 line
 _TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
@@ -33,23 +128,15 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
     """Return the contacts of the step that a time (s) is in; see `Recording.contacts`."""
     at = recording.moment(at)
     row = frame_of(recording, at)
+
+    def replayed() -> pa.Table:
+        return recording.rerun(goal_of(recording, at), contacts=True, watch=watch).contacts(at)
+
     if recording.records_contacts and row is not None and not replay:
         with reading(recording.path):
             table = _recorded(recording, row)
-        return finite(table, lambda: _replayed(recording, at, watch))
-    return _replayed(recording, at, watch)
-
-
-def _replayed(recording: Recording, at: float, watch: Watcher | None) -> pa.Table:
-    from carom.recording.read.window import Window  # noqa: PLC0415 - loads Numba
-
-    goal = min(at - tolerance(at), float(recording.fingerprints()["time"][-1].as_py()))
-    window = Window(recording, goal, contacts=True, watch=watch)
-    for frame in window.frames(goal):
-        if frame.time >= goal and frame.contact_rows is not None:
-            return of_shown(table_of_rows(frame.contact_rows, window.source), recording)
-    when = recording.units.text(at, TIME, ".9g")
-    raise RecordingError(f"{recording.path} ends before {when} when it is run again; its bits are not the same")
+        return finite(table, replayed)
+    return replayed()
 
 
 def _recorded(recording: Recording, row: int) -> pa.Table:

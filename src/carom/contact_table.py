@@ -38,3 +38,5 @@ CONTACT_ROW = np.dtype(
     align=True,
 )
 NO_ROWS = np.empty(0, CONTACT_ROW)
+
+ROUNDED_OVERLAP = 1e-13  # of a radius; bodies that just touch overlap by this much at most, by rounding

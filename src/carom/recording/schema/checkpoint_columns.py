@@ -21,7 +21,8 @@ from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
 from carom.recording.schema.header import Header
-from carom.recording.schema.timelines import STEP
+from carom.recording.schema.paths import STEP
+from carom.recording.schema.properties import LARGEST
 from carom.scene.forces import FORCES
 
 Values = NDArray[Any] | list[str]
@@ -33,7 +34,6 @@ _LOSSES = tuple(kind.loss for kind in FORCES if kind.loss)
 _POTENTIALS = tuple(kind.potential for kind in FORCES if kind.potential and kind.potential not in _ENERGIES)
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
-LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
 _IF_ASKED = ("contact_audit",)  # extremes that only some runs look at

@@ -1,22 +1,25 @@
-"""Restores a space from a recording, for replays and resumed runs.
+"""The scene of a recording, to run it again or to read what only the scene states.
 
 A recording may come from a stranger, so everything in it is checked before it is used.
 """
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.errors import PhysicsError, RecordingError, SceneError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.space import Space
-from carom.recording.read.recording import Recording
-from carom.recording.schema.header import scene_digest
+from carom.errors import RecordingError, SceneError
+from carom.recording.schema.header import ShownMaterials, scene_digest
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
+    from carom.recording.read.recording import Recording
 
 
 def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> Scene:
@@ -60,6 +63,16 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     return scene
 
 
+def materials_of(recording: Recording) -> ShownMaterials | None:
+    """Return the materials of a recording; None if it has none, or this version cannot read the scene."""
+    if "material" not in recording.scene_toml:  # reading a scene of many bodies takes seconds
+        return None
+    try:
+        return ShownMaterials.of(recorded_scene(recording))
+    except (RecordingError, SceneError):
+        return None
+
+
 class RecordedBodies:
     """Finds the bodies of [[bodies]] in a recording."""
 
@@ -76,62 +89,6 @@ class RecordedBodies:
         place = range(wanted.first, wanted.first + section.count)
         notes = tuple(self._recording.data_notes(wanted.index))
         return SourcedBodies(self._recording.given_bodies(wanted.index, wanted.row, place), section.sha256, notes=notes)
-
-
-def space_of(
-    recording: Recording,
-    scene: Scene,
-    checkpoint: Checkpoint,
-    threads: int | None = None,
-    continued: bool = True,
-    record_contacts: bool = False,
-) -> Space:
-    """Build a space in the state of a checkpoint.
-
-    Bodies are those recorded, not placed anew: random numbers may differ between libraries.
-
-    Parameters
-    ----------
-    continued
-        Whether the run goes on as it was recorded; otherwise the bodies of the checkpoint start another run. At the
-        start of a run a space already has what a checkpoint restores, and the contacts of frame 0.
-    record_contacts
-        Whether frames carry what contacts did.
-
-    Raises
-    ------
-    SceneError
-        If the scene cannot run on this machine or in this version.
-    RecordingError
-        If the bodies in it cannot be simulated.
-    """
-    try:
-        space = Space(scene, threads, start_of(recording, scene, checkpoint), record_contacts=record_contacts)
-        needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
-        if (needs.spin.modelled, needs.orientation.modelled) != kept:
-            raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
-        if continued and checkpoint.step > 0:
-            space.restore(checkpoint)
-        elif continued:
-            space.begin_as(checkpoint)
-    except PhysicsError as error:
-        raise RecordingError(f"{recording.path} cannot be resumed from step {checkpoint.step}: {error}") from None
-    return space
-
-
-def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
-    """Return the last checkpoint at or before a time, otherwise the first one.
-
-    Raises
-    ------
-    RecordingError
-        If there is none.
-    """
-    times = recording.checkpoint_times
-    if not times:
-        raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
-    earlier = [step for step, at in times.items() if at <= time]
-    return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
 
 
 def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> InitialBodies:

@@ -1,4 +1,4 @@
-"""Finds bodies by their numbers or names."""
+"""Bodies of a recording by their numbers or names, and the names of its bodies, planes and walls."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import difflib
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-from carom.errors import RecordingError
-from carom.scene.wording import bodies_called, body_called
+from carom.errors import RecordingError, SceneError
+from carom.recording.read.recorded_scene import recorded_scene
+from carom.scene.start import half_spaces
+from carom.scene.wording import Names, bodies_called, body_called
 
 if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
+
 
 _MOST_NAMED = 8  # bodies that a message lists
 
@@ -97,3 +100,14 @@ def _others(text: str, names: Sequence[str]) -> str:
     quoted = ", ".join(f'"{name}"' for name in own)
     called = f", called {quoted}" if own and len(names) <= _MOST_NAMED else ""
     return count + called
+
+
+def names_of(recording: Recording) -> Names:
+    """Return the names of all bodies, planes and walls; planes have none if this version cannot read the scene."""
+    if recording.engine:
+        return Names(recording.bodies.name, str(recording.info.get("plane_names", "")).split("\n"))
+    try:
+        planes = half_spaces(recorded_scene(recording)).name
+    except (RecordingError, SceneError):
+        planes = []
+    return Names(recording.bodies.name, planes)

@@ -1,6 +1,7 @@
-"""The bodies of [[bodies]] at time 0 as a recording stores them.
+"""Names of bodies, and the bodies of [[bodies]] at time 0, as a recording stores them.
 
-Masses, radii, moments of inertia and names are those of all bodies, and are not stored twice.
+Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are those of all
+bodies, and are not stored twice.
 """
 
 from __future__ import annotations
@@ -12,17 +13,68 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import DamageError
-from carom.recording.schema.checkpoint import LARGEST
+from carom.recording.schema.properties import LARGEST
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.data.mapping import VECTORS
+from carom.scene.wording import JoinedNames, NumberedNames, joined
 
 if TYPE_CHECKING:
-    from carom.recording.read.body_table import BodyTable
+    from carom.recording.read.statics import BodyTable
+
+
+Stored = Mapping[str, NDArray[Any] | list[str]]
+
+_COUNT, _FIRST = "name_count", "name_first"
+
+
+def encode_names(names: Sequence[str]) -> dict[str, Any]:
+    """Return the components that hold the names.
+
+    Without numbered names there is one, ``name``. Otherwise ``name_count`` has 0 for a whole name, and for a prefix the
+    number of bodies that have it; ``name_first`` is the number of the first of them.
+    """
+    parts = names.parts if isinstance(names, JoinedNames) else (names,)
+    if not any(isinstance(part, NumberedNames) for part in parts):
+        return {"name": list(names)}
+    texts, counts, firsts = list[str](), list[int](), list[int]()
+    for part in parts:
+        if isinstance(part, NumberedNames):
+            texts.append(part.prefix)
+            counts.append(len(part))
+            firsts.append(part.first)
+        else:
+            texts += part
+            counts += [0] * len(part)
+            firsts += [0] * len(part)
+    return {"name": texts, _COUNT: np.array(counts, np.int64), _FIRST: np.array(firsts, np.int64)}
+
+
+def decode_names(stored: Stored) -> Sequence[str]:
+    """Undo `encode_names`. DamageError if they do not fit together."""
+    texts = stored["name"]
+    if not isinstance(texts, list):
+        raise DamageError("names of its bodies are not texts")
+    if _COUNT not in stored:
+        return texts
+    counts, firsts = np.asarray(stored[_COUNT]), np.asarray(stored.get(_FIRST))
+    whole = (len(texts),)
+    if any(array.shape != whole or array.dtype != np.int64 or np.any(array < 0) for array in (counts, firsts)):
+        raise DamageError("names of its bodies do not have a number each")
+    parts, own = list[Sequence[str]](), list[str]()
+    for text, count, first in zip(texts, counts.tolist(), firsts.tolist(), strict=True):
+        if count == 0:
+            own.append(text)
+            continue
+        parts += [own] if own else []
+        parts.append(NumberedNames(text, count, first))
+        own = []
+    return joined([*parts, *([own] if own else [])])
+
 
 FloatArray = NDArray[np.float64]
 
 
-def encode(data: Sequence[BodyColumns]) -> dict[str, Any]:
+def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
     """Return the components; those that are zero for all bodies are left out."""
     vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in VECTORS}
     kept = {name: values for name, values in vectors.items() if name == "position" or values.any()}
@@ -31,7 +83,7 @@ def encode(data: Sequence[BodyColumns]) -> dict[str, Any]:
     return {**kept, **({"fixed": fixed} if fixed.any() else {}), "named": named}
 
 
-def decode(
+def decode_bodies(
     stored: Mapping[str, NDArray[Any] | list[str]], index: int, row: int, place: range, bodies: BodyTable
 ) -> BodyColumns:
     """Undo `encode` for one [[bodies]].

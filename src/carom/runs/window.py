@@ -1,0 +1,193 @@
+"""Runs a window of a recording again, for data that was not recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from carom.contact_table import NO_ROWS
+from carom.errors import PhysicsError, RecordingError, SceneError
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.physics.status import StepStatus
+from carom.recording.read.moment import goal_of
+from carom.recording.read.recorded_contacts import of_shown, table_of_rows
+from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of
+from carom.recording.read.recording import Recording
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+
+Watcher = Callable[[StepStatus], None]
+
+
+class Window:
+    """Steps of a recording run again, from the last checkpoint before a time on.
+
+    Parameters
+    ----------
+    recording
+        What to run again.
+    before
+        s; the checkpoint is earlier than this, unless there is none.
+    contacts
+        Whether frames carry the contact table.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    watch
+        Called after every frame with the progress.
+
+    Raises
+    ------
+    RecordingError, SceneError
+        If the recording cannot be run again.
+    """
+
+    def __init__(
+        self,
+        recording: Recording,
+        before: float,
+        *,
+        contacts: bool = False,
+        threads: int | None = None,
+        watch: Watcher | None = None,
+    ) -> None:
+        self._recording = recording
+        self._watch = watch
+        table = recording.fingerprints()
+        self._fingerprints = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
+        checkpoint = checkpoint_before(recording, float(np.nextafter(before, -np.inf)))
+        self.begin = checkpoint.step
+        self.differs: int | None = None  # the first recorded step whose bits are others
+        try:
+            scene = recorded_scene(recording)
+        except SceneError as error:
+            raise RecordingError(f"{recording.path} cannot be run again: {error}") from error
+        self.fixed = fixed_of(scene)  # (n,)
+        self.box = scene.domain.size if scene.domain.boundary == "periodic" else None  # m
+        self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
+
+    @property
+    def source(self) -> str:
+        """Where its numbers come from, in words."""
+        same = "with the same bits" if self.differs is None else f"with other bits from step {self.differs} on"
+        return f"replayed from step {self.begin}, {same}"
+
+    def frames(self, first: float) -> Iterator[Frame]:
+        """Yield the frame that it begins with, then the recorded frames, and from a time (s) on every step."""
+        recorded = self._fingerprints
+        for frame in self._space.run(schedule=lambda step, before, time: time >= first or step in recorded):
+            bits = recorded.get(frame.step)
+            if bits is not None and bits != frame.fingerprint and self.differs is None:
+                self.differs = frame.step
+            if self._watch:
+                self._watch(self._space.status)
+            yield frame
+
+    def state_at(self, at: float) -> Checkpoint:
+        """Return the state at the end of the step that contains a time (s)."""
+        goal = goal_of(self._recording, at)
+        for frame in self.frames(goal):
+            if frame.time >= goal:
+                return frame.checkpoint
+        raise self._ends_before(at)
+
+    def states(self, steps: Sequence[int]) -> list[Checkpoint]:
+        """Return the states of recorded frames, given by their steps, rising."""
+        wanted, states = set(steps), list[Checkpoint]()
+        for frame in self.frames(np.inf):
+            if frame.step in wanted:
+                states.append(frame.checkpoint)
+            if frame.step >= steps[-1]:
+                break
+        if len(states) < len(steps):
+            raise RecordingError(f"{self._recording.path} ends earlier when it is run again; its bits are not the same")
+        return states
+
+    def contacts(self, at: float) -> pa.Table:
+        """Return the contact table of the step that contains a time (s)."""
+        goal = goal_of(self._recording, at)
+        for frame in self.frames(goal):
+            if frame.time >= goal and frame.contact_rows is not None:
+                return of_shown(table_of_rows(frame.contact_rows, self.source), self._recording)
+        raise self._ends_before(at)
+
+    def impacts(self, first: float, last: float) -> pa.Table:
+        """Return the impacts of the recorded steps from one time to another (s)."""
+        steps = self._recording.fingerprints()["step"]
+        begin, end, left_out = int(steps[0].as_py()), int(steps[-1].as_py()), 0
+        found = [NO_ROWS]
+        for frame in self.frames(np.inf):
+            if frame.impacts is not None:
+                found.append(frame.impacts)
+                left_out += frame.impacts_left_out
+            if frame.time > last or frame.step >= end:
+                break
+        rows = np.concatenate(found)
+        inside = (rows["step"] >= begin) & (rows["time"] >= first) & (rows["time"] <= last)
+        table = of_shown(table_of_rows(rows[inside], self.source), self._recording)
+        return table.replace_schema_metadata({"source": self.source, "left_out": str(left_out)})
+
+    def _ends_before(self, at: float) -> RecordingError:
+        when = self._recording.units.text(at, TIME, ".9g")
+        return RecordingError(
+            f"{self._recording.path} ends before {when} when it is run again; its bits are not the same"
+        )
+
+
+def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
+    """Return the last checkpoint at or before a time (s), otherwise the first one.
+
+    Raises
+    ------
+    RecordingError
+        If there is none.
+    """
+    times = recording.checkpoint_times
+    if not times:
+        raise RecordingError(f"{recording.path} has no checkpoint to start from: {recording.outcome}")
+    earlier = [step for step, at in times.items() if at <= time]
+    return recording.checkpoint(earlier[-1] if earlier else next(iter(times)))
+
+
+def space_of(
+    recording: Recording,
+    scene: Scene,
+    checkpoint: Checkpoint,
+    threads: int | None = None,
+    continued: bool = True,
+    record_contacts: bool = False,
+) -> Space:
+    """Build a space in the state of a checkpoint.
+
+    Bodies are those recorded, not placed anew: random numbers may differ between libraries.
+
+    Parameters
+    ----------
+    continued
+        Whether the run goes on as it was recorded; otherwise the bodies of the checkpoint start another run. At the
+        start of a run a space already has what a checkpoint restores, and the contacts of frame 0.
+    record_contacts
+        Whether frames carry the contact table.
+
+    Raises
+    ------
+    SceneError
+        If the scene cannot run on this machine or in this version.
+    RecordingError
+        If its bodies cannot be simulated.
+    """
+    try:
+        space = Space(scene, threads, start_of(recording, scene, checkpoint), record_contacts=record_contacts)
+        needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
+        if (needs.spin.modelled, needs.orientation.modelled) != kept:
+            raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
+        if continued and checkpoint.step > 0:
+            space.restore(checkpoint)
+        elif continued:
+            space.begin_as(checkpoint)
+    except PhysicsError as error:
+        raise RecordingError(f"{recording.path} cannot be resumed from step {checkpoint.step}: {error}") from None
+    return space
