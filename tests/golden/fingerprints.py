@@ -1,6 +1,6 @@
 """Fingerprints of short runs: what `fingerprints.json` holds, and how to write it anew.
 
-    python tests/golden/fingerprints.py        writes it, and says what changed
+    python tests/golden/fingerprints.py        writes it, and prints what changed and by how much
     python tests/golden/fingerprints.py NAME…  writes only these scenes
 
 A case is a scene with some of its keys overridden, and a number of steps. Every frame of the run goes into hashes, one
@@ -8,6 +8,9 @@ for each part of it, so that a failure says which part moved: the state itself, 
 contacts, what turns the bodies. Values are hashed as plain 64-bit numbers in a fixed order, so that classes, fields and
 modules of carom may be renamed. The energy scale is left out: it was a dot product of BLAS, which rounds differently
 on other processors.
+
+Beside the hashes stand the largest errors of energy and momentum, the impacts and the steps, so that an intended change
+shows its size when it is written. The errors depend on the energy scale, so they are rounded and not compared.
 
 The file holds each combination of methods that a scene admitted when it was written. The test runs these cases, so a
 combination that is refused later is a failure.
@@ -44,6 +47,8 @@ SpaceMaker = Callable[[Scene, int], Space]  # of a scene and a number of threads
 Case = dict[str, Any]  # steps, hashes by part, and counts of what the run came across
 
 AS_WRITTEN = "as written"
+ERRORS = ("energy_error", "momentum_error")
+SIZES = ("steps", *ERRORS, "impacts", "touching", "in_flight", "held", "sweeps")  # what a person can read
 STEPS = 40
 OTHER_STEPS = {  # more until something touches, fewer where a step takes milliseconds
     "two-spheres": 350,
@@ -153,6 +158,11 @@ def measured(name: str, overrides: str, steps: int, threads: int, make: SpaceMak
         case["in_flight"] += 0 if frame.contacts.into_step is None else len(frame.contacts)
         case["held"] += 0 if frame.memory is None else len(frame.memory.held_pairs)
         case["sweeps"] += frame.sweeps
+    extremes = space.extremes
+    errors = {name: getattr(extremes, name) for name in ERRORS}
+    case |= {name: error and float(f"{error.value:.2g}") for name, error in errors.items()}
+    case["impacts"] = extremes.impacts
+    case = {name: case[name] for name in SIZES}
     return case | {part: digest.hexdigest() for part, digest in hashes.items()}
 
 
@@ -191,8 +201,17 @@ def moved(name: str, overrides: str, case: Case, threads: int, make: SpaceMaker 
         now = measured(name, overrides, case["steps"], threads, make)
     except SceneError as error:
         return f"{name}, {overrides}: now refused: {error}"
-    parts = [f"{part} {case.get(part)} -> {now.get(part)}" for part in now | case if now.get(part) != case.get(part)]
-    return f"{name}, {overrides}, {case['steps']} steps: {', '.join(parts)}" if parts else ""
+    if all(now.get(part) == case.get(part) for part in (now | case).keys() - set(ERRORS)):
+        return ""
+    return f"{name}, {overrides}, {case['steps']} steps: {change_of(case, now)}"
+
+
+def change_of(before: Case, now: Case) -> str:
+    """Return the sizes that differ, old and new, and the names of the parts whose bits do."""
+    parts = [part for part in now | before if now.get(part) != before.get(part)]
+    sizes = [f"{part} {before.get(part)} -> {now.get(part)}" for part in parts if part in SIZES]
+    bits = [part for part in parts if part not in SIZES]
+    return ", ".join([*sizes, *([f"bits of {', '.join(bits)}"] if bits else [])])
 
 
 def _written(cases: dict[str, dict[str, Case]]) -> str:
@@ -205,7 +224,7 @@ def _written(cases: dict[str, dict[str, Case]]) -> str:
 
 
 def main(names: list[str]) -> None:
-    """Write the fingerprints of all scenes, or of those named, and say which cases came, went or changed."""
+    """Write the fingerprints of all scenes, or of those named; print which cases came, went or changed by how much."""
     scenes = golden_scenes()
     before = stored()
     cases = {name: variants for name, variants in before.items() if name in scenes}
@@ -216,9 +235,12 @@ def main(names: list[str]) -> None:
     for name in sorted(before | cases):
         then, now = before.get(name, {}), cases.get(name, {})
         for overrides in sorted(then | now):
-            if then.get(overrides) != now.get(overrides):
-                how = "gone" if overrides not in now else "new" if overrides not in then else "changed"
-                sys.stdout.write(f"{how}: {name}, {overrides}\n")
+            if overrides in then and overrides in now:
+                how = change_of(then[overrides], now[overrides])
+            else:
+                how = "new" if overrides in now else "gone"
+            if how:
+                sys.stdout.write(f"{name}, {overrides}: {how}\n")
     STORED.write_text(_written(cases), encoding="utf-8")
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import pytest
 
-from golden.fingerprints import golden_scenes, moved, stored
+from golden.fingerprints import change_of, golden_scenes, moved, stored
 
 THREADS = 2  # they were stored with one: the bits are the same on any number
 STORED = stored()
@@ -30,3 +30,9 @@ def test_every_scene_is_stored() -> None:
 def test_enough_scenes_come_across_contacts_in_the_steps_that_are_run(what: str, scenes: int) -> None:
     across = [name for name, cases in STORED.items() if any(case[what] for case in cases.values())]
     assert len(across) >= scenes, across
+
+
+def test_an_intended_change_shows_its_size() -> None:
+    before = {"steps": 40, "energy_error": 1e-7, "impacts": 12, "state": "ab", "time": "ef"}
+    now = before | {"energy_error": 3e-7, "impacts": 13, "state": "cd"}
+    assert change_of(before, now) == "energy_error 1e-07 -> 3e-07, impacts 12 -> 13, bits of state"
