@@ -12,7 +12,7 @@ To change the law:
    and ``[contact]``. They become fields of `MATERIAL`. mypy names the places that make ``Coefficients``, such as
    ``combined``, which combines those of two materials.
 
-CONTRIBUTING.md has an example.
+docs/extending.md has an example.
 
 All laws share three things:
 
