@@ -36,6 +36,8 @@ def nudged(row: list[Any]) -> list[Any]:
     """Change the first number of a row by as little as can be, or a text."""
     if not row:
         return row
+    if isinstance(row[0], bool):
+        return [not row[0], *row[1:]]
     if isinstance(row[0], list):
         return [nudged(row[0]), *row[1:]]
     if isinstance(row[0], str):
@@ -138,7 +140,12 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
     steps = Recording.open(whole).checkpoint_times
     later = sorted(steps.values())[len(steps) // 2]
     window = replay(Recording.open(whole), later)
-    assert window.same and [said[:9] for said in window.not_compared] == ["what led "]
+    assert window.same and [said.partition(" (")[0] for said in window.not_compared] == [
+        "how many contacts have arrows, and how many impacts the bodies drawn at them",
+        "what led to the first frame",
+        "which frames have a checkpoint",
+        "the outcome and its numbers",
+    ]
     for bodies in (None, [1, 5, 7]):
         clip(whole, tmp_path / "clip.rrd", later + 0.05, 1.0, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
@@ -149,7 +156,7 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
 def test_a_row_that_is_missing_from_a_whole_recording_is_a_difference(entity: str, whole: Path, tmp_path: Path) -> None:
     altered = changed(whole, tmp_path / "altered.rrd", entity, lambda batch: batch.slice(0, batch.num_rows - 1))
     result = replay(Recording.open(altered))
-    assert result.difference is not None and result.difference.quantity == f"rows of /{entity}"
+    assert result.difference is not None and f" /{entity}" in result.difference.quantity
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.event import Event
 from carom.physics.frame import Frame
 from carom.recording.edit.selection import Selection
 from carom.recording.read.entities import reading
@@ -19,13 +21,14 @@ from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import SERIES, Past
+from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
 from carom.runs.mismatch import Mismatch, different, same
 
-Told = tuple[int, str, str, str]  # step, level, text and kind of an event
+Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
 
 # compared together: encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
@@ -33,7 +36,10 @@ _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, of which pieces may be lost
 
 _LED = "what led to the first frame (contacts, torques, dt, events)"
-_LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events)"
+_LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events, checkpoints)"
+_KEPT = "which frames have a checkpoint (this depends on all frames before, and on the version)"
+_WORDS = "the words of events (another version recorded them)"
+WORDS_OF_EXTREMES = "the words of the extremes in /events, which are others"
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {
@@ -43,6 +49,8 @@ _BEFORE = {
 _DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
 _ADDED = {series.path for series in SERIES}  # some of which a recording of an earlier version may lack
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
+_ARROWS = "Arrows3D:vectors"
+_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # a row where it changes
 
 # values that depend on earlier frames, such as errors relative to the largest energy so far
 _RELATIVE = {
@@ -81,40 +89,72 @@ class FrameCheck:
         self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
         self._arrows = references.keys()
         self._steps, self._begin, self.all_frames = steps, begin, all_frames
+        self._first_step = int(recording.fingerprints()[STEP][0].as_py())  # has at least one frame
         self._shown, self._n = recording.shown, header.bodies
         self._box = header.box
         self._impacts = None
         self._same_words = recording.versions == versions()
+        self._whole = all_frames and begin == 0 and is_whole(recording) and not recording.clip  # so far
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
         # a series has a style from the start; those that were added later have none in an older recording
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
         self._is_clip = bool(recording.clip)
         if header.records_contacts:
-            whole = all_frames and begin == 0 and self._same_words and is_whole(recording)
+            whole = self._whole and self._same_words
             self._impacts = ImpactCheck(recording, self._encoder, self._rows, self._few(), whole=whole)
             self.skipped = self._impacts.skipped
         self._states = {
             paths.PHASE: _States.of(recording.phases()),
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
         }
-        events = recording.events().select([STEP, "level", "text", "kind"]).to_pylist()
-        logged = [(row[STEP], row["level"], row["text"], row["kind"]) for row in events]
-        self._events = [event for event in logged if event[-1] not in CLOSING]
-        self.closing = sorted(event for event in logged if event[-1] in CLOSING)
+        self._before: dict[str, str] = {}  # the states of the frame before, by entity
+        events = recording.events()
+        columns = [
+            events[STEP],
+            events[SIM_TIME].cast(pa.int64()),
+            *(events[name] for name in ("level", "kind", "text")),
+        ]
+        logged: list[Told] = list(zip(*(column.to_pylist() for column in columns), strict=True))
+        self._events = [event for event in logged if event[3] not in CLOSING]
+        self.closing = sorted(event for event in logged if event[3] in CLOSING)
+        self._plan = CheckpointPlan() if self._whole else None
+        self._planned = set[int]()  # steps of the frames that have a checkpoint by this plan
         self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
         self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
 
-    def strays(self) -> Mismatch | None:
-        """Find a row of a step without a recorded frame, which the viewer would nevertheless show."""
+    def strays(self, is_end: bool) -> Mismatch | None:
+        """Find a row of a step without a recorded frame, which the viewer would nevertheless show.
+
+        ``is_end``: nothing may come after the compared frames.
+        """
         last = int(self._steps[-1]) if len(self._steps) else self._begin
-        for path in self._rows.entities:
+        for path in [*self._rows.entities, *_BY_CHANGE]:
             for steps in self._rows.steps(path):
-                inside = steps[(steps >= self._begin) & (steps <= last)]
+                inside = steps[(steps >= self._begin) & (is_end | (steps <= last))]
                 stray = inside[~np.isin(inside, self._steps)]
                 if len(stray):
                     return Mismatch(int(stray[0]), f"rows of /{path} where there is no frame", len(stray), 0)
+        late = [event for event in self._events if is_end and event[0] > last]
+        return Mismatch(last, "/events after the last frame", text_of(late, []), "nothing else") if late else None
+
+    def missing(self, is_end: bool) -> Mismatch | None:
+        """Find a checkpoint or a reference that is missing, once all frames are found to be the same."""
+        last = int(self._steps[-1])
+        unknown = sorted(self._encoder.arrow_references.keys() - self._arrows)  # recorded ones are used as they are
+        self.skipped |= {f"{name} of the property arrows, which is not there": None for name in unknown}
+        # at the end the last frame has a checkpoint; before it, a later warning may add one
+        if self._plan is None:
+            self.skipped[_KEPT] = None
+            return None
+        planned = self._planned | ({last} if is_end else set())
+        recorded = {step for step in self._checkpoints if step <= last}
+        for step in sorted(planned ^ recorded):
+            if not (self._same_words and self._complete):
+                self.skipped[_KEPT] = None
+            elif step < last or is_end:
+                return Mismatch(step, f"rows of /{paths.CHECKPOINT}", int(step in recorded), int(step in planned))
         return None
 
     def gather(self, frame: Frame) -> None:
@@ -139,6 +179,8 @@ class FrameCheck:
             return None
         first = frames[0].step == self._begin and self._begin > 0
         few = self._few()
+        if self._plan is not None:
+            self._planned |= {frame.step for frame in self._plan.chosen(frames)}
         found: list[Mismatch] = []
         seen = {paths.CHECKPOINT}
         for replayed in rows_of(frames, self._encoder, self._clock):
@@ -203,7 +245,10 @@ class FrameCheck:
         if len(found) > 1:
             return Mismatch(step, f"rows of /{path}", len(found), 1)
         (recorded,) = found
-        if path in _LARGEST_FIRST:
+        if path in _LARGEST_FIRST and self._impacts and _ARROWS in recorded.components:
+            count = len(recorded.batch[_ARROWS][0].values)
+            if (room := self._impacts.arrows.get(step, count)) != count:
+                return Mismatch(step, f"arrows of /{path}", count, room)
             replayed = _as_many(replayed, recorded.batch)
         times = [int(batch[SIM_TIME].cast(pa.int64())[0].as_py()) for batch in (recorded.batch, replayed)]
         if times[0] != times[1]:
@@ -219,28 +264,52 @@ class FrameCheck:
         return None
 
     def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
+        """Compare the phase and what limits dt, which have a row where they change, and at the first frame."""
+        found = list[Mismatch]()
+        time = int(self._clock.nanoseconds([frame.time])[0])
         for path, state in ((paths.PHASE, frame.phase), (paths.DT_LIMIT, frame.dt_limit)):
-            recorded = self._states[path].at(frame.step)
-            if recorded is None and self._complete and not self._is_clip:
-                return [Mismatch(frame.step, f"/{path}", "nothing", state)]
-            if recorded is None or (first and path == paths.DT_LIMIT):
+            recorded, rows = self._states[path].at(frame.step)
+            before = self._before.get(path)
+            self._before[path] = (recorded or state) if first else state
+            changes = int(before != state)
+            known = before is not None or frame.step == self._first_step  # whether it has a row here
+            if (first and path == paths.DT_LIMIT) or (recorded is None and (self._is_clip or not self._complete)):
                 self.skipped[_LED] = None
             elif recorded != state:
-                return [Mismatch(frame.step, f"/{path}", recorded, state)]
-        return []
+                found.append(Mismatch(frame.step, f"/{path}", recorded or "nothing", state))
+            elif known and len(rows) != changes and self._complete:
+                found.append(Mismatch(frame.step, f"rows of /{path}", len(rows), changes))
+            elif len(rows) and rows[0] != time:
+                found.append(Mismatch(frame.step, f"sim_time of /{path} (ns)", int(rows[0]), time))
+        return found
 
     def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
-        """Compare the events since the previous frame; compare their texts if the versions are the same."""
+        """Compare the events since the previous frame. Another version may have other words for them."""
         if first or not self.all_frames:
             self.skipped[_LED if first else _LARGEST] = None
             return []
         before = self._steps[np.searchsorted(self._steps, frame.step) - 1] if frame.step > self._steps[0] else -1
         recorded = sorted(event for event in self._events if before < event[0] <= frame.step)
-        replayed = sorted((event.step, event.level, event.text, event.kind) for event in frame.events)
-        words = 4 if self._same_words else 2
-        if [event[:words] for event in recorded] != [event[:words] for event in replayed]:
-            return [Mismatch(frame.step, "/events", told(recorded, replayed), told(replayed, recorded))]
+        replayed = told_of(frame.events, self._clock)
+        if recorded == replayed:
+            return []
+        if self._same_words or not _same_but_words(recorded, replayed):
+            return [Mismatch(frame.step, "/events", text_of(recorded, replayed), text_of(replayed, recorded))]
+        self.skipped[_WORDS] = None
         return []
+
+
+def told_of(events: Sequence[Event], clock: Clock) -> list[Told]:
+    """Return events as they are recorded, in order."""
+    times = clock.nanoseconds([event.time for event in events]).tolist()
+    return sorted((e.step, time, e.level, e.kind, e.text) for e, time in zip(events, times, strict=True))
+
+
+def _same_but_words(recorded: list[Told], replayed: list[Told]) -> bool:
+    """Tell whether events are the same but for their words; older recordings lack kinds."""
+    pairs = zip(recorded, replayed, strict=False)
+    alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
+    return len(recorded) == len(replayed) and alike
 
 
 def is_whole(recording: Recording) -> bool:
@@ -265,18 +334,23 @@ class _States:
     """A state that is recorded only when it changes."""
 
     step: NDArray[np.int64]
+    shown: NDArray[np.int64]  # ns on the timeline
     name: list[str]
 
     @classmethod
     def of(cls, table: pa.Table) -> _States:
-        return cls(table[STEP].to_numpy(), table["state"].to_pylist())
+        return cls(table[STEP].to_numpy(), table[SIM_TIME].cast(pa.int64()).to_numpy(), table["state"].to_pylist())
 
-    def at(self, step: int) -> str | None:
-        place = int(np.searchsorted(self.step, step, side="right")) - 1
-        return self.name[place] if place >= 0 else None
+    def at(self, step: int) -> tuple[str | None, NDArray[np.int64]]:
+        """Return the state at a step, and the times of its rows of this step."""
+        first, last = (int(np.searchsorted(self.step, step, side=side)) for side in ("left", "right"))
+        return self.name[last - 1] if last else None, self.shown[first:last]
 
 
-def told(events: list[Told], others: list[Told]) -> str:
-    """Name the event that the others lack."""
+def text_of(events: list[Told], others: list[Told]) -> str:
+    """Describe the event that the others lack."""
     only = [event for event in events if event not in others]
-    return f"{only[0][1]} at step {only[0][0]}: {only[0][2]}" if only else "nothing else"
+    if not only:
+        return "nothing else"
+    step, _, level, kind, text = only[0]
+    return f"{level} at step {step}: {text}" + (f" ({kind})" if kind else "")

@@ -25,11 +25,12 @@ from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import chunk_of
 from carom.recording.write.impact_frames import orientations_at, positions_at
-from carom.recording.write.impact_plan import ImpactPlan, largest
+from carom.recording.write.impact_plan import ImpactPlan, Kept, largest
 from carom.recording.write.impact_rows import impact_rows
 from carom.runs.mismatch import Mismatch, different, same
 
 LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
+ROOM = "how many contacts have arrows, and how many impacts the bodies drawn at them"
 FIRST_BODIES = "bodies drawn at impacts before the first frame"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
@@ -42,7 +43,7 @@ class _Interval(NamedTuple):
     frame: Frame  # at its end
     before: Frame | None  # at its beginning
     impacts: NDArray[np.void]  # (k,) CONTACT_ROW, in order of time
-    kept: int | None  # how many of them should be recorded; None if that cannot be told
+    kept: Kept | None  # how many of them should be recorded; None if that cannot be told
     numbers: IntArray  # (k,)
     begin: int  # the impacts of the run before it
     end: int  # and up to its end
@@ -62,8 +63,8 @@ class ImpactCheck:
     few
         The bodies of a clip that does not show all.
     whole
-        Whether all frames that were recorded since the start of the run are replayed, which tells how many impacts
-        there was room for.
+        Whether this version recorded it, and all its frames since the start of the run are replayed, which tells how
+        much there was room for.
     """
 
     def __init__(
@@ -88,8 +89,9 @@ class ImpactCheck:
         self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # a clip has that of the run
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
-        if self._leaves_out and self._plan is None:
-            self.skipped[LEFT_OUT] = None
+        self.arrows: dict[int, int] = {}  # how many a frame should have, by step, where that can be told
+        if self._plan is None:
+            self.skipped |= {ROOM: None, **({LEFT_OUT: None} if self._leaves_out else {})}
         if few:
             self.skipped[OF_OTHERS] = None
         self._since: list[NDArray[np.void]] = []
@@ -110,6 +112,8 @@ class ImpactCheck:
         count = self._count_at(frame.step)
         impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
         kept = None if self._plan is None else _room(self._plan, frame, len(impacts))
+        if kept is not None:
+            self.arrows[frame.step] = int(kept.arrows[0])
         self._since, self._missed, self._before = [], 0, (frame, count)
         if count is None:
             self.skipped[f"impacts, where rows of /{paths.CONTACTS} are missing"] = None
@@ -125,7 +129,7 @@ class ImpactCheck:
         recorded = _within(self._numbers, interval)
         own = self._numbers[recorded]
         if interval.kept is not None:
-            chosen = largest(interval.impacts, interval.kept)
+            chosen = largest(interval.impacts, int(interval.kept.impacts[0]))
         elif self._few or (self._leaves_out and interval.before is None):
             chosen = np.flatnonzero(np.isin(interval.numbers, own))
         elif self._leaves_out:
@@ -147,15 +151,17 @@ class ImpactCheck:
         """Compare the bodies that are drawn at the first of the recorded impacts."""
         drawn = _within(self._drawn_at, interval)
         own = self._drawn_at[drawn]
-        if not len(own):
-            return None
-        if interval.before is None and interval.frame.step > 0:
+        if len(own) and interval.before is None and interval.frame.step > 0:
             self.skipped[FIRST_BODIES] = None
             return None
         recorded = self._numbers[_within(self._numbers, interval)]
-        expected = recorded[np.isin(recorded, own)] if self._few else recorded[: len(own)]
-        if interval.before is None or not np.array_equal(own, expected):
+        room = len(own) if interval.kept is None else int(interval.kept.scenes[0])
+        is_later = interval.before is not None and interval.frame.time > interval.before.time
+        expected = recorded[np.isin(recorded, own)] if self._few else recorded[: room if is_later else 0]
+        if not np.array_equal(own, expected):
             return _other_choice(interval.frame.step, f"{paths.BODIES} at impacts", own, expected)
+        if interval.before is None or not len(own):
+            return None
         impacts, header = interval.impacts, self._encoder.header
         chosen = impacts[np.isin(interval.numbers, own)]
         box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
@@ -203,11 +209,11 @@ class ImpactCheck:
         return None
 
 
-def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> int:
-    """Return how many of the impacts since the frame before a plan records."""
+def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> Kept:
+    """Return how many of the impacts since the frame before a plan records, and what else of contacts."""
     contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
     counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
-    return int(plan.choose(frame.position[None], *counts).impacts[0])
+    return plan.choose(frame.position[None], *counts)
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:

@@ -12,20 +12,23 @@ from typing import Any
 
 import numpy as np
 
+from carom.event import Event
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
+from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.write.recorder import Recorder
 from carom.runs.environment import versions
 from carom.runs.expectation import judge
-from carom.runs.frame_check import FrameCheck, is_whole, told
+from carom.runs.frame_check import WORDS_OF_EXTREMES, FrameCheck, is_whole, text_of, told_of
 from carom.runs.mismatch import Mismatch, Value
 from carom.runs.output import claimed_output, refuse_itself, refuse_output
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
+from carom.runs.static_check import StaticCheck
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
 from carom.scene.forces import FORCES
@@ -33,7 +36,10 @@ from carom.scene.units.dimension import OF_UNIT, TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
 
-_OUTCOME = "the outcome and its numbers (another version recorded them, or more frames than are compared)"
+_OUTCOME = "the outcome and its numbers (of a part of a run, or a repaired or resumed recording)"
+_EXTREMES = "the extremes and the end in /events, which another version recorded"
+_UNSTATED = "the outcome and its numbers (the run could not write them, since the disk was full or it failed)"
+_MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
 Consent = Callable[[float], bool]  # s that the rest will take → whether to continue
@@ -154,14 +160,14 @@ def replay(
         if recorder is not None:
             recorder.finish(ended or "completed")
     found = [run.difference or run.rest(), None if ended else run.stray()]
-    if not (ended or any(found)) and run.compared == len(run.fingerprints):
-        found.append(run.outcome(space))
     first = min((one for one in found if one is not None), key=lambda one: one.step, default=None)
+    if first is None and not ended and run.compared == len(run.fingerprints):
+        first = run.missing() or run.outcome(space) or run.statics(space)
     return Replay(
         begin=checkpoint.step,
         frames=len(run.fingerprints),
         compared=run.compared,
-        difference=first or (None if ended else run.missing(space)),
+        difference=first or (None if ended else run.early_end(space)),
         ended=ended,
         seconds=clock.perf_counter() - began,
         recorded_with=recording.versions,
@@ -241,18 +247,37 @@ class _Comparison:
 
     def stray(self) -> Difference | None:
         """Report rows that belong to no frame."""
-        found = self.check.strays()
+        found = self.check.strays(is_end=self.last == self.last_recorded)
+        return None if found is None else self._other(found)
+
+    def missing(self) -> Difference | None:
+        """Report what is missing, once all frames are found to be the same."""
+        found = self.check.missing(is_end=self.last == self.last_recorded)
+        return None if found is None else self._other(found)
+
+    def statics(self, space: Space) -> Difference | None:
+        """Compare what the recording states once."""
+        check = StaticCheck(self._recording, space)
+        found = check.difference()
+        self.check.skipped |= check.skipped
         return None if found is None else self._other(found)
 
     def outcome(self, space: Space) -> Difference | None:
-        """Compare how the run ended, if this was the whole of it."""
-        recording = self._recording
-        whole = self.begin == 0 and self.last == self.last_recorded and not recording.clip
-        if not (whole and recording.closing and is_whole(recording)):
+        """Compare how the run ended, if its end is recorded and was reached.
+
+        Versions judge and count in other ways, and word the extremes otherwise: what differs in a recording of another
+        version is only named.
+        """
+        recording, skipped = self._recording, self.check.skipped
+        if self.last < self.last_recorded or not recording.closing:
             return None
-        if recording.versions != versions() or not self.check.all_frames:
-            self.check.skipped[_OUTCOME] = None
+        if self.begin > 0 or recording.clip or not is_whole(recording):
+            skipped[_OUTCOME] = None
             return None
+        if not self.check.all_frames or "steps" not in recording.closing:
+            skipped[_MORE_FRAMES if "steps" in recording.closing else _UNSTATED] = None
+            return None
+        same_version = recording.versions == versions()
         extremes = space.named_extremes()
         verdicts = judge(space.scene, extremes, space.time)
         replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
@@ -260,17 +285,29 @@ class _Comparison:
             replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
         for name, value in replayed.items():
             recorded = recording.closing.get(name)
-            if not name.startswith("profile.") and not _alike(recorded, value):
-                one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
-                return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
+            if name.startswith("profile.") or _alike(recorded, value):
+                continue
+            if not same_version:
+                skipped[f"{name} of the outcome, which another version recorded"] = None
+                continue
+            one, other = (each if isinstance(each, str) else float(each) for each in (recorded or "nothing", value))
+            return Difference(self.last, self._times[self.last], f"{name} of the outcome", None, one, other)
+        return self._end(space, same_version)
+
+    def _end(self, space: Space, same_version: bool) -> Difference | None:
+        """Compare the events that a run logs when it ends: its extremes, and how it ended."""
+        recording, step = self._recording, self.last
         level = "INFO" if recording.outcome == "completed" else "WARN"
-        ending = (self.last, level, f"end: {recording.outcome}", "end")
-        extremes_at = [(each.step, each.kind) for each in space.highlights()]  # versions word them differently
-        found = self.check.closing
-        recorded_at = sorted((step, kind) for step, _, _, kind in found if kind != ending[-1])
-        if [each for each in found if each[-1] == ending[-1]] != [ending] or recorded_at != sorted(extremes_at):
-            texts = told(found, [ending]), told([ending], found)
-            return Difference(self.last, self._times[self.last], "/events at the end", None, *texts)
+        events = [*space.highlights(), Event(step, self._times[step], level, f"end: {recording.outcome}", "end")]
+        found, expected = self.check.closing, told_of(events, Clock(float(recording.info["time_scale"])))
+        ends = [[event for event in logged if event[3] == "end"] for logged in (found, expected)]
+        if ends[0] != ends[1] or [event[:4] for event in found] != [event[:4] for event in expected]:
+            if same_version:
+                texts = text_of(found, expected), text_of(expected, found)
+                return Difference(step, self._times[step], "/events at the end", None, *texts)
+            self.check.skipped[_EXTREMES] = None
+        elif found != expected:
+            self.check.skipped[WORDS_OF_EXTREMES] = None
         return None
 
     def _other(self, found: Mismatch) -> Difference:
@@ -284,7 +321,7 @@ class _Comparison:
         """Return the number of remaining steps."""
         return max(0, self.last - step)
 
-    def missing(self, space: Space) -> Difference | None:
+    def early_end(self, space: Space) -> Difference | None:
         """Report a run that ended earlier than the recorded one."""
         if self.compared == len(self.fingerprints):
             return None

@@ -72,7 +72,9 @@ class Container:
             for entry in entries:
                 file.seek(entry.offset)
                 _, chunk = decode(file.read(entry.length))
-                if chunk.entity_path != entry.entity_path or chunk.batch.num_rows != entry.rows:
+                found = chunk.entity_path, chunk.is_static, chunk.batch.num_rows
+                lacks_steps = entry.first_step is not None and STEP not in chunk.timelines
+                if found != (entry.entity_path, entry.is_static, entry.rows) or lacks_steps:
                     raise DamageError(f"at byte {entry.offset} is not the chunk of /{entry.entity_path} that should be")
                 yield chunk
 

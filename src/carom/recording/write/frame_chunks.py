@@ -1,19 +1,26 @@
-"""Frames as the chunks that they would be recorded as; a replay compares them with those of the file."""
+"""A run as the chunks that it would be recorded as; a replay compares them with those of the file."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
 import pyarrow as pa
+import rerun as rr
+from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
+from carom.recording.write.columns import any_values
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.rows import Rows
+from carom.recording.write.statics import identity, statics
 
+IDENTITY = "__properties/carom"
 _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
 
 
@@ -42,3 +49,18 @@ def chunk_of(rows: Rows, clock: Clock) -> Chunk:
         columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
     fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]
     return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))
+
+
+def statics_of(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float, name: str) -> Iterator[Chunk]:
+    """Encode what a recording of this name states once; see `statics`."""
+    archetypes: list[tuple[str, rr.AsComponents]] = [
+        (IDENTITY, any_values(identity(header, clock, origin))),
+        ("__properties", rr.archetypes.RecordingInfo(name=name)),
+    ]
+    for path, archetype in (*archetypes, *statics(header, clock, origin, reach)):
+        rows = {}
+        for batch in archetype.as_component_batches():
+            values = batch.as_arrow_array()
+            rows[batch.component_descriptor().component] = pa.ListArray.from_arrays([0, len(values)], values)
+        fields = [pa.field(name, row.type, metadata=_DATA) for name, row in rows.items()]
+        yield Chunk(path, pa.record_batch(list(rows.values()), schema=pa.schema(fields)))

@@ -11,14 +11,16 @@ from rerun.components import FillMode
 
 from carom.recording.schema import palette, paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.header import STATIC_COLOURS, Header
+from carom.recording.schema.header import STATIC_COLOURS, Header, Scalar, scene_digest
 from carom.recording.schema.series import recorded
 from carom.recording.schema.stored_bodies import encode_bodies, encode_names
+from carom.recording.style.arrow_length import arrow_length
 from carom.recording.style.body_shape import shape
 from carom.recording.style.curve_style import curve_style
 from carom.recording.style.line_radii import line_radii
 from carom.recording.style.single_precision import single
 from carom.recording.write.scene_text import scene_document
+from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
 Static = tuple[str, rr.AsComponents]
 
@@ -62,6 +64,50 @@ def statics(header: Header, clock: Clock, origin: NDArray[np.float64], reach: fl
     yield from _series(header)
     yield paths.PHASE, _states(palette.PHASES)
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
+
+
+def identity(header: Header, clock: Clock, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
+    """Return the property `carom`: what the scene is, which parts of the model it has, and how it is drawn."""
+    properties: dict[str, Scalar | NDArray[np.float64]] = {
+        "schema_version": paths.SCHEMA_VERSION,
+        "title": header.title,
+        "bodies": header.bodies,
+        "seed": header.seed,
+        "spins": header.spins,
+        "has_orientation": header.has_orientation,
+        "has_torque": header.has_torque,
+        "has_friction": header.has_friction,
+        GRAVITY.present: GRAVITY.name in header.forces,
+        "collides": header.collides,
+        "stabilises": header.stabilises,
+        UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
+        "body_colouring": header.body_colouring,
+        "colour_by": header.coloured_by,
+        "records_contacts": header.records_contacts,
+        "duration": float(header.duration),
+        "time_scale": clock.scale,
+        "origin": origin,
+    }
+    if header.scene_toml:
+        properties["scene_sha256"] = scene_digest(header.scene_toml)
+    if header.engine:
+        properties["engine"] = header.engine
+        if header.planes is not None:
+            properties["plane_names"] = "\n".join(header.planes.name)
+    properties |= header.units.properties()
+    properties |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
+    if header.promises:
+        properties["promises"] = True
+    properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
+    if header.has_torque:
+        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
+            properties[f"arrow_length.{path}"] = arrow_length(header, path)
+    if header.records_contacts:
+        for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
+            properties[f"arrow_length.{path}"] = arrow_length(header, path)
+    if header.box is not None:
+        properties["box"] = header.box
+    return properties
 
 
 def _bodies(header: Header) -> Iterable[Static]:

@@ -16,18 +16,15 @@ from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.rrd.arrow_stream import release_memory
 from carom.recording.schema import checkpoint_columns as checkpoint
-from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
-from carom.recording.schema.header import Header, Scalar, application_id, scene_digest
-from carom.recording.style.arrow_length import arrow_length
+from carom.recording.schema.header import Header, Scalar, application_id
 from carom.recording.write.columns import any_values
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
 from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.write.rows import Index, Rows, joined, kind_of
-from carom.recording.write.statics import statics
-from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
+from carom.recording.write.statics import identity, statics
 
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
 
@@ -146,7 +143,7 @@ class Stream:
         """Send everything static; at the start all bodies are within ``reach`` (m) of the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
-        self.send_property("carom", self._identity(clock, origin))
+        self.send_property("carom", identity(self._header, clock, origin))
         self.send_property("run", self._header.properties)
         if self._header.member:
             self.send_property("sweep", {"name": self._header.member.name, **self._header.member.parameters})
@@ -196,46 +193,3 @@ class Stream:
 
     def _streams(self) -> tuple[rr.RecordingStream, ...]:
         return (self._stream, *(() if self._live is None else self._live.streams()))
-
-    def _identity(self, clock: Clock, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
-        header = self._header
-        identity: dict[str, Scalar | NDArray[np.float64]] = {
-            "schema_version": paths.SCHEMA_VERSION,
-            "title": header.title,
-            "bodies": header.bodies,
-            "seed": header.seed,
-            "spins": header.spins,
-            "has_orientation": header.has_orientation,
-            "has_torque": header.has_torque,
-            "has_friction": header.has_friction,
-            GRAVITY.present: GRAVITY.name in header.forces,
-            "collides": header.collides,
-            "stabilises": header.stabilises,
-            UNIFORM_FIELD.present: UNIFORM_FIELD.name in header.forces,
-            "body_colouring": header.body_colouring,
-            "colour_by": header.coloured_by,
-            "records_contacts": header.records_contacts,
-            "duration": float(header.duration),
-            "time_scale": clock.scale,
-            "origin": origin,
-        }
-        if header.scene_toml:
-            identity["scene_sha256"] = scene_digest(header.scene_toml)
-        if header.engine:
-            identity["engine"] = header.engine
-            if header.planes is not None:
-                identity["plane_names"] = "\n".join(header.planes.name)
-        identity |= header.units.properties()
-        identity |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
-        if header.promises:
-            identity["promises"] = True
-        identity |= {kind.present: True for kind in FORCES if kind.name in header.forces}
-        if header.has_torque:
-            for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
-                identity[f"arrow_length.{path}"] = arrow_length(header, path)
-        if header.records_contacts:
-            for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
-                identity[f"arrow_length.{path}"] = arrow_length(header, path)
-        if header.box is not None:
-            identity["box"] = header.box
-        return identity

@@ -1,0 +1,150 @@
+"""Compares what a recording states once, outside of its frames, with what its scene gives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from carom.errors import DamageError
+from carom.physics.space import Space
+from carom.recording.edit.selection import Selection
+from carom.recording.read.entities import reading
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.schema.clock import Clock
+from carom.recording.schema.header import Header
+from carom.recording.write.frame_chunks import IDENTITY, statics_of
+from carom.runs.mismatch import Mismatch, different
+from carom.runs.run import header_of
+from carom.scene.schema import Scene
+
+Rows = dict[str, dict[str, pa.Array]]  # the one row of each component, by entity
+
+_START_TIME = "RecordingInfo:start_time"  # of the clock on the wall
+_STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # what a run begins with
+_SHAPES = frozenset(  # where bodies, planes and walls are drawn, and how large; the rest is taste
+    {
+        "Ellipsoids3D:half_sizes",
+        "Points3D:radii",
+        "Mesh3D:vertex_positions",
+        "LineStrips3D:strips",
+        "Boxes3D:centers",
+        "Boxes3D:half_sizes",
+    }
+)
+_DRAWING = ("schema_version", "title", "colour_by", "body_colouring", "arrow_length.")  # keys that change no number
+_OTHERS = ("__properties/", paths.MAGNIFIED, paths.START)  # the circumstances of the run, the layout, a clip's start
+_SINCE_SCHEMA_3 = ("records_contacts", "arrow_length.world/forces/", "world/forces/")
+
+
+class StaticCheck:
+    """Compares the properties and the static data of a recording with those that the replayed space would write.
+
+    What is drawn otherwise, or is not there, is named in ``skipped``: another version may have written it so. Numbers
+    that differ are a difference.
+
+    Parameters
+    ----------
+    recording
+        What was recorded.
+    space
+        Of the replay.
+    """
+
+    def __init__(self, recording: Recording, space: Space) -> None:
+        self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
+        self._recording = recording
+        scene = space.scene
+        self._header = replace(header_of(space), record_impacts=scene.record.impacts, group=groups_of(scene))
+        self._first = int(recording.fingerprints()["step"][0].as_py())
+
+    def difference(self) -> Mismatch | None:
+        """Return the first number that differs."""
+        recorded, found = self._recorded(), list[Mismatch]()
+        reach = self._reach()
+        expected = self._expected(reach or 1.0)
+        for path, components in expected.items():
+            others = dict(recorded.get(path, {}))
+            for name, value in components.items():
+                if path == paths.PLANES and name in _SHAPES and reach is None:
+                    others.pop(name, None)
+                    self._skip(path, name, "depends on where the bodies of the whole run began")
+                elif name not in others:
+                    self._skip(path, name, "is not there")
+                elif mismatch := different(self._first, path, name, others.pop(name), value):
+                    if _is_data(path, name):
+                        found.append(mismatch)
+                    else:
+                        self._skip(path, name, "is another")
+            for name in others.keys() - {_START_TIME}:
+                self._skip(path, name, "this version does not write")
+        for path in recorded.keys() - expected.keys():
+            if not path.startswith(_OTHERS):
+                self._skip(path, "all of it", "this version does not write")
+        return found[0] if found else None
+
+    def _skip(self, path: str, name: str, why: str) -> None:
+        if int(self._recording.info.get("schema_version", paths.SCHEMA_VERSION)) < 3 and (path + name).startswith(
+            _SINCE_SCHEMA_3
+        ):
+            return
+        what = f"{name} of the property carom" if path == IDENTITY else f"{name} of /{path} (once)"
+        self.skipped[f"{what}, which {why}"] = None
+
+    def _recorded(self) -> Rows:
+        """Read everything that is static."""
+        found: Rows = {}
+        with reading(self._recording.path):
+            for chunk in self._recording.chunks(e for e in self._recording.store.entries if e.is_static):
+                if (rows := chunk.batch.num_rows) > 1:
+                    raise DamageError(f"{rows} rows of /{chunk.entity_path}, which holds for all times")
+                if rows:
+                    row = {name: chunk.batch[name] for name in chunk.components}
+                    found[chunk.entity_path] = found.get(chunk.entity_path, {}) | row
+        return found
+
+    def _expected(self, reach: float) -> Rows:
+        """Return what the recorder would write, of the bodies that the recording shows."""
+        recording, header = self._recording, self._header
+        clock = Clock(float(recording.info["time_scale"]))
+        title = str(recording.parameters.get("name", header.title))
+        found: Rows = {}
+        few = None if recording.shows_all else _few(recording, header)
+        for chunk in statics_of(header, clock, recording.origin, reach, title):
+            kept = chunk if few is None else few.of(chunk)
+            rows = {name: kept.batch[name] for name in kept.components}
+            found[chunk.entity_path] = found.get(chunk.entity_path, {}) | rows
+        return found
+
+    def _reach(self) -> float | None:
+        """Return how far from the origin the bodies were when the recording began, in m; None if that is not in it."""
+        if self._recording.clip or self._first not in self._recording.checkpoint_steps:
+            return None
+        position = self._recording.checkpoint(self._first).position - self._recording.origin
+        return reach_of(position, self._header.radius)
+
+
+def groups_of(scene: Scene) -> NDArray[np.int64]:
+    """Return the groups of all bodies, (n,), as they are placed: explicit ones, those from data, those of groups."""
+    given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
+    numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
+    return np.repeat(np.array(numbers, np.int64), counts)
+
+
+def reach_of(position: NDArray[np.float64], radius: NDArray[np.float64]) -> float:
+    """Return how far from the origin bodies reach along an axis, in m."""
+    return float(np.max(np.abs(position).max(axis=1) + radius))
+
+
+def _few(recording: Recording, header: Header) -> Selection:
+    return Selection(recording.shown, range(header.bodies), header.box, header.bodies)
+
+
+def _is_data(path: str, name: str) -> bool:
+    """Tell whether a component is about the run, and not about how it is shown."""
+    if path == IDENTITY:
+        return not name.startswith(_DRAWING)
+    return path in _STATES or name in _SHAPES
