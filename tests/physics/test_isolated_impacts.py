@@ -153,3 +153,63 @@ def test_a_ball_thrown_at_a_fixed_one_meets_it_where_the_parabola_does(speed: fl
     assert row["time"] == pytest.approx(meeting, rel=EXACT * graze)
     assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT * graze)
     assert row["approach_speed"] == pytest.approx(velocity @ normal, rel=EXACT * graze)
+
+
+LONGEST = 0.008  # s, of a step
+
+
+def on_a_floor(height: float, restitution: float, **sections: Any) -> Scene:
+    """A ball above a floor, among sixty others that are far away; with so many, steps end at no impact."""
+    crowd = [{"position": [1.0 + 0.3 * k, 0, 60.0], "radius": 0.1, "mass": 1.0} for k in range(60)]
+    return Scene.from_dict(
+        {
+            "gravity": {"uniform": [0.0, 0.0, -PULL]},
+            "contact": {"restitution": restitution},
+            "plane": [{}],
+            "body": [{"position": [0, 0, 0.1 + height], "radius": 0.1, "mass": 1.0}, *crowd],
+            "time": {"duration": 1.2 * math.sqrt(2.0 * height / PULL), "max_dt": LONGEST},
+            **sections,
+        }
+    )
+
+
+@pytest.mark.parametrize("height", [4e-4, 1e-3])
+def test_a_ball_that_falls_no_farther_than_in_a_step_bounces_with_its_restitution(height: float) -> None:
+    row, space = first_impact(on_a_floor(height, 0.8))
+    approach = math.sqrt(2.0 * PULL * height)
+    assert approach < 2.0 * PULL * LONGEST  # at which contacts of a pile are at rest
+    assert row["approach_speed"] == pytest.approx(approach, rel=EXACT)
+    assert row["normal_impulse"] == pytest.approx(1.8 * approach, rel=EXACT)
+    assert row["restitution_loss"] == pytest.approx(0.5 * 0.36 * approach**2, rel=EXACT)
+    assert space.state.velocity[0, 2] == pytest.approx(0.8 * approach - PULL * (space.time - row["time"]), rel=EXACT)
+
+
+def test_bounces_die_down_to_rest_without_an_overlap() -> None:
+    space = Space(on_a_floor(0.05, 0.5, time={"duration": 1.0, "max_dt": LONGEST}), 1, record_contacts=True)
+    bounces, deepest = [], 0.0
+    for frame in space.run():
+        assert frame.impacts is not None
+        deepest = max(deepest, 0.1 - frame.position[0, 2])
+        bounces += [row["approach_speed"] for row in frame.impacts if row["i"] == 0]
+    # each is half as fast as the one before, down to a rebound that lasts less than a step: e v < g dt / 2
+    followed = [0.5**k * math.sqrt(2.0 * PULL * 0.05) for k in range(4)]
+    assert bounces[:4] == pytest.approx(followed, rel=EXACT)
+    assert 0.5 * bounces[-1] < 0.5 * PULL * LONGEST
+    assert deepest < 1e-15  # a rebound that ends within its step lands at the end of it
+    assert np.abs(space.state.velocity[0]).max() < 1e-12  # the others attract it
+    assert space.state.position[0, 2] == pytest.approx(0.1, abs=1e-15)
+
+
+def test_two_bodies_that_only_their_gravity_moves_together_rebound_with_their_restitution() -> None:
+    gap, mass, dt = 3e-5, 1e9, 0.05
+    pull = 2.0 * 6.67430e-11 * mass / (2.0 + gap) ** 2
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": dt, "integrator": "leapfrog", "fixed_dt": dt},
+            "contact": {"restitution": 0.7},
+            "body": [{"position": [x, 0, 0], "radius": 1.0, "mass": mass} for x in (0.0, 2.0 + gap)],
+        }
+    )
+    row, _ = first_impact(scene)
+    assert 0.0 < row["approach_speed"] < 2.0 * 0.5 * pull * dt  # at which contacts of a pile are at rest
+    assert row["normal_impulse"] == pytest.approx(0.5 * mass * 1.7 * row["approach_speed"], rel=EXACT)

@@ -16,6 +16,7 @@ from carom.plan import pulls
 from carom.plan.auto import (
     TREES,
     cfl,
+    ended_bounces,
     frame_interval,
     gravity_method,
     inexact_impacts,
@@ -397,3 +398,11 @@ def test_a_run_says_where_impacts_are_not_exact() -> None:
     assert "right to second order" in inexact_impacts(billiards.changed(["drag.relaxation_time=1"]))
     assert "up to a step late" in inexact_impacts(billiards.changed(["time.integrator=yoshida4"]))
     assert inexact_impacts(cloud(8, time={"accuracy": 1e-6, "cfl": "auto"})) == ""
+
+
+def test_bounces_that_end_at_rest_are_said_where_forces_press() -> None:
+    heap = cloud(99, gravity=FALLING, plane=[{}])
+    assert ended_bounces(cloud(99, gravity={"constant": 0.0})) == ""
+    assert ended_bounces(heap.changed(["contact.restitution=0"])) == ""
+    assert "shorter than a step" in ended_bounces(heap)
+    assert "slower than about 2 a dt" in ended_bounces(heap.changed(["contact.timing=end-of-step"]))

@@ -15,7 +15,7 @@ from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
 from carom.physics.look_ahead.budget import Budget, Watcher
 from carom.physics.status import StepStatus
-from carom.plan.auto import inexact_impacts, largest_step
+from carom.plan.auto import ended_bounces, inexact_impacts, largest_step
 from carom.plan.checks import doubts
 from carom.runs.contact_counts import counts_text, overlap_text
 from carom.runs.ending import accuracy_text, error_text, in_words
@@ -127,6 +127,8 @@ def notes_on(scene: Scene) -> list[str]:
         )
     if inexact := inexact_impacts(scene):
         notes.append(inexact)
+    if ended := ended_bounces(scene):
+        notes.append(ended)
     return notes + doubts(scene)
 
 

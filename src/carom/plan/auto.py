@@ -112,6 +112,17 @@ def inexact_impacts(scene: Scene) -> str:
     return f"self-gravity changes along a step: approach speeds of impacts err by up to {error:.0e} or so{keeps}"
 
 
+def ended_bounces(scene: Scene) -> str:
+    """Say which bounces end at rest; empty if none does, or nothing bounces."""
+    contact = contact_parts.contact(scene)
+    bounces = contact_parts.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
+    if not (bounces and contact_parts.resting(scene, contact).modelled):
+        return ""
+    if why_late(scene) or scene.contact.solver == "staged":
+        return "contacts that close slower than about 2 a dt do not bounce"
+    return "bounces shorter than a step end at rest; what touches another body bounces above about 2 a dt only"
+
+
 def _error_by_gravity(scene: Scene) -> float:
     """Estimate the relative error of an approach speed by self-gravity in a step.
 

@@ -89,7 +89,7 @@ def resting(scene: Scene, contact: Part) -> Part:
     if contact.modelled and not pressing:
         return Part(name, False, "no force presses contacts together: every contact is an impact")
     how = "warm-started impulses" if scene.contact.solver == "lasting" else "impulses from 0 in each step"
-    return where_bodies_meet(name, contact, f"{pressing} presses: {how}; no bounce below about 2 a dt")
+    return where_bodies_meet(name, contact, f"{pressing} presses: {how}")
 
 
 def restitution(scene: Scene, contact: Part) -> Part:

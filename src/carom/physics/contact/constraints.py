@@ -166,6 +166,7 @@ class ConstraintSystem(NamedTuple):
     island: IntArray  # (n + p,) workspace, the root of each one's island
     islands: Records  # (n + p,) ISLAND, workspace
     active: IntArray  # (b,) bodies and planes with a contact
+    pressed: Flags  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
     found: Records  # (k,) PIECE_FINDINGS
     sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
     settings: Records  # (1,) SETTINGS

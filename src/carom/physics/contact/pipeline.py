@@ -212,6 +212,7 @@ class ContactPipeline:
         self._leave_out_sleepers()
         if self._guard:
             self._guard.remember()
+        self._find_pressed()
         if self._is_at_rest():
             if self.tap:  # its step begins; the entries are those of the previous step, which are booked
                 self._solver.ledger[:] = 0.0
@@ -219,6 +220,16 @@ class ContactPipeline:
             self.ledger_apart = self._solver.audited
             if self.tap:
                 self.tap.see_hold(self._found.pairs, self._solver)
+
+    def _find_pressed(self) -> None:
+        """Mark the bodies that contacts pressed in the last step; all, where no impact is resolved at its time."""
+        pressed = self._solver.pressed
+        if self._event_drift is None or not self._lasts:
+            return
+        pressed[:] = False
+        if self._sleepers:
+            pressed[: len(self._bodies)] = self._sleepers.asleep
+        self._solver.mark_pressed(self._impulses)
 
     def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
@@ -231,7 +242,9 @@ class ContactPipeline:
             return
         held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
         asleep = self._sleepers.asleep if self._sleepers else None
-        self.impacts = self._event_drift.drift(kick, dt, *self._near.margins(dt), held, asleep, along)
+        self.impacts = self._event_drift.drift(
+            kick, dt, *self._near.margins(dt), held, self._solver.pressed, asleep, along
+        )
         if self.tap:
             self.tap.see_drift(self.impacts)
 

@@ -110,7 +110,7 @@ class _Kernels(NamedTuple):
         none = np.zeros(0, dtype=np.int64)
         nobody = Neighbours(none, none, none)
         return cls(
-            begin=entry_of(begin, T, 1.0, 0.0, False),
+            begin=entry_of(begin, T, 1.0, 0.0, False, np.zeros(0, dtype=np.bool_)),
             predict=entry_of(predict, 0, 0, nobody, T),
             fill_queue=entry_of(_fill_queue, T),
             resolve=entry_of(resolve, nobody, T, log),
@@ -190,7 +190,7 @@ class EventDrivenDrift:
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
-        self._kernels.begin(T, 1.0, 0.0, False)
+        self._kernels.begin(T, 1.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
             self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
@@ -208,6 +208,7 @@ class EventDrivenDrift:
         scale: float,
         skin: float,
         held: ImpulseCache,
+        pressed: Flags,
         asleep: Flags | None,
         along: FloatArray | None = None,
     ) -> Impacts:
@@ -220,6 +221,8 @@ class EventDrivenDrift:
             island.
         held
             The impulses of the contacts that are held through the drift.
+        pressed
+            (n + p,) whether contacts have pressed each body since the last step.
         asleep
             (n,) which bodies sleep; None if none can.
         along
@@ -234,9 +237,8 @@ class EventDrivenDrift:
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = self._bends and along is None and kick == 0.5 * dt  # velocities are those of the middle
-            self._kernels.begin(T, dt, kick, bends)
-            if bends:
-                self._straighten(held, asleep)
+            self._kernels.begin(T, dt, kick, bends, pressed)
+            self._straighten(held, asleep)
             if self._forces:
                 self._find_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
@@ -266,7 +268,7 @@ class EventDrivenDrift:
         return Impacts.of(self._log[:count].copy())
 
     def _straighten(self, held: ImpulseCache, asleep: Flags | None) -> None:
-        """Make the paths of bodies that contacts hold, and of sleepers, straight."""
+        """Make the paths of bodies that contacts hold, and of sleepers, straight; they are not free."""
         body = self._trajectories.body
         straighten(held.pairs, held.place, held.contacts, body)
         if asleep is not None:

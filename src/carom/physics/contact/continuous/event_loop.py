@@ -34,6 +34,7 @@ from carom.physics.contact.continuous.trajectories import (
     contact_geometry,
     lag,
     leaves_reach,
+    rest_speed,
 )
 from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
 from carom.physics.contact.solver.velocity import slip_velocity
@@ -149,6 +150,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     if T.inverse_mass[i] == 0.0:
         return
     body, drift = T.body[i], T.drift[0]
+    body.is_free = False
     vx, vy, vz = vector(T.v, i)
     body.negligible_speed = max(body.negligible_speed, ROUNDING * (abs(vx) + abs(vy) + abs(vz)))
     body.impacts += 1
@@ -187,7 +189,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
     for i in range(lo, hi):
-        one = T.body[i]
+        one, rest = T.body[i], rest_speed(i, T)
         for m in range(neighbours.first[i], neighbours.last[i]):
             j = neighbours.bodies[m]
             other = T.body[j]
@@ -202,7 +204,8 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             vx, vy, vz = between(T.v, i, j)
             ax, ay, az = between(T.a, i, j)
             R = T.radius[i] + T.radius[j]
-            slow = drift.slow * max(T.rest_speed[i], T.rest_speed[j]) + one.negligible_speed + other.negligible_speed
+            slow = drift.slow * max(rest, 0.0 if other.is_free else T.rest_speed[j])
+            slow += one.negligible_speed + other.negligible_speed
             if one.is_straight != other.is_straight:
                 tau = _time_on_parabola(i, j, dx, dy, dz, vx, vy, vz, slow, T)
             elif Lx > 0.0:
@@ -254,7 +257,7 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
         if body.holds >= MOST_HOLDS:
             continue
         s = clock - body.now
-        slow = drift.slow * T.rest_speed[i] + body.negligible_speed
+        slow = drift.slow * rest_speed(i, T) + body.negligible_speed
         for p in range(len(offset)):
             gap, rate, pull = -offset[p] - T.radius[i], 0.0, 0.0
             for k in range(3):
@@ -300,15 +303,19 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     vn = vx * nx + vy * ny + vz * nz
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
-    rest_speed = max(T.rest_speed[i], T.rest_speed[j])
-    e = LAW.restitution(material, -vn, rest_speed)
+    slow = max(rest_speed(i, T), rest_speed(j, T) if j < n else 0.0)
+    e = LAW.restitution(material, -vn, slow)
     Jn = max(0.0, -(1.0 + e) * vn) / Kn
+    entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
+    if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:
+        landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T)
+        if landing > max(vn, -e * vn):
+            Jn = (landing - vn) / Kn
+            entry.stabilisation_gain = entry.restitution_loss - normal_loss(Jn, vn, Kn)
     Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
     entry.i, entry.j, entry.time = i, j, clock
     entry.nx, entry.ny, entry.nz = nx, ny, nz
-    entry.approach, entry.rest_speed = max(0.0, -vn), rest_speed
-    entry.restitution_loss = normal_loss(Jn, vn, Kn)
-    entry.friction_loss = entry.stabilisation_gain = 0.0
+    entry.approach, entry.rest_speed, entry.friction_loss = max(0.0, -vn), slow, 0.0
     entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
     entry.friction_x = entry.friction_y = entry.friction_z = 0.0
     x, y, z = centre(i, T)
@@ -336,6 +343,21 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         add(v, j, mj, Jx, Jy, Jz)
     entry.vix, entry.viy, entry.viz = along(v, a, i, s)
     entry.vjx, entry.vjy, entry.vjz = along(v, a, j, s)
+
+
+@inner
+def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
+    """Return the normal velocity at which two bodies part now so that they touch again at the end of the drift.
+
+    In m/s, for a relative acceleration an in m/s² that presses them together; -infinity if it does not. Bodies that
+    part more slowly would overlap at the end: the force acts on, and nothing holds them until then.
+    """
+    if not an < 0.0:
+        return -np.inf
+    drift, n = T.drift[0], len(T.x)
+    pressing = nx * drift.field_x + ny * drift.field_y + nz * drift.field_z
+    bend = (0.0 if T.body[i].is_straight else pressing) - (0.0 if j >= n or T.body[j].is_straight else pressing)
+    return float(an * (drift.clock - drift.kick) + 0.5 * drift.clock * bend)
 
 
 @inner

@@ -25,6 +25,7 @@ from carom.physics.vector import add, along, between, vector
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
+Flags = NDArray[np.bool_]
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
 TOUCHING = 1e-9  # of the radius, the first standoff of an exhausted body
@@ -48,6 +49,7 @@ TRAJECTORY = np.dtype(
         ("holds", np.int64),  # how often its contacts were held in this drift
         ("strays", np.bool_),  # whether its path leaves that reach
         ("is_straight", np.bool_),  # whether its path does not bend with the field: it is held or does not move
+        ("is_free", np.bool_),  # whether it has touched nothing since the last step: it bounces at any speed
         ("exhausted", np.bool_),  # whether it has had its largest number of impacts
     ],
     align=True,
@@ -131,8 +133,20 @@ def write_reaches(
 
 
 @kernel
-def begin(T: Trajectories, dt: float, kick: float, bends: bool) -> None:
-    """Begin a drift of dt after a kick, both in s; ``bends`` says whether the field bends the paths of some bodies."""
+def begin(T: Trajectories, dt: float, kick: float, bends: bool, pressed: Flags) -> None:
+    """Begin a drift.
+
+    Parameters
+    ----------
+    T
+        The bodies.
+    dt, kick
+        s, the drift and the kick before it.
+    bends
+        Whether the field bends the paths of some bodies.
+    pressed
+        (n + p,) whether contacts have pressed each body since the last step.
+    """
     drift = T.drift[0]
     drift.dt, drift.kick, drift.clock = dt, kick, 0.0
     drift.queued = drift.strays = drift.exhausted = 0
@@ -141,7 +155,7 @@ def begin(T: Trajectories, dt: float, kick: float, bends: bool) -> None:
         vx, vy, vz = vector(T.v, i)
         body.start_x, body.start_y, body.start_z = vector(T.x, i)
         body.impact_time, body.impacts, body.queue_place = np.inf, 0, -1
-        body.is_straight = not bends or T.inverse_mass[i] == 0.0
+        body.is_straight, body.is_free = not bends or T.inverse_mass[i] == 0.0, not pressed[i]
         body.negligible_speed = ROUNDING * (abs(vx) + abs(vy) + abs(vz) + T.radius[i] / dt)
         arrive(i, T)
 
@@ -156,12 +170,15 @@ def arrive(i: int, T: Trajectories) -> None:
 
 @kernel
 def straighten(pairs: IntArray, place: IntArray, contacts: Records, body: Records) -> None:
-    """Make the paths straight of bodies that contacts hold: those of the contacts ``contacts[place]`` with impulses."""
+    """Make the paths straight of bodies that contacts hold: those of the contacts ``contacts[place]`` with impulses.
+
+    They touch something, so they are not free.
+    """
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
             for end in range(2):
                 if pairs[c, end] < len(body):
-                    body[pairs[c, end]].is_straight = True
+                    body[pairs[c, end]].is_straight, body[pairs[c, end]].is_free = True, False
 
 
 @inner
@@ -189,6 +206,12 @@ def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
         return x, y, z
     drift, behind = T.drift[0], lag(T)
     return x - behind * drift.field_x, y - behind * drift.field_y, z - behind * drift.field_z
+
+
+@inner
+def rest_speed(i: int, T: Trajectories) -> float:
+    """Return the closing speed up to which contacts of a body are at rest, in m/s: 0 if it has touched nothing."""
+    return 0.0 if T.body[i].is_free else T.rest_speed[i]
 
 
 @inner

@@ -22,7 +22,7 @@ from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING,
 from carom.physics.contact.solver.phases import work
 from carom.physics.contact.solver.position_correction import audit_corrections, count_contacts, find_push_fractions
 from carom.physics.contact.solver.pushed_body import gather_positions, scatter_positions
-from carom.physics.contact.solver.warm_start import impulses_of
+from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of, mark_pressed
 from carom.physics.contact.solver.workspace import Workspace
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
@@ -33,6 +33,7 @@ from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
@@ -228,6 +229,18 @@ class ContactSolver:
         self._settings["bias_rate"] = bias_rate
         self._settings["impacts_only"] = impacts_only
         return self._lead(IMPACTS, self._system, max_iterations)
+
+    @property
+    def pressed(self) -> Flags:
+        """(n + p,) whether contacts have pressed each body since the last step; others meet in impacts."""
+        return self._workspace.pressed
+
+    def mark_pressed(self, cache: ImpulseCache) -> None:
+        """Mark the bodies that impulses press."""
+        held = cache.pairs, cache.place, cache.contacts
+        self._team.divide(
+            len(cache.pairs), MIN_PER_TASK, mark_pressed, *held, self._bodies.ends.inverse_mass, self.pressed
+        )
 
     @property
     def any_rests(self) -> bool:

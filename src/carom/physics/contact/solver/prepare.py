@@ -7,6 +7,7 @@ import numpy as np
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import inverse_tangent_mass
+from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.parallel.jit import inline, unowned
@@ -53,11 +54,14 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             bias = max(0.0, gap) / drift
             # a resting contact closes no faster than this kick and half the drift's fall can cause
             fastest = rest_speed * ((share + 0.5 * drift) / dt)
+            is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
-            fastest = rest_speed if gap > 0.0 and state.apart else np.inf  # impacts of touching pairs are resolved
+            is_open = gap > 0.0 and state.apart
+            fastest = rest_speed if is_open else np.inf  # impacts of touching pairs are resolved
         contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
-        system.held[c] = not -vn > fastest
+        meets = is_open and not (system.pressed[i] or system.pressed[j])  # in an impact, if at all
+        system.held[c] = not (meets or -vn > fastest)
         negligible = min(PART_OF_REST * rest_speed, PART_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
         if system.held[c]:

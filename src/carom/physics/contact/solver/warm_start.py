@@ -24,6 +24,7 @@ from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 
@@ -81,6 +82,18 @@ class ImpulseCache:
         else:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
             team.divide(len(pairs), MIN_PER_TASK, _carry, *before, pairs, place, contacts)
+
+
+@long_kernel
+def mark_pressed(
+    lo: int, hi: int, pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, pressed: Flags
+) -> None:
+    """Mark the moving ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
+    for c in range(lo, hi):
+        if contacts[place[c]].normal_impulse > 0.0:
+            for end in range(2):
+                if inverse_mass[pairs[c, end]] > 0.0:
+                    pressed[pairs[c, end]] = True
 
 
 @kernel

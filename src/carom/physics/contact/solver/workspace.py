@@ -66,6 +66,7 @@ class Workspace:
         self._search = Room(SEARCH)
         self._measured = Room(MEASURED)
         self._recorded = Room(RECORDED)
+        self.pressed = np.ones(count, dtype=np.bool_)
         self._bodies = aligned_empty(count, BODY_STATE)
         self._pushed = aligned_empty(count, PUSHED_BODY)
         self._pushed_in = np.empty(count, dtype=np.int64)
@@ -116,6 +117,7 @@ class Workspace:
             island=self._island,
             islands=self._islands,
             active=active,
+            pressed=self.pressed,
             found=np.empty(len(order.pieces), PIECE_FINDINGS),
             sums=np.empty(-(-len(active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=settings,
