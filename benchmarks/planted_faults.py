@@ -20,8 +20,7 @@ from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.continuous.drift import EventDrivenDrift, Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.diagnostics.audit import Audit
-from carom.physics.diagnostics.bookkeeper import Bookkeeper
+from carom.physics.diagnostics.bookkeeper import BalanceAudit, Bookkeeper
 from carom.physics.forces.total import TotalForce
 from carom.physics.integrators import kick_drift
 from carom.physics.step import KickDriftStepper
@@ -94,8 +93,8 @@ class Fault:
 
 def _ledger(change: Callable[[np.ndarray], np.ndarray]) -> Plant:
     """Change what contacts report, (m, 3) J: restitution, friction, stabilisation."""
-    book = Audit.book
-    return lambda: {Audit: {"book": lambda self, work: book(self, change(np.array(work)))}}
+    book = BalanceAudit.book
+    return lambda: {BalanceAudit: {"book": lambda self, work: book(self, change(np.array(work)))}}
 
 
 def _resolve(spoil: Callable[[Bodies, np.ndarray, np.ndarray, np.ndarray], None]) -> Plant:

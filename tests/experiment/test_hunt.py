@@ -15,7 +15,7 @@ from carom.lab.hunt.hunt import Hunt, Miss
 from carom.lab.hunt.laws import LAWS, laws_of
 from carom.lab.hunt.scenes import Drawn, drawn
 from carom.lab.shrink.budget import OutOfTime
-from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.scene.load import scene_from_dict
 from carom_command import carom
 
@@ -37,8 +37,8 @@ def test_the_same_seed_draws_the_same_scene() -> None:
 @pytest.mark.slow
 def test_a_fault_is_found_shrunk_and_filed_with_its_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.lab.hunt.hunt.drawn", lambda seed, index: Drawn(meeting(index)))
-    book = Audit.book
-    monkeypatch.setattr(Audit, "book", lambda audit, work: book(audit, np.asarray(work) * [0.0, 1.0, 1.0]))
+    book = BalanceAudit.book
+    monkeypatch.setattr(BalanceAudit, "book", lambda audit, work: book(audit, np.asarray(work) * [0.0, 1.0, 1.0]))
     made = carom("hunt", "--seed", "7", "--scenes", "2", "-o", "found", "--json", cwd=tmp_path)
     assert made.returncode == 1
     tally: dict[str, Any] = json.loads(made.stdout)

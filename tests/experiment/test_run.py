@@ -257,7 +257,7 @@ def test_the_energy_gain_counts_from_the_lowest_energy_so_far() -> None:
     start, *_, last = list(space.run())
     extremes, energy = space.extremes, last.energy
     assert extremes.energy_gain.value <= 1e-15  # no gravity: round-off of the impulse
-    extremes.see_energy(last.step + 1, 99.0, replace(energy, translational=energy.translational + 0.1))
+    extremes.add_energy(last.step + 1, 99.0, replace(energy, translational=energy.translational + 0.1))
     assert extremes.energy_gain.value == pytest.approx(0.1 / energy.scale, rel=1e-12)  # the subtraction's round-off
     assert extremes.energy_gain.time == 99.0 and start.energy.total > energy.total + 0.1
 

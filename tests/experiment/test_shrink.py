@@ -27,7 +27,7 @@ from carom.lab.shrink.reducer import Reducer, Reduction
 from carom.lab.shrink.text import commented
 from carom.lab.shrink.trials import Trials
 from carom.lab.shrink.whole_run import CommandShows
-from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.physics.space import Space
 from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
@@ -47,7 +47,7 @@ GAS: dict[str, Any] = {  # a dozen spheres that meet within a second
 @pytest.fixture
 def ledger_without_contacts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Plant a fault: the ledger forgets what contacts take out."""
-    monkeypatch.setattr(Audit, "book", lambda audit, work: None)
+    monkeypatch.setattr(BalanceAudit, "book", lambda audit, work: None)
 
 
 def reduced(scene: dict[str, Any], condition: str | None = None) -> Reduction:
@@ -125,14 +125,14 @@ def test_an_impact_keeps_the_two_bodies_by_their_names() -> None:
 
 
 def test_an_exception_of_the_engine_shrinks_to_what_raises_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    book = Audit.book
+    book = BalanceAudit.book
 
-    def raises_at_an_impact(audit: Audit, work: Any) -> None:
+    def raises_at_an_impact(audit: BalanceAudit, work: Any) -> None:
         if np.any(work):
             raise IndexError("index 7 is out of bounds")
         book(audit, work)
 
-    monkeypatch.setattr(Audit, "book", raises_at_an_impact)
+    monkeypatch.setattr(BalanceAudit, "book", raises_at_an_impact)
     result = reduced(GAS)
     assert result.bodies == 2 and result.said == "IndexError: index 7 is out of bounds"
 

@@ -14,7 +14,7 @@ from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MOST_WARNINGS, EnergyMonitor
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.diagnostics.motion import Motion
+from carom.physics.diagnostics.momentum import TotalMotion
 from carom.physics.space import Space
 from carom.runs.expectation import judge
 from carom.scene.integrators import INTEGRATORS
@@ -62,7 +62,7 @@ def test_the_scale_of_an_orbit_is_its_total_energy_wherever_it_begins_and_howeve
     account = EnergyAccount(moving.state, np.zeros(3))
     # 10⁶ m²/s² rounds to 10⁻¹⁰, of which the speed about the centre of mass is what is left
     pull = {"gravitational": moving.energy().gravitational}
-    assert account.balance(Motion.of(moving.state), pull, Ledger()).scale == pytest.approx(0.125, abs=1e-9)
+    assert account.balance(TotalMotion.of(moving.state), pull, Ledger()).scale == pytest.approx(0.125, abs=1e-9)
 
 
 def test_an_orbit_that_loses_its_energy_misses_its_promise_and_is_said_to_be_lost() -> None:
@@ -136,11 +136,11 @@ def test_the_energy_scale_of_a_collapse_contains_what_contacts_took_out() -> Non
     bodies = random_bodies(5, seed=1)
     account = EnergyAccount(bodies, np.zeros(3))
     pull = {"gravitational": -1e3}
-    start = account.balance(Motion.of(bodies), pull, Ledger())
-    later = account.balance(Motion.of(bodies), pull, Ledger(restitution=2e3, friction=1e3))
+    start = account.balance(TotalMotion.of(bodies), pull, Ledger())
+    later = account.balance(TotalMotion.of(bodies), pull, Ledger(restitution=2e3, friction=1e3))
     assert later.scale == pytest.approx(start.scale + 3e3)
     # what contacts put in, which they never may, makes no error look smaller
-    assert EnergyAccount(bodies, np.zeros(3)).balance(Motion.of(bodies), pull, Ledger(-5e3)).scale == start.scale
+    assert EnergyAccount(bodies, np.zeros(3)).balance(TotalMotion.of(bodies), pull, Ledger(-5e3)).scale == start.scale
 
 
 def test_a_short_run_is_checked_at_its_end() -> None:
@@ -225,7 +225,7 @@ def test_the_advice_against_a_lost_orbit_fits_the_integrator(integrator: str, ad
 def see(extremes: Extremes, *ledgers: Ledger) -> Extremes:
     """Show extremes a run in which contacts alone change the energy of 1 J."""
     for step, ledger in enumerate(ledgers):
-        extremes.see_energy(step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
+        extremes.add_energy(step, float(step), Energy(1.0 - ledger.balance, 0.0, 0.0, 0.0, ledger, 0.0, 1.0))
     return extremes
 
 

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
+from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from small_scenes import scene_of
 
 
 def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise() -> None:
     watch = PaceMonitor(duration=100.0, first_dt=1e-2)  # promises 10⁴ steps
-    assert watch.look(1000, 10.0, 1e-2, "velocity") is None
-    assert watch.look(1100, 10.1, 1e-4, "held") is None, "few steps so far: it may pass"
-    warning = watch.look(50_000, 15.0, 1e-4, "held")
+    assert watch.check(1000, 10.0, 1e-2, "velocity") is None
+    assert watch.check(1100, 10.1, 1e-4, "held") is None, "few steps so far: it may pass"
+    warning = watch.check(50_000, 15.0, 1e-4, "held")
     assert warning is not None and (warning.level, warning.kind) == ("WARN", "pace")
     # Kept up, 50 000 in 15 s make 3.3 × 10⁵; the present step alone would make 9 × 10⁵.
     for said in (
@@ -22,19 +22,19 @@ def test_a_run_that_crawls_says_what_sets_the_step_since_when_and_what_to_raise(
         "time.target_dx",
     ):
         assert said in warning.text
-    assert watch.look(60_000, 16.0, 1e-4, "held") is None, "once a run"
+    assert watch.check(60_000, 16.0, 1e-4, "held") is None, "once a run"
 
 
 def test_steps_that_were_short_for_a_while_are_no_crawl() -> None:
     watch = PaceMonitor(duration=100.0, first_dt=1e-2)
-    watch.look(60_000, 6.0, 1e-4, "velocity")
+    watch.check(60_000, 6.0, 1e-4, "velocity")
     again = PaceMonitor(duration=100.0, first_dt=1e-2)
-    assert again.look(60_000, 6.0, 1e-2, "velocity") is None
+    assert again.check(60_000, 6.0, 1e-2, "velocity") is None
     assert again.tally.slow_since is None
 
 
 def test_a_run_of_few_steps_is_not_worth_a_warning() -> None:
-    assert PaceMonitor(duration=1.0, first_dt=1e-2).look(5000, 0.5, 1e-4, "velocity") is None
+    assert PaceMonitor(duration=1.0, first_dt=1e-2).check(5000, 0.5, 1e-4, "velocity") is None
 
 
 def test_an_accuracy_is_what_to_raise_where_it_sets_the_step() -> None:
@@ -50,5 +50,5 @@ def test_an_accuracy_is_what_to_raise_where_it_sets_the_step() -> None:
     orbit = scene_of([{}, {"position": [9, 0, 0]}], time={"accuracy": 1e-4}, contact={"enabled": False})
     assert remedies_of(orbit) == {"cap": "time.max_dt"}
     watch = PaceMonitor(duration=100.0, first_dt=1e-2, remedies={})
-    warning = watch.look(50_000, 15.0, 1e-4, "velocity")
+    warning = watch.check(50_000, 15.0, 1e-4, "velocity")
     assert warning is not None and "raise" not in warning.text

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.placement import occupancy, place, random_placement
+from carom.physics.placement import place, random_placement
+from carom.physics.placement import random_placement as occupancy
 from carom.physics.placement.neighbours import overlapping_pairs
 from carom.scene.schema import Scene
 

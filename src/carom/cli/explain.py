@@ -87,7 +87,7 @@ def explain(
 def _steps(cost: Cost, scene: Scene) -> str:
     """Say how many steps there will be, what sets them, and what would make them longer."""
     from carom.cli.units import count_text, duration_text
-    from carom.physics.diagnostics.pace import remedies_of
+    from carom.physics.diagnostics.run_monitor import remedies_of
 
     seconds = cost.seconds / cost.steps
     if cost.looked_until >= scene.time.duration:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
-from carom.physics.diagnostics.finite import refuse_infinities
+from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.integrators.batch import Batch, BatchIntegrator
 from carom.physics.integrators.checkpoint import BY_LEAPFROG, IntegratorCheckpoint
 from carom.physics.rotation import rotate
@@ -152,7 +152,7 @@ class BatchStepper:
             batch = self._integrator.advance(time, end, until, most)
             if contact is None or batch.meeting is None or batch.steps > 0:
                 if audit:
-                    audit.see_change(before)
+                    audit.add_change(before)
                 return batch
             ends = batch.meeting.ends
             if batch.meeting.rests:

@@ -14,7 +14,7 @@ from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
-from carom.physics.diagnostics.pace import PaceTally
+from carom.physics.diagnostics.run_monitor import PaceTally
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 
 FloatArray = NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from carom.errors import PhysicsError
-from carom.physics.diagnostics.pace import remedies_of
+from carom.physics.diagnostics.run_monitor import remedies_of
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
-from carom.physics.diagnostics.activity import remembered
+from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows

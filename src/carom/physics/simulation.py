@@ -15,7 +15,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.fingerprint import fingerprint
-from carom.physics.diagnostics.pace import PaceMonitor, remedies_of
+from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch import batch_integrator_of
 from carom.physics.parallel.cores import cores
@@ -70,7 +70,7 @@ class Simulation:
         if scene.time.fixed_dt is None and not integrator(scene).controls_error:
             own = scene.unit_system, remedies_of(scene)
             self._books.pace = PaceMonitor(scene.time.duration, self.first_dt, *own)
-        self._books.take_stock(potentials, checked=True)
+        self._books.measure(potentials, checked=True)
         self._publish()
         self.profile.clear()
 
@@ -140,13 +140,13 @@ class Simulation:
         clock.step, clock.time, clock.dt, clock.limit = checkpoint.step, checkpoint.time, 0.0, "start"
         self._stepper.restore(checkpoint)
         self._books.restore(checkpoint)
-        self._books.take_stock(self._world.forces.potentials(), checked=False)
+        self._books.measure(self._world.forces.potentials(), checked=False)
         self._publish()
 
     def begin_as(self, start: Checkpoint) -> None:
         """Measure errors against the references of a recorded start, which may be rounded otherwise."""
         if self._books.refer_to(start.books):
-            self._books.take_stock(self._world.forces.potentials(), checked=False)
+            self._books.measure(self._world.forces.potentials(), checked=False)
             self._publish()
 
     def run(
@@ -222,7 +222,7 @@ class Simulation:
         """Copy the state of the last step, with its energy and momentum."""
         books, audit = self._books, self._books.audit
         if audit.step != self.step:
-            books.take_stock(self._world.forces.potentials(), checked=True)
+            books.measure(self._world.forces.potentials(), checked=True)
         books.activity.judge(audit.energy)
         state, needs, momentum = self.state, self.requirements, audit.momentum
         slot = None if store is None else store.keep()
@@ -248,7 +248,7 @@ class Simulation:
             angular_momentum=momentum.angular,
             sweeps=self._contact.sweeps if self._contact else 0,
             phase=books.activity.phase,
-            events=books.take_events(),
+            events=books.pop_events(),
             previous_dt=self._stepper.previous_dt,
             memory=self._contact.memory if self._contact else None,
             books=books.state,

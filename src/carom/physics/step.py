@@ -11,7 +11,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
-from carom.physics.diagnostics.finite import refuse_infinities, refuse_lost_turns
+from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
@@ -238,7 +238,7 @@ class KickDriftStepper:
         """
         world, bodies, clock = self._world, self._world.bodies, self._world.clock
         if world.is_periodic:
-            refuse_lost_turns(bodies.velocity, dt, world.box, clock.step, clock.time, clock.units)
+            refuse_many_crossings(bodies.velocity, dt, world.box, clock.step, clock.time, clock.units)
         if world.contact and world.needs.impact_time.modelled:
             refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
             self._drift_to_impacts(world.contact, kick, dt, damped)
@@ -293,7 +293,7 @@ class KickDriftStepper:
             before = (bodies.velocity.copy(), bodies.angular_velocity.copy()) if audit else None
             contact.fall_asleep(dt)
             if audit and before is not None:
-                audit.see_sleep(*before)
+                audit.add_sleep(*before)
             world.profile.mark("sleep")
 
     def _kick(self, dt: float) -> None:
@@ -302,12 +302,12 @@ class KickDriftStepper:
         kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
         audit, contact = self._books.impulse_audit, self._world.contact
         if audit:
-            audit.see_kick(bodies.acceleration, dt)
+            audit.add_kick(bodies.acceleration, dt)
         if contact and contact.sleeps:
             before = bodies.velocity.copy() if audit else None
             contact.keep_asleep()
             if audit and before is not None:
-                audit.see_change(before)
+                audit.add_change(before)
 
     def _exchange(self, damping: Damping, act: Callable[[DampedStep], Exchange], damped: DampedStep) -> None:
         """Let drag act on the velocities before or after the drift."""
@@ -315,7 +315,7 @@ class KickDriftStepper:
         before = velocity.copy() if audit else None
         self._exchanges.append(act(damped))
         if audit and before is not None:
-            audit.see_change(before)
+            audit.add_change(before)
         self._world.profile.mark(damping.kind.short_name)
 
     def _exchange_energy(self, loss: float) -> None:

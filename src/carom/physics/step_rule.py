@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.diagnostics.motion import centre_velocity
+from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import borrowing, inline, kernel, long_kernel
 from carom.physics.pull_time import step_of_largest, step_of_pairs
 

@@ -11,7 +11,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.clock import Clock
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.diagnostics.profile import Profile
+from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces.total import TotalForce
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements, require

@@ -41,7 +41,7 @@ from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
 from carom.physics.contact.torques import Torques
-from carom.physics.diagnostics.profile import Profile
+from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.schema import ContactSettings

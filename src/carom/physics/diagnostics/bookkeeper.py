@@ -1,26 +1,175 @@
-"""The books of a run: energy and momentum, extremes, activity and events. No step depends on them."""
+"""The books of a run: energy and momentum compared with the start, extremes, activity and events.
+
+No step depends on them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
+from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.event import Event
+from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.diagnostics.activity import Activity
-from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
+from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
 from carom.physics.diagnostics.extremes import NOTHING, Extremes
-from carom.physics.diagnostics.finite import refuse_infinities
-from carom.physics.diagnostics.horizon import end_of_promise
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
-from carom.physics.diagnostics.pace import PaceMonitor, PaceTally
+from carom.physics.diagnostics.ledger import Ledger
+from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
+from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTally, refuse_infinities
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import Names
+
+ROUNDING = 1e-10  # of a sum over 10⁶ bodies, at most
+
+
+class BalanceAudit:
+    """Energy and momentum as of the last check; the first one is the start of the run.
+
+    Parameters
+    ----------
+    scene
+        The scene, for its field, boundary and energy tolerance.
+    bodies
+        The state at the start.
+    names
+        Names for warnings.
+    uniform
+        (3,) m/s², acceleration that is the same for all bodies.
+    constant
+        J, the gravitational energy of fixed bodies among each other.
+    losses
+        The ledger's entries for forces without a potential.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        bodies: Bodies,
+        names: Names,
+        uniform: FloatArray,
+        constant: float = 0.0,
+        losses: Iterable[str] = (),
+    ) -> None:
+        periodic = scene.domain.boundary == "periodic"
+        self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
+        self.energy: Energy
+        self.momentum: Momentum
+        self.step = -1  # of the last check
+        self._bodies = bodies
+        self._units = scene.unit_system
+        self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
+        booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
+        self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
+        self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
+        self._suspects: Suspects | None = None
+        self._spent: Suspects | None = None  # those of the last check; their arrays are used again
+
+    @property
+    def energy_baseline(self) -> EnergyBaseline:
+        """The reference values of the energy."""
+        assert self._energy.baseline is not None, "the stock of the start has been taken"
+        return self._energy.baseline
+
+    @property
+    def momentum_baseline(self) -> MomentumBaseline:
+        """The reference values of the momenta."""
+        return self._momentum.baseline
+
+    @property
+    def monitor_state(self) -> MonitorState:
+        """The state of the energy monitor between two checks."""
+        return self._watch.tally
+
+    def reopen(self, books: Books, ledger: Ledger) -> None:
+        """Continue the audit of an earlier run."""
+        self.ledger = ledger
+        self._energy.baseline, self._momentum.baseline, self._watch.tally = books.energy, books.momentum, books.watch
+        self._suspects = None
+
+    def refer_to(self, books: Books) -> bool:
+        """Take the references of a recorded start that differ from these by rounding; return whether one did.
+
+        Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
+        the processor.
+        """
+        energy, momentum = self.energy_baseline, self.momentum_baseline
+        known = replace(energy, scale=_nearly(books.energy.scale, energy.scale, energy.scale))
+        reach = float(np.abs(self._bodies.position).max())
+        pairs = zip(books.momentum.centre, momentum.centre, strict=True)
+        x, y, z = (_nearly(recorded, own, reach) for recorded, own in pairs)
+        moved = replace(momentum, centre=(x, y, z))
+        changed = (known, moved) != (energy, momentum)
+        self._energy.baseline, self._momentum.baseline = known, moved
+        return changed
+
+    def book(self, contacts: FloatArray) -> None:
+        """Book the energies of the contacts of a step, (m, 3) J."""
+        self.ledger = self.ledger.plus(contacts)
+
+    def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
+        """Book the energy that a force without a potential took out, in J, and its impulses, in N s and N m s."""
+        self.ledger = self.ledger.plus_loss(entry, loss)
+        self._momentum.receive(impulse, angular_impulse)
+
+    def suspect(self, step: int, contact: ContactPipeline) -> None:
+        """Keep the contacts of a step for a possible warning, before the next step overwrites them."""
+        self._suspects = self._spent = Suspects.of(step, contact, self._bodies, self._spent)
+
+    def energy_now(self, potentials: Mapping[str, float]) -> Energy:
+        """Return the energy of the present state, given the potential energies of the forces in joules."""
+        return self._energy.balance(TotalMotion.of(self._bodies), potentials, self.ledger)
+
+    def momentum_now(self, time: float) -> Momentum:
+        """Return the momentum of the present state, at a time in seconds."""
+        return self._momentum.balance(TotalMotion.of(self._bodies), time)
+
+    def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes) -> None:
+        """Compute energy and momentum, and update the extremes of the run with their errors.
+
+        Raises
+        ------
+        PhysicsError
+            If the energy is no longer finite.
+        """
+        motion = TotalMotion.of(self._bodies)
+        self.energy = self._energy.balance(motion, potentials, self.ledger)
+        if not math.isfinite(self.energy.total):
+            raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
+        extremes.add_energy(step, time, self.energy)
+        self.momentum = self._momentum.balance(motion, time)
+        extremes.add_momentum(step, time, self.momentum)
+        self.step = step
+
+    def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
+        """Check the energy; return the warnings of the energy monitor.
+
+        They list the contacts that were kept, and those of ``contact``, if they may have changed the energy, too.
+        """
+
+        def suspects() -> list[Suspects]:
+            present = Suspects.of(self.step, contact, self._bodies) if contact else None
+            return [contacts for contacts in (self._suspects, present) if contacts]
+
+        warnings = self._watch.check(self.step, time, self.energy, extremes.contact_gain.value, suspects)
+        self._suspects = None
+        return warnings
+
+
+def _nearly(recorded: float, own: float, size: float) -> float:
+    """Return the recorded value if it differs from the own one by rounding, otherwise the own one."""
+    return recorded if abs(recorded - own) <= ROUNDING * size else own
 
 
 class Bookkeeper:
@@ -52,7 +201,7 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        self.audit = Audit(scene, bodies, world.names, forces.uniform, constant, forces.losses)
+        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, forces.losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
@@ -61,7 +210,7 @@ class Bookkeeper:
         self._events: list[Event] = []
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
-            self._see_contacts(world.contact, Extremes())  # none: loads the kernels
+            self._measure_contacts(world.contact, Extremes())  # none: loads the kernels
 
     @property
     def state(self) -> Books:
@@ -105,7 +254,7 @@ class Bookkeeper:
             self.impulse_audit.begin(self.audit.ledger)
 
     def suspect_contacts(self, step: int) -> None:
-        """Keep the present contacts, which are of a step, as those that may have changed the energy."""
+        """Keep the present contacts of a step as those that may have changed the energy."""
         contact = self._world.contact
         if contact:
             self.audit.suspect(step, contact)
@@ -122,11 +271,11 @@ class Bookkeeper:
         if contact:
             self._book_contacts(contact)
         else:
-            self.activity.see(0, 0.0)
+            self.activity.add_step(0, 0.0)
         if self.impulse_audit:
             self._audit_impulses(self.impulse_audit)
         if checked:
-            self.take_stock(potentials, checked, contact)
+            self.measure(potentials, checked, contact)
         clock = self._world.clock
         if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
@@ -140,18 +289,18 @@ class Bookkeeper:
     def check_pace(self, dt: float, limit: str) -> None:
         """Warn if the next step, of dt seconds, and those before are much shorter than the first."""
         clock = self._world.clock
-        warning = self.pace.look(clock.step, clock.time, dt, limit) if self.pace else None
+        warning = self.pace.check(clock.step, clock.time, dt, limit) if self.pace else None
         if warning:
             self.log(warning)
 
-    def take_stock(self, potentials: Potentials, checked: bool, contact: ContactPipeline | None = None) -> None:
+    def measure(self, potentials: Potentials, checked: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum; ``checked`` says whether to warn of their errors.
 
         A warning lists the present contacts of ``contact``, if given, beside those that were kept.
         """
         world, clock = self._world, self._world.clock
         try:
-            self.audit.take_stock(clock.step, clock.time, potentials, self.extremes)
+            self.audit.measure(clock.step, clock.time, potentials, self.extremes)
         except PhysicsError:
             refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)  # names them
             raise
@@ -164,9 +313,9 @@ class Bookkeeper:
         """Add an event to those of the next frame."""
         self._events.append(event)
         if event.level == "WARN":
-            self.extremes.see_warning(event.kind)
+            self.extremes.add_warning(event.kind)
 
-    def take_events(self) -> tuple[Event, ...]:
+    def pop_events(self) -> tuple[Event, ...]:
         """Return the events since the last call."""
         events, self._events = tuple(self._events), []
         return events
@@ -182,24 +331,35 @@ class Bookkeeper:
                 i, j = graph.pairs[graph.first]
                 text = f"First contact: {self._world.names.pair((i, j))}."
                 self.log(Event(clock.step, clock.time, "INFO", text, "first-contact"))
-            self._see_contacts(contact, self.extremes)
+            self._measure_contacts(contact, self.extremes)
             for level, text in contact.limits_reached():
                 self.log(Event(clock.step, clock.time, level, text, "limit"))
-        self.activity.see(contact.statistics.contacts, contact.statistics.struck)
+        self.activity.add_step(contact.statistics.contacts, contact.statistics.struck)
         self._world.profile.mark("ledger")
 
-    def _see_contacts(self, contact: ContactPipeline, extremes: Extremes) -> None:
+    def _measure_contacts(self, contact: ContactPipeline, extremes: Extremes) -> None:
         clock = self._world.clock
         self.audit.book(contact.statistics.work)
-        extremes.see_contacts(clock.step, clock.time, contact.statistics)
+        extremes.add_contacts(clock.step, clock.time, contact.statistics)
 
     def _audit_impulses(self, audit: ImpulseAudit) -> None:
         """Compare the impulses of contacts and forces in this step with the changes of the velocities."""
         clock, contact = self._world.clock, self._world.contact
         impulses, work = (contact.impulses(), contact.work()) if contact else ((), np.zeros((0, 3)))
-        self.extremes.see_impulse_audit(clock.step, clock.time, audit.finish(impulses, work, self.audit.ledger))
+        self.extremes.add_impulse_audit(clock.step, clock.time, audit.finish(impulses, work, self.audit.ledger))
 
     def _beginning(self, extremes: Extremes) -> Extremes:
-        """Return a copy of the extremes so far that has an entry for all that this run looks at."""
+        """Return a copy of the extremes so far, with an entry for everything that this run measures."""
         known, audited = extremes.contact_audit, self._world.scene.expect.contact_audit is not None
         return replace(extremes, contact_audit=NOTHING if audited and known is None else known)
+
+
+def end_of_promise(scene: Scene, step: int, time: float) -> Event:
+    """Return the event that the accuracy of a scene is no longer kept."""
+    promise = scene.promise
+    assert promise is not None
+    units = scene.unit_system
+    text = f"The accuracy of {scene.time.accuracy:g} is kept up to t = {units.text(promise.kept_until, TIME)}."
+    if promise.horizon is not None and promise.lyapunov > 0.0:
+        text += f" Small errors grow tenfold in {units.text(math.log(10.0) / promise.lyapunov, TIME, '.3g')}."
+    return Event(step, time, "INFO", text, "horizon")

@@ -14,14 +14,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
-from carom.physics.diagnostics.motion import Motion, internal_energy
+from carom.physics.diagnostics.momentum import TotalMotion, internal_energy
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
-
-FloatArray = NDArray[np.float64]
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
 CANCELLED = 1e-8  # of the magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
@@ -123,7 +121,7 @@ class EnergyAccount:
         self._lift = float(lift)  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
-    def balance(self, motion: Motion, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
+    def balance(self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
         """Return the energy, given the potential energies of the forces in joules. The first call sets the start."""
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import CollisionGraph
@@ -21,8 +21,6 @@ from carom.scene.integrators import Integrator
 from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, VELOCITY, Dimension
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
-
-FloatArray = NDArray[np.float64]
 
 MOST_CONTACTS = 6  # listed in a warning, those that added most energy first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
@@ -47,7 +45,7 @@ class Suspects:
         bodies: Bodies,
         spent: Suspects | None = None,
     ) -> Suspects:
-        """Copy what the next step overwrites, the velocities into the arrays of ``spent``, which nobody needs."""
+        """Copy the values that the next step overwrites; velocities go into the arrays of ``spent``, if given."""
         ends, spins = bodies.ends, len(bodies.angular_velocity) > 0
         velocity = np.empty_like(ends.velocity) if spent is None else spent.velocity
         turning = None if spent is None else spent.angular_velocity
@@ -80,7 +78,7 @@ class Suspects:
 
 @dataclass(frozen=True, slots=True)
 class MonitorState:
-    """The state of the watch between two checks."""
+    """The state of the monitor between two checks."""
 
     lowest: Energy | None = None  # the lowest total since the last warning
     since: float = 0.0  # s, the time of that total
@@ -178,17 +176,17 @@ def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> st
 
 
 def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
-    """Say how wrong the energy is."""
+    """Return the text of a warning: how large the error of the energy is."""
     pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer pull
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
-    part = energy.relative_error
-    amount = f"{part:.0%} of" if part < 10.0 else f"{part:.2g} times"
+    error = energy.relative_error
+    amount = f"{error:.0%} of" if error < 10.0 else f"{error:.2g} times"
     change = units.text(energy.integration_error, ENERGY, "+.4g")
     return f"{what}: integration has changed the total energy by {change}, {amount} the energy scale."
 
 
 def _remedy(integrator: Integrator) -> str:
-    """Say which keys help against a large error of an integrator."""
+    """Return the keys that reduce a large error of an integrator."""
     if integrator.hierarchical:
         return 'Take shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
     if integrator.controls_error:
@@ -201,7 +199,7 @@ def _remedy(integrator: Integrator) -> str:
 
 
 def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
-    """Say that impulses of contacts put energy in."""
+    """Return the text of a warning: impulses of contacts have put energy in."""
     ledger = energy.ledger
     restitution, friction = (units.text(taken, ENERGY, ".4g") for taken in (ledger.restitution, ledger.friction))
     return (

@@ -48,7 +48,7 @@ class Extremes:
     overlap: Extreme | None = None  # deepest overlap / smaller radius
     contacts: Extreme | None = None  # most contacts in a step
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
-    angular_momentum_error: Extreme | None = NOTHING  # likewise
+    angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     total_contacts: int = 0  # contact-steps: contacts, summed over the steps
     impacts: int = 0  # each impact during a drift; those found at the end of a step once per contact and step
     lowest_energy: float = float("inf")  # J
@@ -64,7 +64,7 @@ class Extremes:
             return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
         return self.energy_error
 
-    def see_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
+    def add_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
         """Update with the contacts of a step."""
         if tally.impacts:
             self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
@@ -80,11 +80,18 @@ class Extremes:
 
     def named(self, names: Names) -> Extremes:
         """Return the same extremes with planes separated from bodies, and both by their names."""
-        found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
-        for name, value in found.items():
-            if isinstance(value, Extreme):
-                found[name] = _named(value, names)
-        return Extremes(**found)
+        n = len(names.bodies)
+
+        def named(extreme: Extreme) -> Extreme:
+            return replace(
+                extreme,
+                bodies=tuple(end for end in extreme.bodies if end < n),
+                planes=tuple(end - n for end in extreme.bodies if end >= n),
+                between=names.pair(extreme.bodies),
+            )
+
+        values: list[Any] = [named(value) if isinstance(value, Extreme) else value for value in _values(self)]
+        return Extremes(*values)
 
     def highlights(self, names: Names, units: UnitSystem, energy_error: str = "integration error") -> tuple[Event, ...]:
         """Return the extremes of contacts and energy as events, in order of time.
@@ -111,7 +118,7 @@ class Extremes:
                 events.append(Event(extreme.step, extreme.time, "INFO", text, "extreme"))
         return tuple(sorted(events, key=lambda event: event.step))
 
-    def see_energy(self, step: int, time: float, energy: Energy) -> None:
+    def add_energy(self, step: int, time: float, energy: Energy) -> None:
         """Update with the energy of a step."""
         undamped, ledger = energy.undamped, energy.ledger
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
@@ -127,18 +134,18 @@ class Extremes:
             self.contact_gain = Extreme(given, step, time)
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
 
-    def see_impulse_audit(self, step: int, time: float, found: tuple[float, tuple[int, ...]]) -> None:
-        """Take note of the error of a step's impulses, and of the body that has it."""
-        error, bodies = found
+    def add_impulse_audit(self, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
+        """Update with the largest error of a step's impulses, and the body that has it."""
+        error, bodies = worst
         if self.contact_audit is None or not error <= self.contact_audit.value:
             self.contact_audit = Extreme(error, step, time, bodies)
 
-    def see_warning(self, kind: str) -> None:
+    def add_warning(self, kind: str) -> None:
         """Update with a warning."""
         if kind not in self.warned:
             self.warned += (kind,)
 
-    def see_momentum(self, step: int, time: float, momentum: Momentum) -> None:
+    def add_momentum(self, step: int, time: float, momentum: Momentum) -> None:
         """Update with the momenta of a step."""
         linear, angular = momentum.linear_error, momentum.angular_error
         self.momentum_error = None if linear is None else _worse(self.momentum_error, linear, step, time)
@@ -148,16 +155,6 @@ class Extremes:
 
 
 _values: Callable[[Extremes], tuple[Any, ...]] = attrgetter(*(field.name for field in fields(Extremes)))
-
-
-def _named(extreme: Extreme, names: Names) -> Extreme:
-    n = len(names.bodies)
-    return replace(
-        extreme,
-        bodies=tuple(end for end in extreme.bodies if end < n),
-        planes=tuple(end - n for end in extreme.bodies if end >= n),
-        between=names.pair(extreme.bodies),
-    )
 
 
 def _worse(known: Extreme | None, value: float, step: int, time: float) -> Extreme:

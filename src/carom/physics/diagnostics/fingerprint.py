@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 import xxhash
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 
 
@@ -16,7 +16,7 @@ def fingerprint(bodies: Bodies, time: float) -> int:
     return fingerprint_of(time, (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity))
 
 
-def fingerprint_of(time: float, arrays: Iterable[NDArray[np.float64] | None]) -> int:
+def fingerprint_of(time: float, arrays: Iterable[FloatArray | None]) -> int:
     """Return the fingerprint of a time in s and of arrays; None counts as no array."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
     for array in arrays:

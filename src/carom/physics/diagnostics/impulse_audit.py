@@ -14,13 +14,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.contact_tap import Impulses
 from carom.physics.diagnostics.ledger import Ledger
-
-FloatArray = NDArray[np.float64]
 
 
 class ImpulseAudit:
@@ -49,17 +47,17 @@ class ImpulseAudit:
         """The changes of the velocities by forces in this step so far, in order, each (n, 3) m/s."""
         return self._kicks
 
-    def see_kick(self, acceleration: FloatArray, dt: float) -> None:
+    def add_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick, (n, 3) m/s² for dt s."""
         self._force(acceleration * dt)
 
-    def see_change(self, before: FloatArray) -> None:
+    def add_change(self, before: FloatArray) -> None:
         """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
         self._force(self._bodies.velocity - before)
 
-    def see_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
+    def add_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
         """Add what falling asleep took from velocities in m/s and spins in rad/s, which were so before."""
-        self.see_change(velocity)
+        self.add_change(velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
     def _force(self, change: FloatArray) -> None:

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.aligned import columns
 from carom.physics.parallel.jit import inline, kernel
-
-FloatArray = NDArray[np.float64]
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
 TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same, as fields of records

@@ -15,14 +15,100 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.diagnostics.motion import Motion
+from carom.physics.parallel.jit import kernel
+from carom.physics.vector import square, vector
 
-FloatArray = NDArray[np.float64]
+
+class TotalMotion(NamedTuple):
+    """The motion of all bodies together."""
+
+    linear: FloatArray  # (3,) kg m/s, Σ m v
+    angular: FloatArray  # (3,) kg m²/s about the origin, Σ (m x × v + I ω)
+    linear_scale: float  # kg m/s, Σ m |v|
+    angular_scale: float  # kg m²/s, Σ (m |x| |v| + I |ω|)
+    translational: float  # J, Σ ½ m v²
+    rotational: float  # J, Σ ½ I ω²
+
+    @classmethod
+    def of(cls, bodies: Bodies) -> TotalMotion:
+        """Sum over the bodies as they move now."""
+        linear, angular = np.empty(3), np.empty(3)
+        state = bodies.position, bodies.velocity, bodies.angular_velocity
+        return cls(linear, angular, *_add_up(*state, bodies.mass, bodies.inertia, linear, angular))
+
+
+def internal_energy(bodies: Bodies) -> float:
+    """Return the kinetic energy relative to the centre of mass, Σ ½ m (v - V)², in J."""
+    return _internal_energy(bodies.velocity, bodies.mass)
+
+
+@kernel
+def centre_velocity(velocity: FloatArray, mass: FloatArray) -> tuple[float, float, float]:
+    """Return the velocity of the centre of mass, m/s."""
+    M, px, py, pz = 0.0, 0.0, 0.0, 0.0
+    for i in range(len(mass)):
+        M += mass[i]
+        vx, vy, vz = vector(velocity, i)
+        px, py, pz = px + mass[i] * vx, py + mass[i] * vy, pz + mass[i] * vz
+    return px / M, py / M, pz / M
+
+
+@kernel
+def _internal_energy(velocity: FloatArray, mass: FloatArray) -> float:
+    Vx, Vy, Vz = centre_velocity(velocity, mass)
+    energy = 0.0
+    for i in range(len(mass)):
+        vx, vy, vz = velocity[i, 0] - Vx, velocity[i, 1] - Vy, velocity[i, 2] - Vz
+        energy += 0.5 * mass[i] * (vx * vx + vy * vy + vz * vz)
+    return energy
+
+
+@kernel
+def _add_up(
+    x: FloatArray,
+    v: FloatArray,
+    omega: FloatArray,
+    mass: FloatArray,
+    inertia: FloatArray,
+    linear: FloatArray,
+    angular: FloatArray,
+) -> tuple[float, float, float, float]:
+    """Write p and L; return the scales and energies of `Motion`."""
+    linear_scale, angular_scale, translational, rotational = 0.0, 0.0, 0.0, 0.0
+    lx, ly, lz = 0.0, 0.0, 0.0
+    ax, ay, az = 0.0, 0.0, 0.0
+    for i in range(len(mass)):
+        m = mass[i]
+        px, py, pz = vector(x, i)
+        vx, vy, vz = vector(v, i)
+        lx += m * vx
+        ly += m * vy
+        lz += m * vz
+        ax += m * (py * vz - pz * vy)
+        ay += m * (pz * vx - px * vz)
+        az += m * (px * vy - py * vx)
+        v2 = vx * vx + vy * vy + vz * vz
+        speed = np.sqrt(v2)
+        linear_scale += m * speed
+        angular_scale += m * speed * np.sqrt(px * px + py * py + pz * pz)
+        translational += 0.5 * m * v2
+    for i in range(len(omega)):
+        I = inertia[i]  # noqa: E741 - the symbol of the equation
+        wx, wy, wz = vector(omega, i)
+        ax += I * wx
+        ay += I * wy
+        az += I * wz
+        angular_scale += I * np.sqrt(square(omega, i))
+        rotational += 0.5 * I * (wx * wx + wy * wy + wz * wz)
+    linear[0], linear[1], linear[2] = lx, ly, lz
+    angular[0], angular[1], angular[2] = ax, ay, az
+    return linear_scale, angular_scale, translational, rotational
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +118,9 @@ class Momentum:
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
     linear_error: float | None  # over the largest Σ m |v| so far; None if something is fixed
-    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|) so far; None likewise, and in a periodic box
+    angular_error: (
+        float | None
+    )  # over the largest Σ (m |x| |v| + I |ω|) so far; None if something is fixed, or in a periodic box
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +142,7 @@ class MomentumAccount:
         self._has_field = bool(field.any())
         self._periodic = periodic
         self._anchored = anchored
-        self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = Motion.of(bodies)
+        self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = TotalMotion.of(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0) / self._mass
         self._baseline: MomentumBaseline | None = None  # None where it has changed since it was last asked for
@@ -78,7 +166,7 @@ class MomentumAccount:
         self._linear, self._angular = self._linear + linear, self._angular + angular
         self._baseline = None
 
-    def balance(self, motion: Motion, time: float) -> Momentum:
+    def balance(self, motion: TotalMotion, time: float) -> Momentum:
         """Return the momenta at a time since the start, in seconds."""
         linear, angular, linear_scale, angular_scale, *_ = motion
         if linear_scale > self._linear_scale or angular_scale > self._angular_scale:
@@ -103,6 +191,6 @@ class MomentumAccount:
         return self._linear + weight * time, self._angular + np.cross(path, weight)
 
 
-def _relative(found: FloatArray, expected: FloatArray, scale: float) -> float:
-    x, y, z = (found - expected).tolist()
+def _relative(measured: FloatArray, expected: FloatArray, scale: float) -> float:
+    x, y, z = (measured - expected).tolist()
     return math.sqrt(x * x + y * y + z * z) / scale if scale > 0.0 else 0.0

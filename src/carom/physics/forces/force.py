@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.continuous.drift import Impacts
-from carom.physics.diagnostics.profile import Profile
+from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.diagnostics.profile import Profile
+from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces.force import Damping, Potentials, accelerate, forces_of
 from carom.physics.forces.gravity import Gravity, gravity_of
 from carom.physics.forces.uniform_field import UniformField

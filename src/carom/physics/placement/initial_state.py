@@ -7,20 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.physics.placement.check import (
-    key_of,
-    refuse_immersion,
-    refuse_overflow,
-    refuse_overlaps,
-    refuse_unresolved,
-    written_name,
-)
 from carom.physics.placement.growth import densest, grown, shrunken
 from carom.physics.placement.lattice import lattice
-from carom.physics.placement.neighbours import overlapping_pairs
+from carom.physics.placement.neighbours import Surroundings, overlapping_pairs, squared_distance
 from carom.physics.placement.plummer import drawn_velocities, mass_within
 from carom.physics.placement.random_placement import positions
 from carom.physics.placement.region import (
@@ -30,17 +22,15 @@ from carom.physics.placement.region import (
     plummer_lengths,
     refuse_too_large,
 )
-from carom.physics.placement.surroundings import Surroundings
 from carom.scene.data.body_columns import BodyColumns
-from carom.scene.key_places import naming_places
+from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.schema import Body, BodyGroup, Region, Scene
 from carom.scene.schema.body import LATTICES
-from carom.scene.start import InitialBodies, half_spaces, join
+from carom.scene.start import HalfSpaces, InitialBodies, half_spaces, join
+from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
-from carom.scene.wording import NumberedNames
-
-FloatArray = NDArray[np.float64]
+from carom.scene.wording import NumberedNames, body_called, body_key
 
 MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
@@ -99,10 +89,10 @@ def _place(scene: Scene) -> InitialBodies:
 
 
 def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
-    """Return the images of positions inside a periodic box; those of its own results are the same bits."""
+    """Return the images of positions inside a periodic box; positions inside keep their bits."""
     half = 0.5 * box
-    turns = np.where(np.abs(position) > half, np.floor(position / box + 0.5), 0.0)
-    return np.clip(position - box * turns, -half, half)  # rounding may leave an image an ulp outside, to turn again
+    images = np.where(np.abs(position) > half, np.floor(position / box + 0.5), 0.0)
+    return np.clip(position - box * images, -half, half)  # rounding may leave an image an ulp outside
 
 
 def _given(scene: Scene) -> InitialBodies:
@@ -225,17 +215,17 @@ def _arranged(
     index, group = next(iter(mixture.items()))
     if group.arrangement in LATTICES:
 
-        def is_clear(points: FloatArray) -> NDArray[np.bool_]:
+        def is_clear(points: FloatArray) -> BoolArray:
             return around.is_clear(points, np.full(len(points), radius.max()))
 
-        found = lattice(index, group, region, radius, is_clear, units)
-        if around.box is not None and len(overlapping_pairs(found, radius, around.box)):
+        centres = lattice(index, group, region, radius, is_clear, units)
+        if around.box is not None and len(overlapping_pairs(centres, radius, around.box)):
             raise SceneError(
                 f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
                 "smaller than the box by a spacing",
                 ("group", index, "region"),
             )
-        return found
+        return centres
     refuse_too_large(index, region, radius, units)
     if group.arrangement == "random":
         return positions(index, region, radius, around, rng)
@@ -250,18 +240,18 @@ def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, Fl
     if group.region is None:
         return
     radius = np.concatenate([radii[member] for member in mixture])
-    packing, way_out = sum(map(packing_fraction, mixture.values())), ""
+    packing, remedy = sum(map(packing_fraction, mixture.values())), ""
     if group.arrangement == "compressed":
         fullest, jams = densest(radius), "compression of these radii goes up to"
     else:
         fullest, jams = FULLEST, "random placement jams at"
         if packing <= densest(radius) and group.region.shape != "plummer":
-            way_out = ', or set arrangement = "compressed"'
+            remedy = ', or set arrangement = "compressed"'
     if packing > fullest:
         others = "".join(f" with group.{member}" for member in mixture if member != index)
         raise SceneError(
             f"group.{index}.region is too small: {len(radius)} bodies{others} would fill {packing:.3g} of it, and "
-            f"{jams} {fullest:.3g}; enlarge the region or lower count or radius{way_out}",
+            f"{jams} {fullest:.3g}; enlarge the region or lower count or radius{remedy}",
             ("group", index, "region"),
         )
 
@@ -281,3 +271,123 @@ def _refuse_full_box(scene: Scene) -> None:
             f"{fullest:.4g}; enlarge the box or lower count or radius",
             ("domain", "size"),
         )
+
+
+# checks of a start: overlaps, and numbers out of range
+MOST_PAIRS = 3  # that a message names
+WRITTEN = 5e-7  # half a unit in the last of seven digits, of numbers that begin with 1; files and people write no fewer
+MOST_WRITTEN = 1e-3  # of a radius: an overlap above it is one, however far from the origin
+
+
+def key_of(scene: Scene, number: int) -> KeyPath:
+    """Return the key of a body whose position is given, or that of the data that it is a row of."""
+    row = number - len(scene.body)
+    if row < 0:
+        return "body", number
+    ends = np.cumsum([len(columns) for columns in scene.data])
+    return "bodies", int(np.searchsorted(ends, row, side="right"))
+
+
+def written_name(scene: Scene, number: int, names: Sequence[str]) -> str:
+    """Name a body whose position is given by its key in the scene, or by its row in the data."""
+    return "".join(_place_of(scene, number, names))
+
+
+def _place_of(scene: Scene, number: int, names: Sequence[str]) -> tuple[str, str]:
+    """Return the key of a body in the scene, or its row, and the data that it is a row of."""
+    row, name = number - len(scene.body), names[number]
+    if row < 0:
+        return body_key(number, name), ""
+    for section, columns in zip(scene.bodies, scene.data, strict=True):
+        if row < len(columns):
+            own = f' ("{name}")' if columns.name else ""
+            return f"row {row}{own}", f" of {section.called}"
+        row -= len(columns)
+    raise IndexError(number)
+
+
+def refuse_unresolved(
+    called: str, key: KeyPath, reach: float, radius: float, units: UnitSystem, remedy: str = ""
+) -> None:
+    """Refuse bodies smaller than the spacing of floating-point numbers at their positions; lengths in m."""
+    step = float(np.spacing(reach))
+    if step > radius:
+        away, apart, size = (units.text(length, LENGTH, ".3g") for length in (reach, step, radius))
+        raise SceneError(
+            f"{called}: {away} from the origin, positions are {apart} apart, and the radius is "
+            f"{size}; place it nearer to the origin or enlarge the radius{remedy}",
+            key,
+        )
+
+
+def refuse_overflow(start: InitialBodies) -> None:
+    """Refuse bodies whose mass, moment of inertia or motion overflows or underflows."""
+    with np.errstate(over="ignore", divide="ignore"):
+        wrong = {
+            "mass": ~(np.isfinite(start.mass) & (np.isfinite(1.0 / start.mass) | (start.mass == 0.0))),
+            "moment of inertia": ~(
+                np.isfinite(start.inertia) & (np.isfinite(1.0 / start.inertia) | (start.mass == 0.0))
+            ),
+            "velocity": ~np.isfinite(start.velocity).all(axis=1),
+            "angular velocity": ~np.isfinite(start.angular_velocity).all(axis=1),
+        }
+    for what, bodies in wrong.items():
+        if bodies.any():
+            worst = int(np.argmax(bodies))
+            called = body_called(worst, start.name[worst])
+            raise SceneError(f"the {what} of {called} is too large or too small a number; choose other units")
+
+
+def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
+    """Refuse overlapping bodies; touching is allowed, up to the rounding of positions of seven digits."""
+    pairs = overlapping_pairs(start.position, start.radius, box)
+    if len(pairs) == 0:
+        return
+    i, j = pairs.T
+    reach = start.radius[i] + start.radius[j]
+    distance = np.sqrt(squared_distance(start.position[i], start.position[j], box))
+    rounding = _rounding(start, reach) + np.minimum(_written(start)[i] + _written(start)[j], MOST_WRITTEN * reach)
+    overlap = reach - distance
+    deep = np.flatnonzero(overlap > rounding)
+    if len(deep) == 0:
+        return
+    worst = int(np.argmax(overlap - rounding))
+    others = [k for k in deep[: MOST_PAIRS + 1] if k != worst][:MOST_PAIRS]
+
+    def called(k: int) -> str:
+        (first, source), (second, its) = (_place_of(scene, int(number), start.name) for number in pairs[k])
+        return f"{first}{'' if source == its else source} and {second}{its}"
+
+    more = ""
+    if others:
+        left = len(deep) - 1 - len(others)
+        more = f"; so do {', '.join(map(called, others))}{f' and {left} more pairs' if left else ''}"
+    depth = scene.unit_system.text(overlap[worst], LENGTH)
+    raise SceneError(
+        f"{called(worst)} overlap by {depth} at the start{more}; move them apart, or set contact.allow_overlap = true",
+        key_of(scene, int(pairs[worst, 0])),
+    )
+
+
+def refuse_immersion(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
+    """Refuse bodies that reach into a plane or a wall."""
+    depth = solids.depth(start.position, start.radius)
+    rounding = (_rounding(start, start.radius) + np.minimum(_written(start), MOST_WRITTEN * start.radius))[:, None]
+    if len(solids) and np.max(depth - rounding) > 0.0:
+        body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
+        deep = scene.unit_system.text(depth[body, plane], LENGTH)
+        raise SceneError(
+            f"{written_name(scene, int(body), start.name)} reaches {deep} into {solids.name[plane]} "
+            "at the start; move it out, or set contact.allow_overlap = true",
+            key_of(scene, int(body)),
+        )
+
+
+def _rounding(start: InitialBodies, length: FloatArray) -> FloatArray:
+    """Return the possible rounding errors of lengths, in m; less than a length, however far from the origin."""
+    return np.asarray(np.minimum(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()), 0.5 * length))
+
+
+def _written(start: InitialBodies) -> FloatArray:
+    """Return the rounding error of each centre, (n,) m, if its coordinates have seven digits."""
+    return np.asarray(WRITTEN * np.sqrt(np.sum(start.position * start.position, axis=1)))

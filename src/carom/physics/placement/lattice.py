@@ -1,7 +1,7 @@
 """Bodies on the points of a lattice: simple cubic, face-centred cubic or hexagonal close-packed.
 
-The lattice begins at the lower corner of the region. Points are taken from below upwards, those left out where a body
-would reach out of the region or touch a plane or a body placed before.
+The lattice begins at the lower corner of the region. Points are used from below upwards, except where a
+body would reach out of the region or touch a plane or a body placed before.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.physics.placement.region import bounds, contains, volume
 from carom.scene.portable_math import cube_root
@@ -19,10 +19,7 @@ from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
-FloatArray = NDArray[np.float64]
-Flags = NDArray[np.bool_]
-
-# Edges of the orthogonal cell in multiples of the distance of neighbours, and its points in parts of these edges.
+# Edges of the orthogonal cell in multiples of the distance of neighbours, and its points in fractions of these edges.
 CELLS = {
     "cubic": ((1.0, 1.0, 1.0), ((0.0, 0.0, 0.0),)),
     "fcc": ((math.sqrt(2.0),) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))),
@@ -42,10 +39,10 @@ def lattice(
     group: BodyGroup,
     region: Region,
     radius: FloatArray,
-    is_clear: Callable[[FloatArray], Flags],
+    is_clear: Callable[[FloatArray], BoolArray],
     units: UnitSystem = SI,
 ) -> FloatArray:
-    """Return the centres of a group on a lattice, (n, 3) m; ``is_clear`` tells which of some points are free.
+    """Return the centres of a group on a lattice, (n, 3) m; ``is_clear`` selects the free points.
 
     Raises
     ------
@@ -61,26 +58,26 @@ def lattice(
                 f"group.{index}.spacing = {given} is less than a diameter, {units.text(widest, LENGTH, 'g')}; raise it",
                 ("group", index, "spacing"),
             )
-        found = _points(index, group, region, max(group.spacing, least), float(radius.max()))
-        found = found[is_clear(found)]
-        if len(found) < n:
+        centres = _points(index, group, region, max(group.spacing, least), float(radius.max()))
+        centres = centres[is_clear(centres)]
+        if len(centres) < n:
             raise SceneError(
-                f"group.{index}.region has room for {len(found)} of {n} bodies at spacing = {given}; "
+                f"group.{index}.region has room for {len(centres)} of {n} bodies at spacing = {given}; "
                 "enlarge the region or lower spacing or count",
                 ("group", index, "region"),
             )
-        return found[:n]
+        return centres[:n]
     edges, points = CELLS[group.arrangement]
     per_point = math.prod(edges) / len(points)
     spacing = WIDEST * float(cube_root(np.array(volume(region) / (n * per_point))))
     while True:
-        found = _points(index, group, region, max(spacing, least), float(radius.max()))
-        found = found[is_clear(found)]
-        if len(found) >= n:
-            return found[:n]
+        centres = _points(index, group, region, max(spacing, least), float(radius.max()))
+        centres = centres[is_clear(centres)]
+        if len(centres) >= n:
+            return centres[:n]
         if spacing <= least:
             raise SceneError(
-                f"group.{index}.region has room for {len(found)} of {n} bodies on a lattice; enlarge the region or "
+                f"group.{index}.region has room for {len(centres)} of {n} bodies on a lattice; enlarge the region or "
                 "lower count or radius",
                 ("group", index, "region"),
             )

@@ -1,4 +1,4 @@
-"""Search for overlapping spheres: a broad phase by k-d trees, then the exact test, vectorised.
+"""Overlapping spheres, and the surroundings of a group: a broad phase by k-d trees, then the exact test, vectorised.
 
 A k-d tree queried at twice the largest radius returns n² candidates as soon as one body is huge. Bodies are
 therefore sorted into size classes, each spanning a factor of two in radius, with a tree for each class; a pair of
@@ -8,13 +8,16 @@ classes is queried at the sum of its two largest radii.
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import SceneError
+from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -114,3 +117,43 @@ def _refuse_crowds(trees: list[cKDTree], reach: list[float]) -> None:
         count += (near - trees[k].n) // 2 if k == other else near
     if count > MOST_CANDIDATES:
         raise SceneError(f"{count:.3g} pairs of bodies overlap or nearly do at the start; place them farther apart")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """Planes, walls and spheres, in open space or in a periodic box."""
+
+    spheres: tuple[tuple[FloatArray, FloatArray], ...]  # centres (n, 3) and radii (n,), in m
+    solids: HalfSpaces
+    box: FloatArray | None  # (3,) m
+
+    def beside(self, centres: FloatArray, radii: FloatArray) -> Surroundings:
+        """Return the same with more spheres."""
+        return replace(self, spheres=(*self.spheres, (centres, radii)))
+
+    def is_clear(self, position: FloatArray, radius: FloatArray) -> BoolArray:
+        """Return which spheres touch no plane and none of these spheres, (k,)."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+        clear: BoolArray = np.all(self.solids.depth(position, radius) < 0.0, axis=1)
+        if not self._trees or len(position) == 0:  # a wide lattice may have no point in a region
+            return clear
+        own = cKDTree(wrapped(position, self.box), boxsize=self.box)
+        for tree, centres, radii in self._trees:
+            reach = (radius.max() + radii.max()) * QUERY_MARGIN
+            near = own.sparse_distance_matrix(tree, reach, output_type="ndarray")
+            i, j = near["i"], near["j"]
+            hit = squared_distance(position[i], centres[j], self.box) <= (radius[i] + radii[j]) ** 2
+            clear[i[hit]] = False
+        return clear
+
+    @cached_property
+    def _trees(self) -> list[tuple[cKDTree, FloatArray, FloatArray]]:
+        """A tree of each size class of spheres, with its centres and radii."""
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
+
+        return [
+            (cKDTree(wrapped(centres[same], self.box), boxsize=self.box), centres[same], radii[same])
+            for centres, radii in self.spheres
+            for same in size_classes(radii)
+        ]

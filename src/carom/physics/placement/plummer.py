@@ -12,20 +12,18 @@ is drawn by rejection (Aarseth, Hénon & Wielen 1974, A&A 37, 183).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.scene.portable_math import cube_root
-
-FloatArray = NDArray[np.float64]
 
 EQUILIBRIUM = 0.5  # kinetic over potential energy
 HIGHEST = 0.1  # more than the largest value of g(q), 0.092
 
 
 def mass_within(distance: float, scale: float) -> float:
-    """Return the part of the mass within a distance of the centre, both in m."""
-    part = 1.0 + (scale / distance) * (scale / distance)
-    return float(1.0 / (part * np.sqrt(part)))
+    """Return the fraction of the mass within a distance of the centre, both in m."""
+    square = 1.0 + (scale / distance) * (scale / distance)
+    return float(1.0 / (square * np.sqrt(square)))
 
 
 def drawn_distances(scale: float, cut: float, count: int, rng: np.random.Generator) -> FloatArray:

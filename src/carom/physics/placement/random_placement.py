@@ -2,6 +2,11 @@
 
 Candidates are generated, 1.2 a body, and filtered: a broad phase by grids or k-d trees, then the exact test. Those that
 collide are replaced by new ones until each body has one.
+
+Two grids cover the region of accepted spheres (`Occupancy`). In the coarse one a cell holds at most one centre, since
+accepted spheres do not overlap. In the fine one a cell is marked if every centre in it would overlap an accepted
+sphere; its own cell rejects most candidates. The others are tested exactly against the centres in the cells around
+them, so the result is that of a search through all spheres, bit by bit.
 """
 
 from __future__ import annotations
@@ -9,16 +14,121 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import SceneError
-from carom.physics.placement.neighbours import QUERY_MARGIN, overlapping_pairs, size_classes, squared_distance
-from carom.physics.placement.occupancy import Occupancy
+from carom.physics.placement.neighbours import (
+    QUERY_MARGIN,
+    Surroundings,
+    overlapping_pairs,
+    size_classes,
+    squared_distance,
+)
 from carom.physics.placement.region import bounds, drawn_centres, volume
-from carom.physics.placement.surroundings import Surroundings
 from carom.scene.schema import Region
 
-FloatArray = NDArray[np.float64]
+FINE_CELL = 0.34  # of the smallest radius
+MOST_CELLS = 100_000_000  # of the fine grid, one byte each
+MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a search is quick
+MARGIN = 1.0 + 1e-9  # for the rounding of positions of cells
+AT_ONCE = 4096  # spheres that are accepted together, some 10 MB of cells
+CELLS_AT_ONCE = 16  # that are examined; most candidates touch something in the first of them
+
+
+class _Grid:
+    """Cells of one edge length around a region, with enough of them around it for all offsets."""
+
+    def __init__(self, low: FloatArray, high: FloatArray, cell: float, reach: float) -> None:
+        self.cell = cell
+        margin = math.ceil(reach / cell) + 1
+        self._low = low - margin * cell
+        self.shape = np.ceil((high - low) / cell).astype(np.int64) + 2 * margin + 1
+
+    @property
+    def size(self) -> int:
+        """The number of cells."""
+        return math.prod(self.shape.tolist())
+
+    def cells(self, position: FloatArray) -> IntArray:
+        """Return the cell of each position, (k,)."""
+        at = ((position - self._low) / self.cell).astype(np.int64)
+        return np.asarray((at[:, 0] * self.shape[1] + at[:, 1]) * self.shape[2] + at[:, 2])
+
+    def offsets(self, nearest: float, farthest: float) -> IntArray:
+        """Return offsets to cells around one whose points have distances to its points in a range, the nearest first.
+
+        Parameters
+        ----------
+        nearest
+            m; two points of both cells may be as close as this.
+        farthest
+            m; no two points of both cells are farther apart.
+        """
+        steps = math.ceil(nearest / self.cell) + 1
+        line = np.arange(-steps, steps + 1)
+        x, y, z = (axis.ravel() for axis in np.meshgrid(line, line, line, indexing="ij"))
+        apart = [np.maximum(np.abs(axis) - 1, 0) * self.cell for axis in (x, y, z)]
+        across = [(np.abs(axis) + 1) * self.cell for axis in (x, y, z)]
+        near = sum(axis * axis for axis in apart) <= (nearest * MARGIN) ** 2
+        inside = sum(axis * axis for axis in across) * MARGIN**2 <= farthest**2
+        chosen = near & inside
+        order = np.argsort((x * x + y * y + z * z)[chosen], kind="stable")
+        return np.asarray(((x * self.shape[1] + y) * self.shape[2] + z)[chosen][order])
+
+
+class Occupancy:
+    """The accepted spheres of one size class, whose radii differ by less than a factor of two.
+
+    Parameters
+    ----------
+    low, high
+        (3,) m, corners of the region.
+    radius
+        (n,) m, of all spheres of the class.
+    """
+
+    def __init__(self, low: FloatArray, high: FloatArray, radius: FloatArray) -> None:
+        self._smallest, reach = float(radius.min()), 2.0 * float(radius.max())
+        self._coarse = _Grid(low, high, 2.0 * self._smallest / (math.sqrt(3.0) * MARGIN), reach)
+        self._fine = _Grid(low, high, FINE_CELL * self._smallest, reach)
+        self._around = self._coarse.offsets(reach, math.inf)
+        self._covered = self._fine.offsets(reach, 2.0 * self._smallest)
+        self._owner = np.full(self._coarse.size, -1, dtype=np.int32)
+        self._taken = np.zeros(self._fine.size, dtype=np.bool_)
+        self._position = np.empty((0, 3))
+        self._radius = np.empty(0)
+
+    @staticmethod
+    def pays(low: FloatArray, high: FloatArray, radius: FloatArray) -> bool:
+        """Return whether the grids are small enough for the memory and for the number of spheres."""
+        cells = math.prod(((high - low) / (FINE_CELL * radius.min()) + 12.0).tolist())
+        return bool(cells < min(MOST_CELLS, MOST_CELLS_PER_BODY * len(radius)))
+
+    def add(self, position: FloatArray, radius: FloatArray) -> None:
+        """Accept spheres that touch none of those before."""
+        first = len(self._position)
+        self._owner[self._coarse.cells(position)] = np.arange(first, first + len(position))
+        cells = self._fine.cells(position)
+        for lo in range(0, len(cells), AT_ONCE):
+            self._taken[cells[lo : lo + AT_ONCE, None] + self._covered] = True
+        self._position = np.concatenate((self._position, position))
+        self._radius = np.concatenate((self._radius, radius))
+
+    def touches(self, position: FloatArray, radius: FloatArray) -> BoolArray:
+        """Return which candidates touch or overlap an accepted sphere, (k,)."""
+        touching = self._taken[self._fine.cells(position)]
+        left = np.flatnonzero(~touching)
+        cells = self._coarse.cells(position[left])
+        for first in range(0, len(self._around), CELLS_AT_ONCE):
+            owner = self._owner[cells[:, None] + self._around[first : first + CELLS_AT_ONCE]]
+            row, column = np.nonzero(owner >= 0)
+            i, j = left[row], owner[row, column]
+            hit = squared_distance(position[i], self._position[j], None) <= (radius[i] + self._radius[j]) ** 2
+            touching[i[hit]] = True
+            still = ~touching[left]
+            left, cells = left[still], cells[still]
+        return touching
+
 
 CANDIDATES_PER_BODY = 1.2
 MOST_ROUNDS = 400  # of generating and filtering, for one size class
@@ -35,7 +145,7 @@ def positions(
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
 
-    ``dense`` says that they will grow, so that a message does not propose it.
+    ``dense``: the spheres will grow, so that a message does not propose it.
     """
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
@@ -107,14 +217,14 @@ def _place_class(
 
 
 def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
-    """Tell whether a region is inside a periodic box: spheres in it then touch none of each other's images."""
+    """Return whether a region is inside a periodic box: spheres in it then touch none of each other's images."""
     low, high = corners
     return bool((low >= -0.5 * box).all() and (high <= 0.5 * box).all())
 
 
 def _clean(
     pool: FloatArray, candidates: FloatArray, accepted: FloatArray, radius: FloatArray, box: FloatArray | None
-) -> NDArray[np.int64]:
+) -> IntArray:
     """Return the candidates that touch no accepted sphere and no older candidate.
 
     Parameters
@@ -133,7 +243,7 @@ def _clean(
     return np.flatnonzero(clean[len(pool) :])
 
 
-def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> NDArray[np.int64]:
+def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> IntArray:
     """Return the same as `_clean` in open space."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 

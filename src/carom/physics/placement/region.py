@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.physics.placement.plummer import drawn_distances, mass_within
 from carom.scene.matter import mean_volume
@@ -14,8 +14,6 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_PACKING = 0.1  # of a group without a region
 FARTHEST = 10.0  # times the scale of a plummer region, its farthest centre by default; 98.5 % of the mass is nearer
@@ -74,8 +72,8 @@ def half_extent(region: Region) -> FloatArray:
     return np.full(3, region.radius)
 
 
-def contains(region: Region, position: FloatArray, radius: float) -> NDArray[np.bool_]:
-    """Tell which spheres of one radius are inside a region, up to rounding, (k,)."""
+def contains(region: Region, position: FloatArray, radius: float) -> BoolArray:
+    """Return which spheres of one radius are inside a region, up to rounding, (k,)."""
     outside = confined(region, position, np.full(len(position), radius)) - position
     return np.asarray((np.abs(outside) <= ROUNDING * half_extent(region)).all(axis=1))
 
@@ -102,21 +100,21 @@ def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Re
     """Return a ball that is `DEFAULT_PACKING` full."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
-        room = float(max(cube_root(volume), 1.01 * radius.max()))
-    if room > LARGEST:
+        size = float(max(cube_root(volume), 1.01 * radius.max()))
+    if size > LARGEST:
         most = units.text(LARGEST, LENGTH, "g")
         raise SceneError(
             f"group.{index}: bodies so large need a region of more than {most}; lower the radius", ("group", index)
         )
-    return Region(radius=room)
+    return Region(radius=size)
 
 
 def refuse_too_large(index: int, region: Region, radius: FloatArray, units: UnitSystem = SI) -> None:
     """Refuse bodies larger than their region."""
-    room = float(half_extent(region).min())
+    largest = float(half_extent(region).min())
     if region.inner_radius is not None:
-        room = 0.5 * (room - region.inner_radius)
-    if radius.max() > room:
+        largest = 0.5 * (largest - region.inner_radius)
+    if radius.max() > largest:
         size = units.text(float(radius.max()), LENGTH, "g")
         raise SceneError(
             f"group.{index}: a body of radius {size} does not fit into its region; enlarge the region",

@@ -13,13 +13,12 @@ from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.contact.statistics import ContactStatistics
-from carom.physics.diagnostics.activity import Activity
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.diagnostics.momentum import Momentum, MomentumAccount
-from carom.physics.diagnostics.motion import Motion
+from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, TotalMotion
+from carom.physics.diagnostics.run_monitor import Activity
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import Header, Scalar
@@ -85,11 +84,11 @@ class Observer:
         potentials, pull = self._potentials()
         seen, contacts = self._judge(step, before or now, now, state.contacts, pull)
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
-        motion = Motion.of(self.bodies)
+        motion = TotalMotion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
         momentum = self._momenta.balance(motion, now.time - self._began)
         if before is not None:
-            self._activity.see(len(contacts), seen.struck)
+            self._activity.add_step(len(contacts), seen.struck)
             self._activity.judge(energy)
         events = self._see(step, now.time, energy, momentum, contacts, seen)
         self._before, self._pull = now, pull
@@ -132,9 +131,9 @@ class Observer:
         events = [*self._first_contact(step, time, contacts), *(fault.event for fault in faults)]
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
-            self.extremes.see_contacts(step, time, statistics)
+            self.extremes.add_contacts(step, time, statistics)
         self._see_energy(step, time, energy)
-        self.extremes.see_momentum(step, time, momentum)
+        self.extremes.add_momentum(step, time, momentum)
         return events
 
     def _take(self, state: State) -> None:
@@ -186,7 +185,7 @@ class Observer:
     def _see_energy(self, step: int, time: float, energy: Energy) -> None:
         """Update the extremes of the energy; what soft contacts give back is no gain."""
         extremes = self.extremes
-        extremes.see_energy(step, time, energy)
+        extremes.add_energy(step, time, energy)
         self._lowest_error = min(self._lowest_error, energy.integration_error)
         gain = energy.relative(energy.integration_error - self._lowest_error)
         self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain

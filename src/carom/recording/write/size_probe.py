@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 
-from carom.physics.diagnostics.profile import Profile
+from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.frame import Frame
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.geometry import normal_and_distance
-from carom.physics.diagnostics.motion import centre_velocity
+from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import add, along, between, vector

@@ -1,0 +1,244 @@
+"""Monitors of a run: finite numbers, crossings of a periodic box, activity, pace, and wall time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from time import perf_counter_ns
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray
+from carom.errors import PhysicsError
+from carom.event import Event
+from carom.physics.bodies import Bodies
+from carom.physics.diagnostics.energy import Energy
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
+from carom.plan.auto import integrator
+from carom.plan.features import require
+from carom.scene.schema import Scene
+from carom.scene.schema.settings import LARGEST_ACCURACY
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import bodies_called
+
+MOST_CROSSINGS = 1e6
+MIN_NUMBERS_PER_TASK = 30_000
+
+
+def refuse_infinities(
+    bodies: Bodies, names: Sequence[str], step: int, time: float, units: UnitSystem, team: Team = SOLO
+) -> None:
+    """Refuse a state whose positions or velocities are not all finite.
+
+    Raises
+    ------
+    PhysicsError
+        If one is infinite or not a number; it names the bodies, the step and the time.
+    """
+    lost = np.zeros(1, dtype=np.bool_)
+    numbers = bodies.position.reshape(-1), bodies.velocity.reshape(-1)
+    team.divide(len(numbers[0]), MIN_NUMBERS_PER_TASK, _find_infinities, *numbers, lost)
+    if not lost[0]:
+        return
+    finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)
+    bodies_lost = np.flatnonzero(~finite.all(axis=1))
+    raise PhysicsError(
+        f"the state is no longer finite at step {step}, t = {units.text(time, TIME)}: "
+        f"position or velocity of {bodies_called(bodies_lost.tolist(), names)}"
+    )
+
+
+def refuse_many_crossings(
+    velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float, units: UnitSystem
+) -> None:
+    """Refuse a step of dt, in s, in which a body would cross a periodic box too often.
+
+    Its position in the box loses a digit for each factor of 10.
+
+    Raises
+    ------
+    PhysicsError
+        If it is more than `MOST_CROSSINGS` times.
+    """
+    turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
+    if turns > MOST_CROSSINGS:
+        when, length = units.text(time, TIME), units.text(dt, TIME, ".3g")
+        raise PhysicsError(
+            f"at step {step}, t = {when}, a body would cross its periodic box {turns:.3g} times in one step of "
+            f"{length}; lower time.fixed_dt or time.max_dt, or the speeds"
+        )
+
+
+@long_kernel
+def _find_infinities(lo: int, hi: int, position: FloatArray, velocity: FloatArray, lost: BoolArray) -> None:
+    """Set ``lost`` if one of the numbers [lo, hi) is not finite; NumPy would allocate three arrays for this."""
+    x, v, infinities = position[lo:hi], velocity[lo:hi], 0
+    for k in range(len(x)):  # from 0, so that it is vectorised
+        infinities += (x[k] - x[k] != 0.0) | (v[k] - v[k] != 0.0)  # ∞ - ∞ is NaN, which does not equal 0
+    if infinities > 0:
+        lost[0] = True
+
+
+STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
+SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if its recent impacts sum to less
+STILL_BELOW = 1e-4  # of the energy scale; bodies with more kinetic energy roll, slide or fall
+
+
+class Activity:
+    """Follows the contacts of n bodies from step to step.
+
+    ``phase`` is "warm-up" before the first step, then "free", "colliding" or "settled". A run has settled if most
+    bodies touch, recent impacts were slight and, with ``from_rest``, the kinetic energy is small.
+
+    Parameters
+    ----------
+    bodies
+        How many there are.
+    from_rest
+        Whether there is a uniform field or something fixed, so a pile at rest has no kinetic energy. Otherwise it may
+        drift and turn as a whole.
+    """
+
+    def __init__(self, bodies: int, from_rest: bool) -> None:
+        self.phase = "warm-up"
+        self.impact_energy = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self._bodies = bodies
+        self._from_rest = from_rest
+        self._contacts: int | None = None  # of the last step; None before the first one of a new or resumed run
+
+    def reopen(self, phase: str, impact_energy: float) -> None:
+        """Continue an earlier run."""
+        self.phase, self.impact_energy, self._contacts = phase, impact_energy, None
+
+    def add_step(self, contacts: int, impact_energy: float) -> None:
+        """Add a step: the number of its contacts, and Σ ½ μ v_n² of its impacts, in J."""
+        if impact_energy or self.impact_energy:
+            self.impact_energy = remembered(self.impact_energy, impact_energy)
+        self._contacts = contacts
+
+    def judge(self, energy: Energy) -> None:
+        """Update the phase after the last step, given the energy at its end."""
+        if self._contacts is None:
+            return
+        if self._contacts == 0:
+            self.phase = "free"
+            return
+        quiet = self.impact_energy <= SETTLED_BELOW * energy.scale
+        still = not self._from_rest or energy.translational + energy.rotational <= STILL_BELOW * energy.scale
+        self.phase = "settled" if quiet and still and 2 * self._contacts >= self._bodies else "colliding"
+
+
+@kernel
+def remembered(energy: float, struck: float) -> float:
+    """Return the energy of recent impacts after a step, given that before it and that of its impacts, all in J."""
+    return energy + (struck - energy / STEPS_REMEMBERED)
+
+
+CRAWL = 5.0  # times as many steps as the first one promised
+MIN_STEPS = 50_000  # a shorter run ends before a warning is of use
+
+REMEDY = {  # the key that makes steps longer, by the limit that sets them
+    "acceleration": "time.target_dx",
+    "held": "time.target_dx",
+    "velocity": "time.cfl",
+    "pull": "time.pull_fraction",
+    "cap": "time.max_dt",
+    "fixed": "time.fixed_dt",
+}
+
+
+def remedies_of(scene: Scene) -> Mapping[str, str]:
+    """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
+
+    An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
+    ones. Integrators that choose steps by their error take time.max_dt as it is. The leapfrog that takes over where
+    contacts come to rest takes a part of it.
+    """
+    accuracy = scene.time.accuracy
+    if accuracy is None:
+        return REMEDY
+    if integrator(scene).controls_error:
+        return {} if require(scene).contact.modelled else {"cap": REMEDY["cap"]}
+    return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).pulls and accuracy < LARGEST_ACCURACY else {}
+
+
+@dataclass(frozen=True, slots=True)
+class PaceTally:
+    """The state of the monitor between two checks."""
+
+    slow_since: float | None = None  # s, since when all checked steps were short; None if the last one was not
+    told: bool = False  # whether the warning was given
+
+
+class PaceMonitor:
+    """Checks the step from time to time, and warns once if the run slows down.
+
+    Parameters
+    ----------
+    duration
+        s, of the scene.
+    first_dt
+        s, the step at its start.
+    units
+        Of the scene.
+    remedies
+        As from `remedies_of`.
+    """
+
+    def __init__(
+        self, duration: float, first_dt: float, units: UnitSystem = SI, remedies: Mapping[str, str] = REMEDY
+    ) -> None:
+        self._units, self._remedies = units, remedies
+        self._duration = duration
+        self._first_dt = first_dt
+        self.tally = PaceTally()
+
+    def check(self, step: int, time: float, dt: float, limit: str) -> Event | None:
+        """Check the next step, of dt seconds, and the limit that sets it; return a warning at most once.
+
+        It warns if the run would take too many steps at the pace so far, and also at the pace of the next step.
+        """
+        short = CRAWL * dt < self._first_dt
+        since = self.tally.slow_since if self.tally.slow_since is not None else time
+        self.tally = PaceTally(since if short else None, self.tally.told)
+        promised = self._duration / self._first_dt
+        whole = min(step * self._duration / time, step + max(0.0, self._duration - time) / dt)
+        if not short or self.tally.told or whole < max(MIN_STEPS, CRAWL * promised):
+            return None
+        self.tally = PaceTally(since, told=True)
+        raised = self._remedies.get(limit)
+        remedy = f" To shorten the run, raise {raised}." if raised else ""
+        text = (
+            f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first, "
+            f"since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
+            f"{whole / promised:.3g} times as many as its start promised.{remedy}"
+        )
+        return Event(step, time, "WARN", text, "pace")
+
+
+class Profile:
+    """Sums wall time by part of the step. Marking the end of a part costs one clock reading."""
+
+    def __init__(self) -> None:
+        self._nanoseconds: dict[str, int] = {}
+        self._last = 0
+
+    def start(self) -> None:
+        """Begin a step."""
+        self._last = perf_counter_ns()
+
+    def mark(self, part: str) -> None:
+        """Add the time since the last mark to a part."""
+        now = perf_counter_ns()
+        self._nanoseconds[part] = self._nanoseconds.get(part, 0) + now - self._last
+        self._last = now
+
+    def clear(self) -> None:
+        """Discard all times, such as those of the warm-up, which compiles kernels."""
+        self._nanoseconds.clear()
+
+    def seconds(self) -> dict[str, float]:
+        """Return the seconds spent in each part, in the order of the step."""
+        return {part: spent * 1e-9 for part, spent in self._nanoseconds.items()}
