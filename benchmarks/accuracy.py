@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError, SceneError
-from carom.lab.tradeoff.settings_grid import Point, knobs
+from carom.lab.tradeoff.settings_grid import GridPoint, knobs
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at, every
@@ -178,7 +178,7 @@ class Case:
     times: FloatArray
     size: float  # m
     reference: Solution
-    plain: dict[Point, Run] = field(default_factory=dict)
+    plain: dict[GridPoint, Run] = field(default_factory=dict)
 
     @classmethod
     def of(cls, scene: Scene) -> Case:
@@ -252,11 +252,11 @@ class Case:
         self, request: float, reference: FloatArray, kept: float, most: float, frames: int
     ) -> dict[str, Any] | None:
         """Return the cheapest plain setting up to a cost that keeps a request and frames as far; None if none does."""
-        best: tuple[float, Point] | None = None
+        best: tuple[float, GridPoint] | None = None
         for name in self.integrators():
             step = COARSEST
             while step >= FINEST:
-                point = Point(step).having(INTEGRATOR, name)
+                point = GridPoint(step).having(INTEGRATOR, name)
                 if self.scene.contact.enabled:
                     point = point.having(TIMING, "time-of-impact")
                 try:
@@ -283,7 +283,7 @@ class Case:
             name for name in dict.fromkeys((own, "leapfrog", *others, *radau)) if name not in ("euler", "leapfrog-dkd")
         ]
 
-    def plain_run(self, point: Point) -> Run:
+    def plain_run(self, point: GridPoint) -> Run:
         """Run a plain setting, once."""
         if point not in self.plain:
             self.plain[point] = follow(point.setting(self.scene).apply(self.scene), self.times)

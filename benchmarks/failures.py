@@ -11,11 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.lab.fork.branch import Branch, start_of
+from carom.lab.fork.branch import Branch, results_of, start_of
 from carom.lab.fork.ensemble import ensemble
 from carom.lab.fork.fork import fork
-from carom.lab.fork.perturbed import results_of
-from carom.lab.why.question import question_of
+from carom.lab.why.history import question_of
 from carom.lab.why.why import why
 from carom.physics.parallel.cores import cores
 from carom.recording.read.recording import Recording

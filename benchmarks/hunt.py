@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.lab.hunt.hunt import Hunt
-from carom.lab.shrink.budget import Budget
+from carom.lab.shrink.trials import Budget
 from carom.runs.interrupts import Interrupts
 from planted_faults import FAULTS, Fault
 

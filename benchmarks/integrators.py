@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.lab.tradeoff.reference import scale_of
-from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.plan.auto import pull_fraction
 from carom.scene.integrators import INTEGRATORS

@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from carom.lab.sweep.manifest import Run
+from carom.lab.sweep.manifest import SweepRun
 from carom.lab.sweep.plan import plan
 from carom.lab.sweep.sweep import sweep
 from measurement import save
@@ -53,7 +53,7 @@ class Times:
     def begin(self, found: int) -> None:  # noqa: D102
         pass
 
-    def ended(self, run: Run) -> None:  # noqa: D102
+    def ended(self, run: SweepRun) -> None:  # noqa: D102
         self.ends.append(time.perf_counter())
 
     def tick(self) -> None:  # noqa: D102

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.crosscheck.crosscheck import Crosscheck
-from carom.lab.crosscheck.runs import Followed, Runs, Task
+from carom.lab.crosscheck.crosscheck import Crosscheck, CrosscheckTask, Followed, Runs
 from carom.lab.engines.engine import engines_called
 from carom.recording.read.recording import Recording
 from carom.scene.scene_file import crosscheck_scenes
@@ -149,7 +148,7 @@ class InterruptedRuns(Runs):
         super().__init__(1)
         self.allowed, self.followed = allowed, list[str]()
 
-    def result(self, task: Task) -> Followed:
+    def result(self, task: CrosscheckTask) -> Followed:
         if len(self.followed) == self.allowed:
             raise KeyboardInterrupt
         self.followed.append(task.setting.name)

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.tradeoff.coordinate_descent import excess
-from carom.lab.tradeoff.result import Result
-from carom.lab.tradeoff.settings_grid import Point, default_points, knobs, vary
+from carom.lab.tradeoff.setting_results import SettingResult
+from carom.lab.tradeoff.settings_grid import GridPoint, default_points, knobs, vary
 from carom.lab.tradeoff.tradeoff import Study
-from carom.lab.tradeoff.tune import Tuning, tuned
+from carom.lab.tradeoff.tune import Tuning, excess, tuned
 from carom.plan.auto import integrator
 from carom.scene.schema import Scene
 from small_scenes import cloud
@@ -28,7 +27,7 @@ PRICES = {  # of a step; costs are computed from them, so that a search is the s
 
 @pytest.fixture(autouse=True)
 def priced(monkeypatch: pytest.MonkeyPatch) -> None:
-    def cost(study: Study, result: Result) -> float:
+    def cost(study: Study, result: SettingResult) -> float:
         chosen = {*result.setting.overrides, f"time.integrator={integrator(result.setting.apply(study.scene)).name}"}
         return math.prod(PRICES.get(override, 1.0) for override in chosen) * result.steps
 
@@ -119,16 +118,16 @@ def test_errors_that_the_best_setting_raises_are_told_with_both_values(tmp_path:
     assert all(after > before for before, after in tuning.worse().values())
 
 
-def misses(tuning: Tuning, result: Result) -> bool:
+def misses(tuning: Tuning, result: SettingResult) -> bool:
     return excess(tuning.study, tuning.written, result, tuning.limits) > 0.0
 
 
-def point_of(result: Result, scene: Scene) -> Point:
+def point_of(result: SettingResult, scene: Scene) -> GridPoint:
     """Find the coordinates of a result, which keeps its overrides alone."""
     values = dict(text.split("=", 1) for text in result.setting.overrides)
     keys = {key: value for key, value in values.items() if value in knobs(scene).get(key, ())}
     step = result.setting.name.rpartition("step × ")[2] if "step × " in result.setting.name else "1"
-    return Point(float(step), tuple(sorted(keys.items())))
+    return GridPoint(float(step), tuple(sorted(keys.items())))
 
 
 @pytest.mark.slow

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.cli.diff import _short
 from carom.errors import RecordingError
-from carom.lab.diff.diff import Diff, diff, differing, overlay
-from carom.lab.diff.impact_divergence import _nearest_in_order, impact_divergence
+from carom.lab.diff.diff import Diff, _nearest_in_order, diff, differing, impact_divergence, overlay
+from carom.lab.diff.diff_command import _short
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import Recorder

@@ -4,16 +4,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.lab.diff.divergence import Curve, divergence_of, verdict
+from carom.lab.diff.divergence import DistanceCurve, divergence_of, verdict
 
 SIZE, REACH = 10.0, 15.0  # m
 
 
-def curve(rms: Any, first: int, every: int = 1, dt: float = 0.05) -> Curve:
+def curve(rms: Any, first: int, every: int = 1, dt: float = 0.05) -> DistanceCurve:
     """Make a curve of a difference that begins at a frame."""
     count = len(rms)
     steps = every * np.arange(count)
-    return Curve(
+    return DistanceCurve(
         step=steps,
         time=np.asarray(dt * steps, dtype=np.float64),
         rms=np.asarray(rms, dtype=np.float64),
@@ -25,7 +25,7 @@ def curve(rms: Any, first: int, every: int = 1, dt: float = 0.05) -> Curve:
     )
 
 
-def exponential(rate: float, amplitude: float = 1e-15, count: int = 200, first: int = 10) -> Curve:
+def exponential(rate: float, amplitude: float = 1e-15, count: int = 200, first: int = 10) -> DistanceCurve:
     time = 0.05 * np.arange(count)
     grown = amplitude * np.exp(rate * (time - time[first]))
     return curve(np.where(np.arange(count) >= first, np.minimum(grown, SIZE), 0.0), first)

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from carom.errors import ExperimentError
+from carom.lab.compared_run import sample_times
 from carom.lab.engines.engine import engine_called
 from carom.lab.engines.rebound import shortest_period
-from carom.lab.engines.stepped import Simulation
-from carom.lab.engines.translation import problem_of
+from carom.lab.engines.stepped import Simulation, problem_of
 from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.tradeoff import Study
-from carom.lab.tradeoff.trajectory import sample_times
 from carom.recording.read.recording import Recording
 from carom.recording.source.source import Model, Plane, State
 from carom.scene.schema import Scene

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.lab.compared_run import sample_times
 from carom.lab.tradeoff.event_driven_reference import solve, why_not
-from carom.lab.tradeoff.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import AT_REST, BOUNCES

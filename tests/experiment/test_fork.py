@@ -11,13 +11,9 @@ import pytest
 
 import carom
 from carom.errors import ExperimentError
-from carom.lab.fork.branch import Branch, start_of
-from carom.lab.fork.chance import Chance, chances
-from carom.lab.fork.ensemble import Ensemble, ensemble
+from carom.lab.fork.branch import Branch, PerturbedResult, PerturbedTask, by_seed, execute, outcome_of, start_of
+from carom.lab.fork.ensemble import Chance, Ensemble, chances, ensemble, inevitable, judge
 from carom.lab.fork.fork import fork, text_of, write_ensemble
-from carom.lab.fork.inevitable import inevitable, judge
-from carom.lab.fork.path import outcome_of
-from carom.lab.fork.perturbed import Result, Task, by_seed, execute
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
@@ -53,7 +49,7 @@ def gas(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def here(tasks: Iterable[Task]) -> Iterator[Result]:
+def here(tasks: Iterable[PerturbedTask]) -> Iterator[PerturbedResult]:
     """Run branches in this process."""
     return map(execute, tasks)
 
@@ -201,7 +197,7 @@ def test_the_probability_of_an_outcome_is_measured_at_each_time_of_the_fork() ->
 
 
 def test_results_come_in_the_order_of_seeds_whatever_the_workers_do() -> None:
-    results = [Result(seed, np.zeros((1, 1), np.float32), None) for seed in (3, 1, 2, 5, 4)]
+    results = [PerturbedResult(seed, np.zeros((1, 1), np.float32), None) for seed in (3, 1, 2, 5, 4)]
     assert [result.seed for result in by_seed(results)] == [1, 2, 3, 4, 5]
 
 

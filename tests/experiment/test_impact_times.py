@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from carom.lab.compared_run import follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import solve
-from carom.lab.tradeoff.trajectory import follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from published.test_two_body_bounce import BOUNCES

@@ -12,10 +12,9 @@ import pytest
 import carom
 from carom.errors import RecordingError, SceneError
 from carom.lab.diff.diff import diff
-from carom.lab.sweep.folder import Folder
-from carom.lab.sweep.manifest import Manifest
+from carom.lab.sweep.manifest import Folder, Manifest
+from carom.lab.sweep.member_run import SweepTask, execute
 from carom.lab.sweep.plan import plan
-from carom.lab.sweep.task import Task, execute
 from carom.recording.edit.bundle import opened
 from carom.recording.edit.clip import clip
 from carom.recording.export.export import write
@@ -199,7 +198,7 @@ def test_a_sweep_copies_the_data_files_of_its_scene(tmp_path: Path) -> None:
     for name in ("a.npz", "c.npz"):
         (folder / name).unlink()
     for point in made.points:
-        result = execute(Task(str(root.root), made.digest, versions()["carom"], "carom sweep", point))
+        result = execute(SweepTask(str(root.root), made.digest, versions()["carom"], "carom sweep", point))
         assert result["status"] == "done", result["reason"]
 
 

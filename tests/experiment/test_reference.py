@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom.lab.compared_run import sample_times
 from carom.lab.tradeoff import event_driven_reference as exact
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.lab.tradeoff.reference import fineness, make_reference, refined
-from carom.lab.tradeoff.trajectory import sample_times
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene

@@ -11,23 +11,18 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from carom.cli.shrink import _print
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError
-from carom.lab.shrink.bodies import cones
-from carom.lab.shrink.budget import OutOfTime
+from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
 from carom.lab.shrink.condition import condition_from
-from carom.lab.shrink.delta_debugging import fewest
-from carom.lab.shrink.expression import Expression, UnknownNameError
-from carom.lab.shrink.invariance import IMAGES, INVARIANCES, FloatArray, Image, Varies
-from carom.lab.shrink.judges import Judges, Task
+from carom.lab.shrink.leave_out import cones, digits_of, fewest, rounded
 from carom.lab.shrink.literal import Document
-from carom.lab.shrink.numbers import digits_of, rounded
-from carom.lab.shrink.observation import Observation, Touches
 from carom.lab.shrink.reducer import Reducer, Reduction
-from carom.lab.shrink.text import commented
-from carom.lab.shrink.trials import Trials
-from carom.lab.shrink.whole_run import CommandShows
-from carom.physics.diagnostics.bookkeeper import BalanceAudit
+from carom.lab.shrink.result_file import commented
+from carom.lab.shrink.shrink_command import _print
+from carom.lab.shrink.trials import Judges, OutOfTime, Task, Trials
+from carom.lab.shrink.whole_run import IMAGES, INVARIANCES, CommandShows, Image, Varies
+from carom.physics.diagnostics.audit import Audit
 from carom.physics.space import Space
 from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
@@ -311,8 +306,8 @@ def test_a_spent_budget_ends_the_wait_for_a_worker() -> None:
 
 @pytest.mark.slow
 def test_several_processes_find_the_scene_that_one_process_finds(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.lab.shrink.judges.START", -1.0)
-    monkeypatch.setattr("carom.lab.shrink.judges.MIN_SECONDS_TO_SEND", -1.0)
+    monkeypatch.setattr("carom.lab.shrink.trials.START", -1.0)
+    monkeypatch.setattr("carom.lab.shrink.trials.MIN_SECONDS_TO_SEND", -1.0)
     asked: list[int] = []
     first = Judges.first
 

@@ -10,10 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from carom.lab.tradeoff.error_measures import Scale, compare
-from carom.lab.tradeoff.reference import make_reference, refined
+from carom.lab.compared_run import Trajectory, follow, sample_times
+from carom.lab.tradeoff.reference import ErrorScale, compare, make_reference, refined
 from carom.lab.tradeoff.settings_grid import vary
-from carom.lab.tradeoff.trajectory import Trajectory, follow, sample_times
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from scene_strategies import scene_from
@@ -76,7 +75,7 @@ def test_a_body_that_leaves_a_periodic_box_is_followed_through_its_side() -> Non
     x = run.position[:, 0, 0] - run.time
     assert np.allclose(x - 4.0 * np.round(x / 4.0), 0.0, rtol=0, atol=1e-13)
     box = np.array([4.0, 4.0, 4.0])
-    apart, _ = Scale.of(run, box).apart(run, run)
+    apart, _ = ErrorScale.of(run, box).apart(run, run)
     assert not apart.any()
 
 

@@ -11,10 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 import carom
-from carom.lab.why.answer import Answer
-from carom.lab.why.history import History
-from carom.lab.why.question import Question, question_of
-from carom.lab.why.why import answer_from, why
+from carom.lab.why.history import History, Question, question_of
+from carom.lab.why.why import Answer, answer_from, why
 from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 import carom
 from carom.contact_table import IMPACT_MODE
 from carom.errors import SceneError
+from carom.lab.compared_run import follow
 from carom.lab.tradeoff.event_driven_reference import solve
-from carom.lab.tradeoff.trajectory import follow
 from carom.physics.integrators.gauss_radau15 import GaussRadau15
 from carom.physics.integrators.radau_impacts import Solids
 from carom.physics.schedule import at, every

@@ -9,7 +9,7 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.lab.fork.branch import Branch, start_of
-from carom.lab.why.question import question_of
+from carom.lab.why.history import question_of
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording

@@ -9,7 +9,7 @@ import pytest
 
 from carom.errors import ExperimentError, SceneError
 from carom.lab.engines.rebound import _refuse as refuse_for_rebound
-from carom.lab.engines.translation import problem_of
+from carom.lab.engines.stepped import problem_of
 from carom.lab.tradeoff.event_driven_reference import why_not
 from carom.physics.space import Space
 from carom.plan import pulls

@@ -14,6 +14,7 @@ A changed module of `tests/support` has tests in the same way, and a changed tes
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from functools import cache
@@ -21,6 +22,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 BASES = ("src/", "tests/support/", "tests/")  # where the names of modules begin
+HOME = re.compile(r"carom(\.\w+)+:\w+")  # a module and a name, as in the table of commands, which are loaded on use
 MOST = 4  # tests of a module, beside its mirror
 DOCS = "tests/test_names_in_docs.py"
 GOLDEN = "tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method"
@@ -71,6 +73,8 @@ def imports(path: Path) -> frozenset[str]:
             found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:
             found.update([node.module, *(f"{node.module}.{alias.name}" for alias in node.names)])
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and HOME.fullmatch(node.value):
+            found.add(node.value.partition(":")[0])
     return frozenset(found)
 
 

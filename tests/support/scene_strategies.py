@@ -9,8 +9,7 @@ import numpy as np
 from hypothesis import strategies as st
 from hypothesis.strategies import DrawFn
 
-from carom.lab.hunt.documents import Document, impacts, meeting, smooth
-from carom.lab.hunt.draw import DIRECTIONS, QUARTERS
+from carom.lab.hunt.documents import DIRECTIONS, QUARTERS, Document, impacts, meeting, smooth
 from carom.scene.schema import Scene
 
 Value = TypeVar("Value")

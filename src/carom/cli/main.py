@@ -1,50 +1,19 @@
-"""The `carom` command: its subcommands, and how a mistake is reported.
-
-Commands import what they need when they run, so that `carom --help` does not wait for a compiler and a viewer.
-"""
+"""The `carom` command, and how a mistake is reported."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
 from typing import Annotated, Any
 
 import typer
 
-from carom.cli import (
-    clip,
-    contacts,
-    crosscheck,
-    diff,
-    explain,
-    export,
-    fork,
-    hunt,
-    inspect,
-    movie,
-    publish,
-    repair,
-    replay,
-    report,
-    resume,
-    run,
-    scenes,
-    shrink,
-    stress,
-    sweep,
-    tradeoff,
-    tune,
-    view,
-    warmup,
-    why,
-)
-from carom.cli.flags import Command, Group
+from carom.cli.commands import CommandGroup
 from carom.runs.memory import keep_freed_memory
 
 app = typer.Typer(
     name="carom",
-    cls=Group,
+    cls=CommandGroup,
     help="A flight recorder for colliding spheres: simulate a scene, record it, and look at every collision.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -68,46 +37,6 @@ def _root(
     ] = False,
 ) -> None:
     """Simulate a scene, record it, and look at every collision."""
-
-
-COMMANDS: dict[str, dict[str, Callable[..., None]]] = {  # by their panels in the help, as a newcomer needs them
-    "Simulate": {
-        "run": run.run,
-        "scenes": scenes.scenes,
-        "new": scenes.new,
-        "explain": explain.explain,
-        "resume": resume.resume,
-        "sweep": sweep.sweep,
-        "warmup": warmup.warmup,
-    },
-    "Look": {"view": view.view, "picture": view.picture, "movie": movie.movie},
-    "Ask": {
-        "inspect": inspect.inspect,
-        "contacts": contacts.contacts,
-        "why": why.why,
-        "replay": replay.replay,
-        "diff": diff.diff,
-        "fork": fork.fork,
-        "shrink": shrink.shrink,
-    },
-    "Measure": {
-        "tradeoff": tradeoff.tradeoff,
-        "tune": tune.tune,
-        "stress": stress.stress,
-        "hunt": hunt.hunt,
-        "crosscheck": crosscheck.crosscheck,
-    },
-    "Keep and share": {
-        "clip": clip.clip,
-        "repair": repair.repair,
-        "report": report.report,
-        "publish": publish.publish,
-        "export": export.export,
-    },
-}
-for panel, commands in COMMANDS.items():
-    for name, command in commands.items():
-        app.command(name, cls=Command, rich_help_panel=panel)(command)
 
 
 def _say_old_names_once() -> None:
@@ -145,6 +74,11 @@ def main() -> None:
         where = f"{error.filename}: " if error.filename else ""
         typer.echo(f"carom: {where}{error.strerror or error}", err=True)
         sys.exit(1)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith("carom."):
+            raise
+        say(f"carom: {error.name} is missing from this installation, and the command needs it", err=True)
+        sys.exit(2)
     except Exception as error:
         if isinstance(error, MemoryError) or "can't start new thread" in str(error):
             typer.echo("carom: out of memory; use fewer bodies or raise the memory limit (`ulimit -v`)", err=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import suppress
 from math import isnan
 from pathlib import Path
@@ -13,6 +14,8 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
 _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
+_SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
+_WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
 OptionalTime = float | None  # what `seconds` read, or None
 
 
@@ -47,6 +50,15 @@ def simulated(given: float, units: UnitSystem) -> float:
 def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
     """Return a time of the simulation, or None if none was given."""
     return None if given is None else simulated(given, units)
+
+
+def work_time(text: str | float) -> float:
+    """Read how long a command may work, such as 60s, 10min or 2h; a default is in s already."""
+    matched = _WORK_TIME.fullmatch(str(text))
+    with suppress(ValueError):
+        if matched and float(matched[1]) > 0:
+            return float(matched[1]) * _SECONDS[matched[2]]
+    raise typer.BadParameter(f"{text}: expected a time such as 60s, 10min or 2h")
 
 
 def bundled(incomplete: str) -> list[str]:

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.folder import Folder, put
-from carom.lab.sweep.manifest import DONE, Manifest, read, stored_runs
+from carom.lab.sweep.manifest import DONE, Folder, Manifest, put, read, stored_runs
 from carom.lab.sweep.plan import plan
-from carom.lab.sweep.table import rows_of
+from carom.lab.sweep.sweep_table import rows_of
 from sweep_runs import write_scene
 
 

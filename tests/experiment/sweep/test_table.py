@@ -9,14 +9,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.folder import Folder
-from carom.lab.sweep.manifest import Run
-from carom.lab.sweep.table import chosen, rows_of, write
+from carom.lab.sweep import sweep_table as figure
+from carom.lab.sweep.manifest import Folder, SweepRun
+from carom.lab.sweep.sweep_table import chosen, rows_of, write
 
 RUNS = [
-    Run("a", {"x": 1.0, "v": [0, 1]}, 1, "done", "completed", results={"e": 3.0, "met": True}),
-    Run("b", {"x": 2.0, "v": [0, 2]}, 1, "failed", "refused"),
-    Run("c", {"x": 2.0, "v": "none"}, 2, "done", "completed", results={"e": 1.0, "met": False}),
+    SweepRun("a", {"x": 1.0, "v": [0, 1]}, 1, "done", "completed", results={"e": 3.0, "met": True}),
+    SweepRun("b", {"x": 2.0, "v": [0, 2]}, 1, "failed", "refused"),
+    SweepRun("c", {"x": 2.0, "v": "none"}, 2, "done", "completed", results={"e": 1.0, "met": False}),
 ]
 ROWS = rows_of(RUNS)
 
@@ -40,7 +40,7 @@ def test_rows_are_sorted_and_those_without_a_value_come_last() -> None:
 
 def test_quantities_with_units_are_compared_and_sorted_by_their_sizes() -> None:
     sizes = {"a": "100 cm", "b": "50 cm", "c": "0.7 m", "d": None}
-    rows = rows_of([Run(name, {"r": size, "kind": "wet"}, 1, "done", "") for name, size in sizes.items()])
+    rows = rows_of([SweepRun(name, {"r": size, "kind": "wet"}, 1, "done", "") for name, size in sizes.items()])
 
     def found(*conditions: str, sort: str | None = None) -> str:
         return "".join(row["name"] for row in chosen(rows, conditions, sort))
@@ -54,7 +54,7 @@ def test_quantities_with_units_are_compared_and_sorted_by_their_sizes() -> None:
 
 def test_a_word_among_numbers_or_quantities_meets_no_comparison_but_unequal() -> None:
     sizes = {"a": "auto", "b": "10 ms", "c": 0.02, "d": "50 ms"}
-    rows = rows_of([Run(name, {"dt": size}, 1, "done", "") for name, size in sizes.items()])
+    rows = rows_of([SweepRun(name, {"dt": size}, 1, "done", "") for name, size in sizes.items()])
 
     def found(condition: str) -> str:
         return "".join(row["name"] for row in chosen(rows, [condition], None))
@@ -65,9 +65,7 @@ def test_a_word_among_numbers_or_quantities_meets_no_comparison_but_unequal() ->
 
 @pytest.mark.needs("matplotlib")
 def test_a_figure_has_the_unit_of_a_column_of_quantities_on_its_axis() -> None:
-    from carom.lab.sweep import figure
-
-    rows = rows_of([Run("a", {"r": "50 cm"}, 1, "done", ""), Run("b", {"r": "1 m"}, 1, "done", "")])
+    rows = rows_of([SweepRun("a", {"r": "50 cm"}, 1, "done", ""), SweepRun("b", {"r": "1 m"}, 1, "done", "")])
     unit = figure._unit(rows, "r")
     assert figure._labelled("r", unit) == "r (cm)"
     assert [figure._number(row, "r", unit) for row in rows] == [50.0, 100.0]

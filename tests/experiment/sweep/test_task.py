@@ -7,21 +7,21 @@ from pathlib import Path
 
 import pytest
 
-from carom.lab.sweep import task as made
-from carom.lab.sweep.folder import Folder, put
+from carom.lab.sweep import member_run as made
+from carom.lab.sweep.manifest import Folder, put
+from carom.lab.sweep.member_run import SweepTask, execute
 from carom.lab.sweep.plan import plan
-from carom.lab.sweep.task import Task, execute
 from carom.recording.read.recording import Recording
 from carom.runs.environment import versions
 from sweep_runs import write_scene
 
 
-def task_in(folder: Path, *overrides: str) -> tuple[Task, Folder]:
+def task_in(folder: Path, *overrides: str) -> tuple[SweepTask, Folder]:
     planned = plan(write_scene(folder), list(overrides), seeds=1)
     place = Folder(folder / "out")
     place.make()
     put(place.scene, planned.scene)
-    return Task(str(place.root), planned.digest, versions()["carom"], "carom sweep", planned.points[0]), place
+    return SweepTask(str(place.root), planned.digest, versions()["carom"], "carom sweep", planned.points[0]), place
 
 
 def test_a_run_that_was_made_is_found_and_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

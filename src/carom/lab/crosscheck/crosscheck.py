@@ -11,25 +11,194 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, RecordingError
-from carom.lab.crosscheck.examination import Examination, examined_other, examined_own
+from carom.lab.compared_run import Trajectory, sample_times
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
-from carom.lab.crosscheck.runs import Runs, Task
-from carom.lab.engines.engine import Engine
-from carom.lab.engines.watched import Watched
-from carom.lab.tradeoff.result import Result
+from carom.lab.engines.engine import Engine, engine_called
+from carom.lab.engines.watched import COMPLETED, Watched, watch
+from carom.lab.tradeoff.setting_results import SettingResult, result_entry
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.lab.tradeoff.stored_study import result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
-from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
+from carom.physics.parallel.cores import cores
 from carom.physics.placement import place
+from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import write_whole
-from carom.runs.run import recording_space, simulate
+from carom.runs.expectation import Verdict, judge
+from carom.runs.json_numbers import finite
+from carom.runs.run import Outcome, recording_space, simulate
+from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
 from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 from carom.scene.wording import Names
+
+
+# What is found by following a run step by step: criteria, broken laws, and where it leaves the reference.
+@dataclass(frozen=True, slots=True)
+class Examination:
+    """One run, looked at step by step."""
+
+    name: str
+    criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
+    laws: dict[str, dict[str, Any]]  # those broken: the first frame, and how many
+    parting: dict[str, Any] | None  # see `Parting`; None if it stays with the reference as far as that is compared
+    recording: str  # its file, in the folder
+    energy: dict[str, float | None]  # changes over the energy scale; see `energy_changes`
+
+
+def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) -> Examination:
+    """Return what a run of carom shows; its warnings are the laws that it breaks."""
+    warned = {event.kind: event for event in reversed(outcome.warnings)}
+    laws = {
+        kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
+        for kind, event in warned.items()
+    }
+    criteria = [_entry(v) for v in outcome.verdicts]
+    return Examination(name, criteria, laws, parting, outcome.path.name, energy_changes(outcome.path))
+
+
+def examined_other(
+    name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: Path
+) -> Examination:
+    """Return what a run of another engine shows. Criteria that only carom's own account can judge are left out."""
+    whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
+    verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
+    laws = {
+        fault.law: {"step": fault.step, "time": fault.time, "text": fault.text, "frames": seen.counts[fault.law]}
+        for fault in seen.faults
+    }
+    criteria = [
+        # a limit that a run kept until it ended early may be exceeded later; and what an engine's contacts take cannot
+        # be separated from the error of its integrator, so that only a lower bound of that is measured
+        _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
+        for v in verdicts
+        if v.name != "contact_audit" and not v.name.startswith("warned_")
+    ]
+    return Examination(name, criteria, laws, parting, recording.name, energy_changes(recording))
+
+
+def energy_changes(path: Path) -> dict[str, float | None]:
+    """Return the changes of the energy in a recording, over the energy scale.
+
+    ``change`` is that of the total. Of another engine ``in_contact`` is what changed while bodies touched, to contacts
+    and by errors of the engine together, and ``without_contact`` the others, which are errors.
+    """
+    energy = Recording.open(path).summary()["energy"]
+    found = {"change": energy["final"] - energy["initial"]}
+    names = {"in_contact": "change_in_contact", "without_contact": "change_without_contact"}
+    found |= {name: energy[key] for name, key in names.items() if key in energy}
+    scale = energy.get("reference", 0.0)
+    return {name: finite(change / scale) if scale else None for name, change in found.items()}
+
+
+def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
+    judged = judged and verdict.judged
+    return {
+        "name": verdict.name,
+        "bound": verdict.bound,
+        "limit": verdict.limit,
+        "measured": finite(verdict.measured),
+        "judged": judged,
+        "met": verdict.met if judged else None,
+    }
+
+
+# Follows runs of engines, several at a time in processes of their own; nothing is timed meanwhile.
+MIN_RUNS_FOR_PROCESSES = 8  # for fewer, processes take longer to start than they save
+_TICK = 60.0  # s of a wait for runs
+
+
+@dataclass(frozen=True, slots=True)
+class CrosscheckTask:
+    """A run of an engine that is to be followed."""
+
+    scene: Scene
+    setting: Setting
+    path: Path  # of its recording
+    limit: float  # s of CPU time
+
+
+@dataclass(frozen=True, slots=True)
+class Followed:
+    """What came of a task."""
+
+    watched: Watched
+    trajectory: Trajectory | None  # None if the run failed
+    reason: str  # why it did
+
+
+def execute(task: CrosscheckTask) -> Followed:
+    """Follow a run step by step, and record it; sample it once more where the engine can do so between steps."""
+    engine = engine_called(task.setting.engine)
+    engine.ensure_installed()
+    times = sample_times(task.scene)
+    seen = watch(engine.begin(task.scene, task.setting), task.scene, times, task.path, task.limit)
+    if engine.samples_steps(task.scene):
+        done = seen.outcome == COMPLETED
+        return Followed(seen, seen.trajectory if done else None, "" if done else seen.outcome.removeprefix("failed: "))
+    try:
+        return Followed(seen, engine.follow(task.scene, task.setting, times), "")
+    except ExperimentError as error:
+        return Followed(seen, None, str(error))
+
+
+class Runs:
+    """Follows runs; a context, which ends what is unfinished.
+
+    Parameters
+    ----------
+    workers
+        Processes; None is one for each core from `MIN_RUNS_FOR_PROCESSES` runs on, and 1 does all in this process.
+    """
+
+    def __init__(self, workers: int | None) -> None:
+        self._workers = workers
+        self._tasks: dict[Path, CrosscheckTask] = {}
+        self._pool: LocalWorkers | None = None
+        self._begun: set[Path] = set()
+        self._ended: dict[Path, Ended] = {}
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.__exit__(kind, error, traceback)
+
+    def announce(self, task: CrosscheckTask) -> None:
+        """Take a run that will be asked for."""
+        self._tasks[task.path] = task
+
+    def begin(self) -> None:
+        """Begin all runs that were announced, if other processes follow them."""
+        workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
+        if workers == 1 or len(self._tasks) < 2:
+            return
+        self._pool = LocalWorkers(min(workers, len(self._tasks)), attempts=1)
+        self._begun = set(self._tasks)
+        self._pool.send(execute, self._tasks)
+
+    def result(self, task: CrosscheckTask) -> Followed:
+        """Return what came of a run; wait for it, or follow it here."""
+        if task.path not in self._begun:
+            return execute(task)
+        self._begun.remove(task.path)
+        assert self._pool is not None
+        while task.path not in self._ended:
+            self._ended |= {ended.key: ended for ended in self._pool.ended(_TICK)}
+        try:
+            followed: Followed = self._ended.pop(task.path).result
+        except WorkerDiedError:
+            raise ExperimentError(
+                f"{task.setting.name} ended its process; the same command continues, with --workers 1 without others"
+            ) from None
+        return followed
+
 
 DOCUMENT = "crosscheck.json"
 FIGURE = "crosscheck.png"
@@ -98,7 +267,7 @@ class Crosscheck:
             self._load()
 
     @property
-    def results(self) -> list[Result]:
+    def results(self) -> list[SettingResult]:
         """The measured runs, carom's first."""
         return self.study.results
 
@@ -122,8 +291,8 @@ class Crosscheck:
     def _settings(self) -> list[Setting]:
         return [OWN, *(setting for engine in self.engines for setting in engine.examined(self.scene))]
 
-    def _task(self, setting: Setting) -> Task:
-        return Task(self.scene, setting, self._recording(setting), self.limit)
+    def _task(self, setting: Setting) -> CrosscheckTask:
+        return CrosscheckTask(self.scene, setting, self._recording(setting), self.limit)
 
     def document(self) -> dict[str, Any]:
         """Return all results as one JSON document."""
@@ -151,7 +320,7 @@ class Crosscheck:
             raise ExperimentError(followed.reason)
         return followed.trajectory
 
-    def _examine(self, result: Result, tell: Teller) -> None:
+    def _examine(self, result: SettingResult, tell: Teller) -> None:
         """Examine a run that was followed, unless it has been, and save the result."""
         name = result.setting.name
         if name not in self.examinations:
@@ -159,7 +328,7 @@ class Crosscheck:
             self.examinations[name] = self._examined(result)
             self._save()
 
-    def _examined(self, result: Result) -> Examination:
+    def _examined(self, result: SettingResult) -> Examination:
         """Look at a run that is measured."""
         setting = result.setting
         if not setting.engine:
@@ -168,7 +337,7 @@ class Crosscheck:
         parting = self._parting(result, seen.broken, seen.dt)
         return examined_other(setting.name, self.scene, seen, parting, self._recording(setting))
 
-    def _own(self, result: Result) -> Examination:
+    def _own(self, result: SettingResult) -> Examination:
         """Run carom and record it."""
         try:
             outcome = simulate(recording_space(self.scene, self.threads), self._recording(OWN), force=True)
@@ -180,7 +349,7 @@ class Crosscheck:
     def _recording(self, setting: Setting) -> Path:
         return self.folder / f"{_file_name(setting.name)}.rrd"
 
-    def _parting(self, result: Result, broken: list[tuple[float, str]], dt: float) -> dict[str, Any] | None:
+    def _parting(self, result: SettingResult, broken: list[tuple[float, str]], dt: float) -> dict[str, Any] | None:
         """Compare a measured run with the reference."""
         reference = self.study.reference
         if reference is None or result.status != "measured":

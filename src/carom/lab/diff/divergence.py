@@ -7,14 +7,18 @@ cause, a bug or a different scene, is larger than round-off can have grown to by
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
+from carom.errors import RecordingError
+from carom.physics.periodic_box import minimum_images
+from carom.recording.read.frame_rows import RecordedPositions
+from carom.recording.read.recording import Recording
 from carom.scene.units.dimension import LENGTH, RATE, TIME
 from carom.scene.units.system import SI, UnitSystem
-
-FloatArray = NDArray[np.float64]
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
 _POINTS, _FACTOR = 5, 10.0  # least number of frames, and least growth, to which a rate is fitted
@@ -24,7 +28,7 @@ _SURE = 3.0  # standard errors by which a rate must differ from 0
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
+class DistanceCurve:
     """The difference frame by frame."""
 
     step: NDArray[np.int64]  # (k,)
@@ -59,7 +63,7 @@ class Divergence:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class DiffVerdict:
     """The cause in one word, in one sentence, and the numbers behind it."""
 
     kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
@@ -69,7 +73,7 @@ class Verdict:
     allowed: float  # m, largest difference that round-off could have caused
 
 
-def divergence_of(curve: Curve) -> Divergence | None:
+def divergence_of(curve: DistanceCurve) -> Divergence | None:
     """Fit the growing part of a curve: from the first visible difference to the largest below saturation."""
     seen = np.flatnonzero(curve.seen & np.isfinite(curve.rms))
     if len(seen) == 0:
@@ -92,11 +96,11 @@ def divergence_of(curve: Curve) -> Divergence | None:
     )
 
 
-def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI) -> Verdict:
+def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem = SI) -> DiffVerdict:
     """Decide whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
         alike = "same bits" if curve.of_bits else "no difference that the recordings resolve"
-        return Verdict("same", f"{alike} in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
+        return DiffVerdict("same", f"{alike} in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
@@ -105,9 +109,11 @@ def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI)
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
     seen = apart if jump else f"less than the {resolved} that the recording resolves"
     if first == 0:
-        return Verdict("start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed)
+        return DiffVerdict(
+            "start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed
+        )
     if jump > allowed:
-        return Verdict(
+        return DiffVerdict(
             "jump",
             f"a jump, not round-off: at {when}, one frame after the last {_alike(curve)}, bodies are {apart} "
             f"apart, {jump / allowed:.1e} times what round-off could have become; {how}",
@@ -118,12 +124,12 @@ def verdict(curve: Curve, divergence: Divergence | None, units: UnitSystem = SI)
     if divergence is None:
         largest = units.text(float(np.max(curve.rms[first:])), LENGTH, ".1e")
         text = f"small: {seen} at {when}, at most {largest} later; {how}; its cause is therefore unknown"
-        return Verdict("small", text, first, jump, allowed)
+        return DiffVerdict("small", text, first, jump, allowed)
     kind = "chaos" if divergence.is_exponential else "drift"
-    return Verdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
+    return DiffVerdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
 
 
-def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
+def _allowed(curve: DistanceCurve, divergence: Divergence | None, first: int) -> float:
     """Bound the size (m) to which round-off can have grown since the last identical frame."""
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
@@ -132,7 +138,7 @@ def _allowed(curve: Curve, divergence: Divergence | None, first: int) -> float:
     return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
 
 
-def _alike(curve: Curve) -> str:
+def _alike(curve: DistanceCurve) -> str:
     return "with the same bits" if curve.of_bits else "without a difference"
 
 
@@ -142,7 +148,7 @@ def rate_text(rate: float, error: float, units: UnitSystem) -> str:
     return f"{units.shown(rate, RATE):.3g} ± {units.shown(error, RATE):.1g}{f' /{unit}' if unit else ''}"
 
 
-def _grows(curve: Curve, divergence: Divergence | None, units: UnitSystem) -> str:
+def _grows(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem) -> str:
     if divergence is None:
         return (
             f"no rate of growth: that takes {_POINTS} frames over which it grows tenfold, all below a tenth of the "
@@ -164,3 +170,164 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
     residual = y - y.mean() - slope * middle
     misfit = float(residual @ residual)
     return slope, float(np.sqrt(misfit / (len(x) - 2) / spread)), misfit
+
+
+# `FrameAlignment`: the common frames of two recordings, and the distances of the bodies in each.
+SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
+_GAPS_AT_THE_END = 2.0  # times the largest gap between common frames: one run may be recorded at two intervals
+_UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
+_SINGLE = float(np.finfo(np.float32).eps)
+
+
+class FrameAlignment:
+    """Frames matched by step if steps of the same number are at the same times up to the end, otherwise by time.
+
+    By time, the second one is interpolated linearly between its frames where it has none at the same time.
+
+    Raises
+    ------
+    RecordingError
+        If they have no frame in common, or do not show the same bodies.
+    """
+
+    def __init__(self, a: Recording, b: Recording) -> None:
+        for recording in (a, b):
+            recording.require_frames()
+        if list(a.shown) != list(b.shown):
+            raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
+        self._a, self._b = _Frames(a), _Frames(b)
+        self._of_bits = bool(a.engine) == bool(b.engine)
+        box = a.info.get("box")
+        self._box = None if box is None else np.asarray(box, dtype=np.float64)
+        _, first, second = np.intersect1d(self._a.step, self._b.step, return_indices=True)
+        self.by = "step"
+        same = np.allclose(self._a.time[first], self._b.time[second], rtol=SAME_TIME, atol=0.0)
+        if not (same and self._reaches_the_end(first)):
+            self.by = "sim_time"
+            first = np.flatnonzero((self._a.time >= self._b.time[0]) & (self._a.time <= self._b.time[-1]))
+            second = np.searchsorted(self._b.time, self._a.time[first] * (1.0 - SAME_TIME))
+        if len(first) == 0:
+            raise RecordingError(f"{a.path} and {b.path} have no frame in common")
+        self._first, self._second = first, second
+
+    def _reaches_the_end(self, common: NDArray[np.int64]) -> bool:
+        """Tell whether frames of the first recording go on to the last time that both have.
+
+        Runs with other steps may have the same number at the start only, or by chance.
+        """
+        if len(common) == 0:
+            return False
+        times, end = self._a.time[common], min(self._a.time[-1], self._b.time[-1])
+        return bool(end - times[-1] <= _GAPS_AT_THE_END * np.diff(times).max(initial=0.0))
+
+    def __len__(self) -> int:
+        return len(self._first)
+
+    def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m)."""
+        i, j, part = self._place(k)
+        if part == 1.0:
+            exact = self._a.positions.exact(self._a.step[i]), self._b.positions.exact(self._b.step[j])
+            if exact[0] is not None and exact[1] is not None:
+                return exact[0], self._near(exact[0], exact[1]), 0.0
+        one, other = self._a.positions.drawn(self._a.step[i]), self._b.positions.drawn(self._b.step[j])
+        rounding = _rounding(one - self._a.origin) + _rounding(other - self._b.origin)
+        if part < 1.0:
+            earlier = self._near(other, self._b.positions.drawn(self._b.step[j - 1]))
+            rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
+            other = earlier + part * (other - earlier)
+        return one, self._near(one, other), rounding
+
+    def curve(self) -> DistanceCurve:
+        """Measure the difference in every frame."""
+        rms, floor, reach = np.zeros(len(self)), np.zeros(len(self)), 0.0
+        for k in range(len(self)):
+            one, other, floor[k] = self.at(k)
+            rms[k] = _rms(other - one)
+            reach = max(reach, float(np.max(np.abs(one), initial=0.0)))
+        first = self._a.positions.drawn(self._a.step[self._first[0]])
+        return DistanceCurve(
+            step=np.array([self._a.step[i] for i in self._first]),
+            time=self._a.time[self._first],
+            rms=rms,
+            floor=floor,
+            energy=np.array([self._energy(k) for k in range(len(self))]),
+            differs=np.array([self._differs(k) for k in range(len(self))]) if self._of_bits else rms > floor,
+            size=max(_rms(first - first.mean(axis=0)), self._a.radius),
+            reach=reach,
+            of_bits=self._of_bits,
+        )
+
+    def _place(self, k: int) -> tuple[int, int, float]:
+        """Return the frame of the first recording, that of the second, and the fraction of the way to the latter."""
+        i, j = int(self._first[k]), int(self._second[k])
+        time, reached = self._a.time[i], self._b.time[j]
+        if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
+            return i, j, 1.0
+        return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
+
+    def _near(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Return the periodic images of other positions that are nearest to some positions."""
+        if self._box is None:
+            return other
+        apart = other - one
+        return other + (minimum_images(apart, self._box) - apart)  # exactly `other` where that is nearest
+
+    def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
+        """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
+
+        Frames need not be equally spaced. Of the accelerations with the frame before and the one after, twice the
+        larger counts, because three frames understate how strongly an orbit bends between them.
+        """
+        time, largest = self._b.time, 0.0
+        h = time[j] - time[j - 1]
+        speed = (later - earlier) / h
+        for third, near, side in ((j - 2, earlier, -1.0), (j + 1, later, 1.0)):
+            if 0 <= third < len(time):
+                beyond = self._near(near, self._b.positions.drawn(self._b.step[third]))
+                span = abs(time[third] - time[j if third > j else j - 1])
+                change = side * (beyond - near) / span - speed
+                largest = max(largest, _UNSEEN * 2.0 * _rms(change) / (h + span))
+        return largest * h * h / 8.0 if len(time) > 2 else float("inf")
+
+    def _differs(self, k: int) -> bool:
+        i, j, part = self._place(k)
+        return part < 1.0 or bool(self._a.bits[i] != self._b.bits[j])
+
+    def _energy(self, k: int) -> float:
+        i, j, part = self._place(k)
+        later = self._b.energy(j)
+        other = later if part == 1.0 else (1.0 - part) * self._b.energy(j - 1) + part * later
+        return other - self._a.energy(i)
+
+
+class _Frames:
+    """The frames of one recording."""
+
+    def __init__(self, recording: Recording) -> None:
+        prints: Any = recording.fingerprints()
+        self.step: list[int] = prints["step"].to_pylist()
+        self.time: FloatArray = prints["time"].to_numpy()
+        self.bits: NDArray[np.uint64] = prints["fingerprint"].to_numpy()
+        self.positions = RecordedPositions(recording)
+        self.origin = recording.origin
+        self.radius = float(np.max(recording.bodies.radius))
+        table = recording.energy("total")
+        self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
+
+    def energy(self, frame: int) -> float:
+        """Total energy in J; NaN where that piece of the recording is missing."""
+        return float(self._energy.get(self.step[frame], np.nan))
+
+
+def _rounding(drawn: FloatArray) -> float:
+    """Bound the rms rounding of positions in single precision (m); 0 where one is no number."""
+    rms = _rms(drawn)
+    return 0.5 * _SINGLE * rms if np.isfinite(rms) else 0.0
+
+
+def _rms(vectors: FloatArray) -> float:
+    """Return the rms length; a vector with a NaN counts as infinitely long."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        rms = float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
+    return rms if np.isfinite(rms) else float("inf")

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError
+from carom.lab.compared_run import Trajectory
 from carom.lab.engines.box3d import Box3D
 from carom.lab.engines.mujoco import MuJoCo
 from carom.lab.engines.newton import Newton
@@ -14,7 +16,6 @@ from carom.lab.engines.pybullet import PyBullet
 from carom.lab.engines.rebound import Rebound
 from carom.lab.engines.stepped import Simulation
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.lab.tradeoff.trajectory import FloatArray, Trajectory
 from carom.scene.schema import Scene
 from carom.scene.wording import suggestion
 

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of
-from carom.lab.engines.translation import problem_of
+from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.recording.source.adapters.mujoco import mujoco as source_of
 from carom.recording.source.adapters.package import engine_package

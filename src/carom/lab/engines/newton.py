@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from carom.errors import RecordingError
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of
-from carom.lab.engines.translation import problem_of
+from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.recording.source.adapters.newton import newton as source_of
 from carom.recording.source.adapters.package import engine_package

@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of
-from carom.lab.engines.translation import problem_of, refuse
+from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.adapters.pybullet import pybullet as source_of

@@ -15,13 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError
-from carom.lab.engines.stepped import FINER, Simulation
-from carom.lab.engines.translation import refuse
+from carom.lab.compared_run import RunStoppedError, Trajectory
+from carom.lab.engines.stepped import FINER, Simulation, refuse
 from carom.lab.engines.watched import watch
-from carom.lab.tradeoff.run_bound import RunStoppedError
 from carom.lab.tradeoff.settings_grid import STEPS, Setting
-from carom.lab.tradeoff.trajectory import FloatArray, IntArray, Trajectory
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.plan.features import require

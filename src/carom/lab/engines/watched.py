@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError
-from carom.lab.tradeoff.run_bound import RunStoppedError
-from carom.lab.tradeoff.trajectory import FloatArray, Trajectory, between
+from carom.lab.compared_run import RunStoppedError, Trajectory, between
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.frame import Frame
 from carom.recording.source.faults import Fault, Tolerances

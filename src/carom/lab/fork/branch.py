@@ -1,22 +1,32 @@
-"""`Branch`: a recording to fork, the moment, and the parameters from there on."""
+"""`Branch`: a recording to fork, the moment, and the parameters from there on; run here or on workers."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
+from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.periodic_box import minimum_images
+from carom.physics.schedule import Every
 from carom.physics.space import Space
-from carom.plan.auto import integrator
+from carom.plan.auto import frame_interval, integrator
 from carom.plan.features import require
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.runs.continued_scene import continued_scene
 from carom.runs.window import checkpoint_before, space_of
+from carom.runs.workers import Workers
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 
@@ -34,7 +44,7 @@ class Branch:
 
 
 @dataclass(frozen=True, slots=True)
-class Start:
+class ForkStart:
     """The state at which a branch begins, and the scene from there on."""
 
     recording: Recording
@@ -66,7 +76,7 @@ class Start:
         return space
 
 
-def start_of(branch: Branch) -> Start:
+def start_of(branch: Branch) -> ForkStart:
     """Return the state at the end of the step that the moment of a branch is in.
 
     Raises
@@ -88,7 +98,7 @@ def start_of(branch: Branch) -> Start:
             f"the run ends at {units.text(end, TIME, 'g')}: a fork at t = {units.text(checkpoint.time, TIME, '.9g')} "
             "has nothing to go on to; give an earlier --at, or a later end with --set time.duration=…"
         )
-    return Start(recording, scene, checkpoint)
+    return ForkStart(recording, scene, checkpoint)
 
 
 def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoint:
@@ -147,3 +157,181 @@ def _shifted(checkpoint: Checkpoint, seed: int, ulps: int) -> Checkpoint:
     for _ in range(ulps):
         position = np.where(up, np.nextafter(position, np.inf), np.nextafter(position, -np.inf))
     return replace(checkpoint, position=np.ascontiguousarray(position))
+
+
+OPTION = "--outcome"
+MOST_FRAMES = 200
+_MULTIPLE = 1e-9  # relative, as in `Every`
+_MOMENTS = "moments."  # the summary has these once something has happened
+
+
+@dataclass(frozen=True, slots=True)
+class BranchPath:
+    """Positions at multiples of an interval and at the end, and whether an outcome came about."""
+
+    time: FloatArray  # (k,) s
+    position: FloatArray  # (k, n, 3) m
+    outcome: bool | None  # None if none is asked for
+
+
+def interval_of(start: ForkStart) -> float:
+    """Return the interval in s at which branches are compared: that of the frames, or longer if these are many."""
+    return float(max(frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES))
+
+
+def path_of(
+    start: ForkStart, shift: int | None, ulps: int, outcome: Expression | None, threads: int | None = 1
+) -> BranchPath:
+    """Run a branch to its end.
+
+    Frames come at the first step at or after each multiple, and at the end. The bodies are taken back to the multiple
+    along their velocities, since branches may take other steps.
+    """
+    interval = interval_of(start)
+    space = start.space(threads, shift, ulps)
+    time = _times(start.checkpoint.time, start.scene.time.duration, interval)
+    position = np.full((len(time), *space.state.position.shape), np.nan)
+    seen, initial, count, filled = Touches(space), space.status.energy.total, 0, 0
+    for frame in space.run(schedule=Every(interval)):
+        count += 1
+        if outcome is not None:
+            seen.see(frame)
+        reached = int(np.searchsorted(time, frame.time * (1.0 + _MULTIPLE), side="right"))
+        for row in range(filled, reached):  # more than one where steps are longer
+            position[row] = frame.position - frame.velocity * (frame.time - time[row])
+        filled = max(filled, reached)
+    came = None
+    if outcome is not None:
+        summary = _summary(outcome, space, Observation(space, initial, count, [], seen))
+        try:
+            came = outcome.holds(summary)
+        except UnknownNameError as error:
+            raise ExperimentError(_explained(outcome, error.name, summary, len(space.state))) from None
+    return BranchPath(time, position, came)
+
+
+def outcome_of(start: ForkStart, text: str) -> Expression:
+    """Read an outcome, before branches are run for it.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be read, or names what no branch will have.
+    """
+    outcome, space = Expression(text, OPTION), start.space()
+    summary = _summary(outcome, space, Observation(space, space.status.energy.total, 0, [], Touches(space)))
+    for name in outcome.unknown(summary):
+        if not name.startswith(_MOMENTS):
+            raise ExperimentError(_explained(outcome, name, summary, len(space.state)))
+    return outcome
+
+
+def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, Any]:
+    return seen.summary | _of_bodies(outcome, space.state.position, space.state.velocity)
+
+
+def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:
+    """Say that an outcome names no such number, or no such body."""
+    if re.fullmatch(r"([xyz]|speed)_\d+", name):
+        body = name.partition("_")[2]
+        return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
+    return outcome.explain_unknown(name, summary)
+
+
+def _times(origin: float, end: float, interval: float) -> FloatArray:
+    """Return the multiples of an interval after a time, and the end (s)."""
+    first, last = (int(np.floor(time / interval * (1.0 + _MULTIPLE))) for time in (origin, end))
+    time = interval * np.arange(first + 1, last + 1).astype(np.float64)
+    return time if len(time) and time[-1] * (1.0 + _MULTIPLE) >= end else np.append(time, end)
+
+
+def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
+    """Return what an outcome asks of single bodies: ``x_3`` in m, likewise y and z, and ``speed_3`` in m/s."""
+    found: dict[str, float] = {}
+    for name in outcome.names:
+        what, _, number = name.partition("_")
+        if number.isdigit() and int(number) < len(position):
+            body = int(number)
+            if what in ("x", "y", "z"):
+                found[name] = float(position[body, "xyz".index(what)])
+            elif what == "speed":
+                found[name] = float(np.linalg.norm(velocity[body]))
+    return found
+
+
+_TICK = 60.0  # s of a wait for results
+_STARTS = 4  # moments and reference paths that a worker keeps
+
+
+@dataclass(frozen=True, slots=True)
+class PerturbedTask:
+    """One perturbed branch."""
+
+    branch: Branch
+    seed: int
+    ulps: int
+    outcome: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class PerturbedResult:
+    """How far the bodies of a perturbed branch are from those of the unperturbed one."""
+
+    seed: int
+    apart: NDArray[np.float32]  # (k, n) m
+    outcome: bool | None
+
+
+def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[PerturbedResult]:
+    """Yield results as they come; what has not begun when the caller stops is dropped.
+
+    The bits do not depend on how many workers there are.
+
+    Raises
+    ------
+    ExperimentError
+        If the workers died.
+    """
+    left = {task.seed: task for task in tasks}
+    workers.send(execute, left)
+    try:
+        while left:
+            for ended in workers.ended(_TICK):
+                del left[ended.key]
+                yield ended.result
+    finally:
+        workers.drop()
+
+
+def by_seed(results: Iterable[PerturbedResult]) -> Iterator[PerturbedResult]:
+    """Yield results in the order of their seeds, from 1 on, so that a test of them does not depend on the workers."""
+    waiting: dict[int, PerturbedResult] = {}
+    seed = 1
+    for result in results:
+        waiting[result.seed] = result
+        while seed in waiting:
+            yield waiting.pop(seed)
+            seed += 1
+
+
+def execute(task: PerturbedTask) -> PerturbedResult:
+    """Run one branch."""
+    start, reference = _prepared(task.branch)
+    outcome = None if task.outcome is None else Expression(task.outcome, OPTION)
+    path = path_of(start, task.seed, task.ulps, outcome)
+    return PerturbedResult(task.seed, apart(path.position, reference.position, start).astype(np.float32), path.outcome)
+
+
+def apart(a: FloatArray, b: FloatArray, start: ForkStart) -> FloatArray:
+    """Return the distances of counterparts, (k, n) m, through the boundary of a periodic box where that is nearer."""
+    off = a - b
+    if start.scene.domain.boundary == "periodic":
+        box = np.asarray(start.scene.domain.size, dtype=np.float64)
+        off = minimum_images(off, box)
+    return np.asarray(np.sqrt((off * off).sum(axis=2)))
+
+
+@lru_cache(_STARTS)
+def _prepared(branch: Branch) -> tuple[ForkStart, BranchPath]:
+    start = start_of(branch)
+    return start, path_of(start, None, 0, None)

@@ -1,21 +1,120 @@
-"""`Ensemble`: many branches from states that differ by a few bits, and how far they spread."""
+"""`Ensemble`: the spread of many branches from states that differ by a few bits, and the probability of an outcome.
+
+`inevitable` finds the moment from which an outcome was inevitable: bisection over the time of the fork, with a
+sequential test. At each time forks are made until Wald's test of the probability p of the outcome decides between
+p ≥ 0.99 and p ≤ 0.9, with errors of 5 %. After k outcomes of m forks the logarithm of the likelihood ratio is
+
+    k ln(0.99/0.9) + (m - k) ln(0.01/0.1)
+
+and the test ends when it leaves (ln(0.05/0.95), ln(0.95/0.05)). If all forks agree it takes 31 of them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.lab.diff.divergence import Curve, Divergence, divergence_of
-from carom.lab.fork.branch import Branch, Start
-from carom.lab.fork.chance import Chance
-from carom.lab.fork.path import Path, path_of
-from carom.lab.fork.perturbed import Result, Task
-from carom.lab.shrink.expression import Expression
+from carom.arrays import FloatArray
+from carom.lab.diff.divergence import DistanceCurve, Divergence, divergence_of
+from carom.lab.fork.branch import Branch, BranchPath, ForkStart, PerturbedResult, PerturbedTask, path_of
+from carom.lab.run_summary import Expression
 
-FloatArray = NDArray[np.float64]
+# The probability of an outcome over the time of the fork.
+_Z = 1.96  # standard deviations of a normal distribution, of which 95 % are nearer
+
+
+@dataclass(frozen=True, slots=True)
+class Chance:
+    """How many forks at a time have an outcome."""
+
+    time: float  # s, of the fork
+    hits: int
+    forks: int
+
+    @property
+    def probability(self) -> float:
+        """The part of the forks that have it."""
+        return self.hits / self.forks
+
+    @property
+    def band(self) -> tuple[float, float]:
+        """The interval that has the probability with 95 % (Wilson, JASA 22, 209, 1927)."""
+        n, p, z2 = self.forks, self.probability, _Z * _Z
+        middle, half = p + z2 / (2 * n), _Z * math.sqrt(p * (1.0 - p) / n + z2 / (4 * n * n))
+        low, high = ((middle + sign * half) / (1.0 + z2 / n) for sign in (-1.0, 1.0))
+        return max(0.0, low), min(1.0, high)
+
+
+def chances(draw: Draw, begin: float, end: float, count: int, last_step: float = math.inf) -> Iterator[Chance]:
+    """Fork at equal distances after a time (s) and before the end; ``count`` is that of the intervals.
+
+    A fork begins at the end of a step, so none begins after ``last_step``, where the last one does (s).
+    """
+    for k in range(1, count):
+        time = begin + (end - begin) * k / count
+        if time > last_step:
+            return
+        came = list(draw(time))
+        yield Chance(time, sum(came), len(came))
+
+
+SURE, UNSURE, ERROR = 0.99, 0.9, 0.05
+ROUNDS = 8  # of the bisection: the interval shrinks to 1/256
+
+Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → whether forks have the outcome, one after another
+
+
+@dataclass(frozen=True, slots=True)
+class Tested:
+    """A time of the fork that was tested."""
+
+    time: float  # s
+    hits: int
+    forks: int
+    inevitable: bool
+
+
+@dataclass(slots=True)
+class Inevitable:
+    """When an outcome became inevitable."""
+
+    earliest: float  # s, at which it was not, or the beginning
+    latest: float  # s, from which on it is
+    always: bool  # whether it was so from the beginning on
+    tested: list[Tested] = field(default_factory=list)  # in order of time
+
+
+def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
+    """Find the moment between two times (s); at the end the outcome is known to come about."""
+    first = judge(draw, begin)
+    found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
+    for _ in range(0 if first.inevitable else rounds):
+        middle = 0.5 * (found.earliest + found.latest)
+        tested = judge(draw, middle)
+        found.tested.append(tested)
+        if tested.inevitable:
+            found.latest = middle
+        else:
+            found.earliest = middle
+    found.tested.sort(key=lambda tested: tested.time)
+    return found
+
+
+def judge(draw: Draw, time: float) -> Tested:
+    """Test whether the outcome of forks at a time (s) is all but certain."""
+    upper = math.log((1.0 - ERROR) / ERROR)
+    evidence, hits, forks = 0.0, 0, 0
+    for came in draw(time):
+        forks += 1
+        hits += came
+        evidence += math.log(SURE / UNSURE) if came else math.log((1.0 - SURE) / (1.0 - UNSURE))
+        if abs(evidence) >= upper:
+            break
+    return Tested(time, hits, forks, evidence > 0.0)
+
 
 BAND = (5.0, 50.0, 95.0)  # percentiles
 
@@ -45,11 +144,11 @@ class Ensemble:
 
 
 def ensemble(
-    start: Start,
+    start: ForkStart,
     branch: Branch,
     seeds: int,
     ulps: int,
-    run: Callable[[list[Task]], Iterable[Result]],
+    run: Callable[[list[PerturbedTask]], Iterable[PerturbedResult]],
     outcome: Expression | None = None,
     watch: Callable[[int], None] = lambda done: None,
 ) -> Ensemble:
@@ -77,7 +176,7 @@ def ensemble(
     squares = np.zeros(reference.position.shape[:2])
     outcomes: dict[int, bool] = {}
     text = None if outcome is None else outcome.text
-    tasks = [Task(branch, seed, ulps, text) for seed in range(1, seeds + 1)]
+    tasks = [PerturbedTask(branch, seed, ulps, text) for seed in range(1, seeds + 1)]
     for done, found in enumerate(run(tasks), 1):
         square = found.apart.astype(np.float64) ** 2
         squares += square
@@ -100,12 +199,12 @@ def ensemble(
     )
 
 
-def _curve(reference: Path, rms: FloatArray) -> Curve:
+def _curve(reference: BranchPath, rms: FloatArray) -> DistanceCurve:
     """Write distances as `carom diff` reads them."""
     first = reference.position[0]
     off = first - first.mean(axis=0)
     reach = float(np.abs(reference.position[np.isfinite(reference.position)]).max())
-    return Curve(
+    return DistanceCurve(
         step=np.arange(len(rms)),
         time=reference.time,
         rms=rms,

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from carom.lab.diff.diff import Diff, diff, overlay
-from carom.lab.fork.branch import Start
+from carom.lab.fork.branch import ForkStart
 from carom.lab.fork.ensemble import Ensemble
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
@@ -26,7 +26,7 @@ class Fork:
     diff: Diff
 
 
-def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher | None = None) -> Fork:
+def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watcher | None = None) -> Fork:
     """Run one branch to its end, and write it and the recording into one file.
 
     Parameters
@@ -36,7 +36,7 @@ def fork(start: Start, out: Path, shift: int | None, ulps: int, watch: Watcher |
     out
         The ``.rrd`` to write.
     shift, ulps
-        Seed and size of a perturbation; see `Start.space`.
+        Seed and size of a perturbation; see `ForkStart.space`.
     watch
         Called several times a second with where the run stands.
 
@@ -64,7 +64,7 @@ def ended_early(outcome: Outcome) -> str:
     return f"The fork ended early, {in_words(outcome.status)}: {outcome.reason}."
 
 
-def text_of(start: Start, found: Diff) -> str:
+def text_of(start: ForkStart, found: Diff) -> str:
     """Say when a branch left its recording, what is other in it, and how far they are apart in the last frame."""
     changes = ", ".join(
         f"{key} = {_value(found, key, other)}, before {_value(found, key, one)}"
@@ -93,7 +93,7 @@ def _value(found: Diff, key: str, written: object) -> str:
     return "not given" if default is None else f"{default} by default"
 
 
-def write_ensemble(start: Start, found: Ensemble, text: str, out: Path) -> None:
+def write_ensemble(start: ForkStart, found: Ensemble, text: str, out: Path) -> None:
     """Write an ensemble for the viewer. RecordingError if it cannot be written."""
     when = start.scene.unit_system.text(start.checkpoint.time, TIME)
     title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"

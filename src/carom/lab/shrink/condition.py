@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from carom.errors import ExperimentError
-from carom.lab.shrink.expression import Expression, UnknownNameError
-from carom.lab.shrink.invariance import Varies
-from carom.lab.shrink.observation import LASTING, SUNK, Observation, Pair, end_name
-from carom.lab.shrink.whole_run import ReplayDiffers
+from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
+from carom.lab.shrink.whole_run import ReplayDiffers, Varies
 from carom.runs.expectation import Verdict
 from carom.scene.schema.promise import Expect
 from carom.scene.start import half_spaces

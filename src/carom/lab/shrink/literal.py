@@ -1,22 +1,28 @@
-"""Scenes as documents whose bodies are all written out, at the state of some moment."""
+"""The scene to shrink, read from a scene or a recording, as a document with every body written out."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
+from carom.errors import RecordingError
 from carom.physics.frame import Frame
+from carom.physics.placement import place
+from carom.recording.edit.bundle import is_bundle, opened
+from carom.recording.read.recorded_scene import recorded_scene, start_of
+from carom.recording.read.recording import Recording
+from carom.runs.window import checkpoint_before
+from carom.scene.load import load_scene
 from carom.scene.matter import body_materials
+from carom.scene.scene_file import RECORDED
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import DEFAULT
 from carom.scene.start import InitialBodies, half_spaces
 
-FloatArray = NDArray[np.float64]
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
-Path = tuple[str | int, ...]  # of keys and places in lists
+KeyPath = tuple[str | int, ...]  # of keys and places in lists
 
 BODIES = "body"
 ORIGIN = [0.0, 0.0, 0.0]  # the default of every vector of a body, which is left out
@@ -89,12 +95,12 @@ def with_bodies(document: Document, kept: list[int]) -> Document:
     return document | {BODIES: [document[BODIES][k] for k in kept]}
 
 
-def with_value(document: Document, path: Path, value: Any) -> Document:
+def with_value(document: Document, path: KeyPath, value: Any) -> Document:
     """Return a document with another value at a path; None removes the key."""
     return cast(Document, _with(document, path, value))
 
 
-def value_at(document: Document, path: Path) -> Any:
+def value_at(document: Document, path: KeyPath) -> Any:
     """Return the value at a path; None if there is none."""
     node: Any = document
     for key in path:
@@ -105,7 +111,7 @@ def value_at(document: Document, path: Path) -> Any:
     return node
 
 
-def _with(node: Any, path: Path, value: Any) -> Any:
+def _with(node: Any, path: KeyPath, value: Any) -> Any:
     key: Any = path[0]
     rest = path[1:]
     if rest:
@@ -147,3 +153,46 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A scene with its bodies, and what it was called."""
+
+    name: str
+    scene: Scene
+    start: InitialBodies
+
+
+def source_of(given: str, overrides: list[str]) -> Source:
+    """Read a scene, or the scene and the first checkpoint of a recording or a bundle.
+
+    Raises
+    ------
+    SceneError, RecordingError
+        If there is none, or a recording has nothing to run again.
+    """
+    path = Path(given)
+    if not is_recording(path):
+        scene = load_scene(given, overrides)
+        return Source(given, scene, place(scene))
+    with opened(path) as file:
+        recording = Recording.open(file)
+        if recording.clip.get("bodies"):
+            raise RecordingError(f"{path}: a clip of some bodies cannot be run again; give the whole recording")
+        scene = recorded_scene(recording, overrides)
+        checkpoint = checkpoint_before(recording, 0.0)
+        start = start_of(recording, scene, checkpoint)
+    left = scene.time.duration - checkpoint.time
+    if left <= 0.0:
+        raise RecordingError(f"{path}: it has only its last state, so there is nothing to run again")
+    later = scene.time.model_copy(update={"duration": left}) if checkpoint.time > 0.0 else scene.time
+    return Source(given, scene.model_copy(update={"time": later}), start)
+
+
+def is_recording(path: Path) -> bool:
+    """Tell whether a file is a recording or a bundle with one."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(len(RECORDED)) == RECORDED or is_bundle(path)

@@ -7,16 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from carom.errors import ExperimentError
-from carom.lab.shrink.bodies import leave_out_bodies
-from carom.lab.shrink.budget import Budget, OutOfTime
 from carom.lab.shrink.condition import Condition
-from carom.lab.shrink.judges import Judges
+from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
 from carom.lab.shrink.literal import Document, at_moment, literal
-from carom.lab.shrink.numbers import round_numbers
-from carom.lab.shrink.parts import drop_parts, set_defaults
-from carom.lab.shrink.smallest import Smallest
 from carom.lab.shrink.time_cut import Chronicle, begin_late, chronicle, cut_both_ends, cut_time
-from carom.lab.shrink.trials import Trials
+from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.runs.interrupts import Interrupts

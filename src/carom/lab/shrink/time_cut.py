@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from carom.lab.run_summary import Observation
 from carom.lab.shrink.literal import Document, Moment, at_moment, with_value
-from carom.lab.shrink.observation import Observation
-from carom.lab.shrink.smallest import Smallest
-from carom.lab.shrink.trials import Trials, observe
+from carom.lab.shrink.trials import Smallest, Trials, observe
 from carom.physics.frame import Frame
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space

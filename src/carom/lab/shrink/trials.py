@@ -1,25 +1,94 @@
-"""Runs candidates and tells whether they still show the failure."""
+"""Judges candidates within a budget, here or in several processes; `Smallest` keeps the smallest that still fails."""
 
 from __future__ import annotations
 
+import math
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
 
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.lab.shrink.budget import Budget, OutOfTime
+from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.condition import Condition
-from carom.lab.shrink.judges import Judges
 from carom.lab.shrink.literal import BODIES, Document
-from carom.lab.shrink.observation import Observation, Touches, said_by
 from carom.physics.frame import Frame
+from carom.physics.parallel.cores import cores
 from carom.physics.schedule import Every, Schedule
 from carom.physics.space import Space
 from carom.plan.auto import frame_interval
+from carom.runs.interrupts import Interrupts
+from carom.runs.workers import LocalWorkers, WorkerDiedError
 from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
 from carom.scene.toml_text import toml_text
+
+# How long a reduction may take, and whether the user has ended it.
+_POLL = 0.05  # s between two looks at a run
+
+
+class OutOfTime(Exception):  # noqa: N818 - not an error: the smallest scene so far is the result
+    """The time is over, or the user has ended the reduction."""
+
+
+class Budget:
+    """The time of a reduction.
+
+    Parameters
+    ----------
+    seconds
+        s; infinite without a limit.
+    interrupts
+        Requests of the user to end.
+    """
+
+    def __init__(self, seconds: float, interrupts: Interrupts) -> None:
+        self.began = time.monotonic()
+        self._seconds = seconds
+        self._interrupts = interrupts
+
+    @property
+    def spent(self) -> float:
+        """The time so far in s."""
+        return time.monotonic() - self.began
+
+    @property
+    def reason(self) -> str:
+        """Why it is over; empty while it is not."""
+        if self._interrupts.count:
+            return f"stopped by {self._interrupts.sender}"
+        return "the budget was spent" if self.spent > self._seconds else ""
+
+    def check(self) -> None:
+        """Raise `OutOfTime` when it is over."""
+        if reason := self.reason:
+            raise OutOfTime(reason)
+
+    @contextmanager
+    def guarding(self, space: Space) -> Iterator[None]:
+        """Stop a run when the time is over, and then raise `OutOfTime`."""
+        self.check()
+        over = threading.Event()
+
+        def watch() -> None:
+            while not over.wait(_POLL):
+                if self.reason:
+                    space.stop()
+                    return
+
+        watcher = threading.Thread(target=watch, name="budget", daemon=True)
+        watcher.start()
+        try:
+            yield
+        finally:
+            over.set()
+            watcher.join()
+        self.check()
+
 
 Each = Callable[[Observation, Frame], bool]  # called at each frame; whether to go on
 
@@ -188,3 +257,193 @@ class Trials:
     def space(self, scene: Scene) -> Space:
         """Build a space whose frames carry what the condition looks at."""
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
+
+
+# Judges candidates in several processes.
+START = 6.0  # s, about twice what workers take to start
+MIN_SECONDS_TO_SEND = 0.05  # s of a candidate; shorter ones take as long to send
+AHEAD = 2  # candidates a worker that are sent before they are needed
+_TICK = 0.1  # s between two checks of the budget
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """A candidate, the failure that it should show, and in how many steps at most."""
+
+    document: Document
+    condition: Condition
+    steps: int
+
+
+def execute(task: Task) -> bool:
+    """Tell whether a candidate shows the failure."""
+    trials = Trials(task.condition, Budget(math.inf, Interrupts()))
+    return trials.judge(task.document, task.steps) is not None
+
+
+class Judges:
+    """Processes that judge candidates, started when these take long enough.
+
+    The result does not depend on them: of several candidates the first in order that shows the failure is taken.
+
+    Parameters
+    ----------
+    count
+        Processes; None is one for each core, and 1 judges all candidates in this process.
+    """
+
+    def __init__(self, count: int | None) -> None:
+        self._count = count or cores()
+        self._workers: LocalWorkers | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._workers is not None:
+            self._workers.__exit__(kind, error, traceback)
+
+    def pay(self, seconds: float, candidates: int) -> bool:
+        """Tell whether to judge candidates here that take so long each; starts the processes where that pays."""
+        if self._count == 1 or candidates < 2:
+            return False
+        if self._workers is None and seconds * candidates > START:
+            self._workers = LocalWorkers(self._count)
+        return self._workers is not None and seconds > MIN_SECONDS_TO_SEND
+
+    def first(
+        self, documents: Sequence[Document], condition: Condition, steps: int, check: Callable[[], None]
+    ) -> int | None:
+        """Return the number of the first candidate that shows a failure.
+
+        Parameters
+        ----------
+        documents
+            The candidates.
+        condition
+            The failure.
+        steps
+            How many each may take.
+        check
+            Called several times a second; what it raises ends the work.
+
+        Raises
+        ------
+        ExperimentError
+            If the workers died.
+        """
+        workers = self._workers
+        assert workers is not None, "they have started"
+        verdicts: dict[int, bool] = {}
+        sent = 0
+        try:
+            for number in range(len(documents)):
+                ahead = range(sent, min(len(documents), number + AHEAD * self._count))
+                workers.send(execute, {each: Task(documents[each], condition, steps) for each in ahead})
+                sent = max(sent, ahead.stop)
+                while number not in verdicts:
+                    check()
+                    verdicts |= {ended.key: ended.result for ended in workers.ended(_TICK)}
+                if verdicts[number]:
+                    return number
+        except WorkerDiedError as error:
+            raise WorkerDiedError(f"{error} --workers 1 needs none") from None
+        finally:
+            workers.drop()
+        return None
+
+
+# The smallest scene so far that shows the failure.
+class Smallest:
+    """Takes over every candidate that still shows the failure.
+
+    Parameters
+    ----------
+    document
+        A scene that shows it.
+    seen
+        What was seen of its run.
+    trials
+        Judges candidates.
+    taken
+        Called after a candidate was taken over.
+    """
+
+    def __init__(
+        self, document: Document, seen: Observation, trials: Trials, taken: Callable[[Smallest], None] = lambda _: None
+    ) -> None:
+        self._trials = trials
+        self._taken = taken
+        self.kept = 0  # candidates that were taken over
+        self._keep(document, seen)
+
+    def _keep(self, document: Document, seen: Observation) -> None:
+        self.document = document
+        self.steps = seen.space.step
+        self.said = self._trials.condition.said(seen)
+        self.suspects = self._trials.condition.bodies(seen)
+        self._trials.steps = self.steps
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, validated."""
+        return scene_from_dict(self.document)
+
+    @property
+    def bodies(self) -> int:
+        """Number of bodies."""
+        return len(self.document[BODIES])
+
+    def takes_shorter(self, document: Document) -> bool:
+        """Take over a candidate if it shows the failure in fewer steps."""
+        return self.steps > 1 and self.takes(document, self.steps - 1)
+
+    def takes_as_short(self, document: Document) -> bool:
+        """Take over a candidate if it shows the failure in no more steps."""
+        return self.takes(document, max(self.steps, 1))
+
+    def takes(self, document: Document, steps: int | None = None) -> bool:
+        """Take over a candidate if it shows the failure, in at most so many steps; see `Trials.shows`.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        return document != self.document and self._try(document, steps)
+
+    def is_shown(self) -> bool:
+        """Run the scene itself; tell whether it shows the failure.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        return self._try(self.document, None)
+
+    def _try(self, document: Document, steps: int | None) -> bool:
+        seen = self._trials.shows(document, steps)
+        if seen is None:
+            return False
+        self._keep(document, seen)
+        self.kept += 1
+        self._taken(self)
+        return True
+
+    def takes_first(self, documents: list[Document]) -> int | None:
+        """Take over the first of several candidates that shows the failure; return its number.
+
+        Raises
+        ------
+        OutOfTime
+            If the time is over.
+        """
+        number = 0
+        while (found := self._trials.promising(documents, number)) is not None:
+            if self.takes(documents[found]):
+                return found
+            number = found + 1
+        return None

@@ -1,18 +1,325 @@
-"""Conditions on a whole run, which no single frame shows: the verdict of a command, and replays that differ."""
+"""Conditions on whole runs, which no single frame shows: invariances, replays that differ, the verdict of a command.
+
+An invariance compares a scene with an image of it, which must run alike: in other units, mirrored, moved, turned, or
+renumbered. An image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order. Where
+floating point is exact, bits are compared: powers of two commute with every operation, and so do changes of sign.
+Otherwise the image may be as far off as runs from starts that differ by roundings, times a factor for the roundings of
+all steps.
+"""
 
 from __future__ import annotations
 
+import copy
+import math
 import shlex
 import subprocess
-from dataclasses import dataclass, replace
+import tomllib
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
 
-from carom.errors import ExperimentError
-from carom.lab.shrink.observation import Observation, said_by
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from carom.arrays import FloatArray
+from carom.errors import ExperimentError, PhysicsError, SceneError
+from carom.lab.run_summary import Observation, said_by
+from carom.lab.shrink.literal import BODIES, Document, with_value
 from carom.physics.checkpoint import Checkpoint
+from carom.physics.placement import place
 from carom.physics.schedule import every
 from carom.physics.space import Space
+from carom.plan.auto import largest_step
+from carom.plan.features import require
 from carom.private_folder import temporary_folder
+from carom.scene.conversion import converted, rescaled
+from carom.scene.load import scene_from_dict
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import BASE, LENGTH, Dimension
+from carom.scene.wording import suggestion
+
+EPS = float(np.finfo(np.float64).eps)
+PERTURBED = 6  # runs that show how roundings grow
+ROUNDINGS = 1e3  # times as much as they may an image be off: they are rounded once, and an image in each step
+KNOWN = 1e-6  # of the extent; where roundings grow to more, nothing is said
+FINER = 16  # times as many steps; an error of order 1 falls by 16, of order 2 by 256
+FALLS = 64.0  # by which the error of an integrator of order 2 or more has to fall
+
+
+@dataclass(frozen=True, slots=True)
+class Image:
+    """How a scene is changed."""
+
+    matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # A, orthogonal
+    length: float = 1.0  # L
+    mass: float = 1.0
+    time: float = 1.0  # T
+    shift: FloatArray = field(default_factory=lambda: np.zeros(3))  # s
+    boost: FloatArray = field(default_factory=lambda: np.zeros(3))  # u
+    backwards: bool = False  # whether the order of bodies is reversed
+    exact: bool = True
+
+    def positions(self, position: FloatArray, time: float) -> FloatArray:
+        """Return those of the image, (n, 3) m, at its time."""
+        found = self.length * (position @ self.matrix.T) + self.shift + self.boost * time
+        return np.asarray(found[::-1] if self.backwards else found)
+
+    def velocities(self, velocity: FloatArray) -> FloatArray:
+        """Return those of the image, (n, 3) m/s."""
+        found = (self.length / self.time) * (velocity @ self.matrix.T) + self.boost
+        return np.asarray(found[::-1] if self.backwards else found)
+
+    def of(self, document: Document) -> Document:
+        """Return the image of a scene."""
+
+        def factor(dimension: Dimension) -> float:
+            sizes = {"length": self.length, "time": self.time, "mass": self.mass, "angle": 1.0}
+            powers = zip(BASE, dimension.exponents, strict=True)
+            return float(np.prod([sizes[name] ** power for name, power in powers]))
+
+        changed = copy.deepcopy(dict(rescaled(document, factor)))
+        for body in changed.get(BODIES, []):
+            self._change(body, "position", self.shift)
+            if not body.get("fixed"):
+                self._change(body, "velocity", self.boost)
+            self._change(body, "angular_velocity", np.zeros(3), axial=True)
+        for plane in changed.get("plane", []):
+            self._change(plane, "point", self.shift)
+            if "normal" in plane or not np.array_equal(self.matrix, np.eye(3)):
+                plane.setdefault("normal", [0.0, 0.0, 1.0])
+                self._change(plane, "normal", np.zeros(3))
+        if "uniform" in changed.get("gravity", {}):
+            self._change(changed["gravity"], "uniform", np.zeros(3))
+        if "drag" in changed:
+            self._change(changed["drag"], "medium_velocity", self.boost)
+        return changed | {BODIES: changed[BODIES][::-1]} if self.backwards else changed
+
+    def _change(self, section: Document, key: str, offset: FloatArray, axial: bool = False) -> None:
+        if key not in section and not offset.any():
+            return
+        sign = np.linalg.det(self.matrix).round() if axial else 1.0
+        found = sign * (self.matrix @ np.array(section.get(key, [0.0, 0.0, 0.0]), dtype=np.float64)) + offset
+        section[key] = [float(value) for value in found]
+
+
+def _extent(position: FloatArray) -> float:
+    return float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
+
+
+def _moved(space: Space) -> Image:
+    return Image(shift=1e3 * _extent(space.state.position) * np.array([1.0, -0.5, 0.25]), exact=False)
+
+
+def _boosted(space: Space) -> Image:
+    speed = 1e3 * _extent(space.state.position) / space.scene.time.duration
+    return Image(boost=speed * np.array([-0.5, 0.25, 1.0]), exact=False)
+
+
+def _turned(space: Space) -> Image:
+    return Image(matrix=np.asarray(Rotation.from_quat([1, 2, -2, 3]).as_matrix()), exact=False)
+
+
+IMAGES: dict[str, Callable[[Space], Image]] = {
+    "scaling": lambda space: Image(length=2.0**9, mass=2.0**-7, time=2.0**4),
+    "mirror": lambda space: Image(matrix=np.diag([1.0, -1.0, 1.0])),
+    "translation": _moved,
+    "boost": _boosted,
+    "rotation": _turned,
+    "numbering": lambda space: Image(backwards=True, exact=False),
+}
+STEPS, ARRAYS = "steps", "arrays"
+INVARIANCES = (*IMAGES, STEPS, ARRAYS)
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a run ended."""
+
+    step: int
+    time: float
+    position: FloatArray
+    velocity: FloatArray
+    error: str
+
+    @classmethod
+    def of(cls, space: Space) -> Ending:
+        """Run a space to its end."""
+        error = ""
+        try:
+            for _ in space.run(schedule=every(space.scene.time.duration)):
+                pass
+        except Exception as raised:  # a fault in the engine, which may be what is looked for
+            error = said_by(raised)
+        return cls(space.step, space.time, space.state.position.copy(), space.state.velocity.copy(), error)
+
+
+@dataclass(frozen=True, slots=True)
+class Varies:
+    """Something that must not matter, and does."""
+
+    text: str
+    name: str  # of `INVARIANCES`
+    needs_impacts = False
+    of_whole_run = True
+
+    def check(self, seen: Observation) -> None:
+        """Check the name."""
+        if self.name not in INVARIANCES:
+            hint = suggestion(self.name, INVARIANCES)
+            raise ExperimentError(f"--while {self.text}: no invariance {self.name}; {hint}")
+
+    def pinned(self, seen: Observation) -> Varies:
+        """Return the condition itself, if it holds."""
+        if not self.holds(seen):
+            raise ExperimentError(f"nothing to shrink: {self.name} changes nothing that it should not")
+        return self
+
+    def holds(self, seen: Observation) -> bool:
+        """Tell whether it matters."""
+        return bool(self.said(seen))
+
+    def said(self, seen: Observation) -> str:
+        """Say what differs; empty if nothing does."""
+        scene = seen.space.scene
+        if seen.error or scene.bodies or not applies(self.name, scene):
+            return ""
+        try:
+            if self.name == STEPS:
+                return _by_shorter_steps(scene)
+            if self.name == ARRAYS:
+                return _by_arrays(scene)
+            return _by_image(scene, IMAGES[self.name])
+        except (SceneError, PhysicsError):  # the image is refused
+            return ""
+
+    def bodies(self, seen: Observation) -> set[str]:
+        """Return none: which bodies matter is not known."""
+        return set()
+
+
+def applies(name: str, scene: Scene) -> bool:
+    """Tell whether carom promises an invariance for a scene."""
+    needs = require(scene)
+    bounded, outside = scene.domain.boundary != "open", bool(scene.plane) or scene.anchored
+    match name:
+        case "scaling":
+            return True
+        case "mirror":  # a tree sorts bodies to one side of a border, a box wraps them to one, and walls have an order
+            return not (scene.group or bounded or needs.tree.modelled)
+        case "translation" | "boost":
+            return not (scene.group or bounded or (outside and name == "boost") or needs.tree.modelled)
+        case "rotation" | "numbering":
+            return not (scene.group or bounded or needs.tree.modelled)
+        case "steps":
+            return scene.time.fixed_dt is not None and not needs.contact.modelled
+        case _:  # steps follow from the smallest radius that a group may draw, and of arrays from the smallest of all
+            draws = any(group.radius.min < group.radius.max for group in scene.group)
+            return not (draws or scene.material or scene.unit_system.converts)
+
+
+def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
+    document = _explicit(scene)
+    space = Space(scene_from_dict(document), threads=1)
+    start = space.state.position.copy(), space.state.velocity.copy()
+    image = image_of(space)
+    here, there = Ending.of(space), Ending.of(Space(scene_from_dict(image.of(document)), threads=1))
+    if here.error or there.error:
+        return "" if bool(here.error) == bool(there.error) else f"one ends with: {here.error or there.error}"
+    if here.step != there.step:
+        return f"it takes {there.step} steps in place of {here.step}"
+    position = image.positions(here.position, there.time)
+    if image.exact:
+        same = np.array_equal(there.position, position) and here.time * image.time == there.time
+        return "" if same and np.array_equal(there.velocity, image.velocities(here.velocity)) else "the bits differ"
+    reach = max(float(np.abs(all_).max()) for all_ in (start[0], here.position, there.position))
+    speed = max(float(np.abs(all_).max()) for all_ in (start[1], here.velocity, there.velocity))
+    allowed = ROUNDINGS * (_grown(document, here, reach, speed) + EPS * reach)
+    off = float(np.abs(there.position - position).max())
+    if off <= allowed or not allowed <= KNOWN * _extent(here.position):
+        return ""
+    units = scene.unit_system
+    explained = units.text(allowed, LENGTH, ".1g")
+    return f"a position is off by {units.text(off, LENGTH, '.3g')}, and roundings explain {explained}"
+
+
+def _grown(document: Document, here: Ending, reach: float, speed: float) -> float:
+    """Return how far apart runs are whose starts differ by roundings of a position and of a speed, in m."""
+    found = 0.0
+    for seed in range(PERTURBED):
+        rng = np.random.default_rng(seed)
+        bodies = []
+        for body in document[BODIES]:
+            changed = dict(body)
+            for key, size in (("position", reach), ("velocity", speed)):
+                if not body.get("fixed"):
+                    nudge = 4.0 * EPS * size * rng.choice([-1.0, 1.0], 3)
+                    changed[key] = [float(x) for x in np.array(body.get(key, [0.0, 0.0, 0.0])) + nudge]
+            bodies.append(changed)
+        there = Ending.of(Space(scene_from_dict(document | {BODIES: bodies}), threads=1))
+        if there.error or there.step != here.step:
+            return np.inf
+        found = max(found, float(np.abs(there.position - here.position).max()))
+    return found
+
+
+def _by_shorter_steps(scene: Scene) -> str:
+    """Compare the largest energy error with that of shorter steps."""
+    assert scene.time.fixed_dt is not None, "the steps are fixed"
+    dt = scene.time.fixed_dt / FINER
+    coarse, fine = (
+        _energy_error(one)
+        for one in (scene, scene.model_copy(update={"time": scene.time.model_copy(update={"fixed_dt": dt})}))
+    )
+    floor = 1e-11  # of the scale: some 10⁵ roundings
+    if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
+        return ""
+    return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps of 1/{FINER}: it falls too little"
+
+
+def _energy_error(scene: Scene) -> float | None:
+    """Run a scene; return its largest energy error over the scale, None if the run fails."""
+    largest = 0.0
+    try:
+        for frame in Space(scene, threads=1).run(schedule=every(0.0)):
+            if frame.energy.scale > 0.0:
+                largest = max(largest, abs(frame.energy.integration_error) / frame.energy.scale)
+    except Exception:
+        return None
+    return largest
+
+
+def _by_arrays(scene: Scene) -> str:
+    """Compare the bits of a scene whose bodies are given as arrays."""
+    start = place(scene)
+    kept = {key: value for key, value in tomllib.loads(scene.toml).items() if key not in (BODIES, "group")}
+    names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
+    arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
+    given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
+    here, there = Ending.of(Space(scene, threads=1)), Ending.of(Space(given, threads=1))
+    same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
+    return "" if same and np.array_equal(here.position, there.position) else "the bits differ from those of arrays"
+
+
+def _explicit(scene: Scene) -> Document:
+    """Return a scene as a document with the defaults that have dimensions, in the units of the simulation."""
+    quantities, units, _ = converted(tomllib.loads(scene.toml))
+    document: Document = {key: value for key, value in quantities.items() if key != "expect"}
+    if units.converts:
+        del document["units"]
+    defaults = {("time", "duration"): scene.time.duration}
+    if math.isfinite(largest := largest_step(scene)):
+        defaults["time", "max_dt"] = largest
+    for (section, key), value in (defaults | {("gravity", "constant"): scene.gravity.constant}).items():
+        if key not in document.get(section, {}):
+            document = with_value(document, (section, key), value)
+    start = place(scene) if not scene.group else None
+    for k, body in enumerate(document.get(BODIES, []) if start else []):
+        assert start is not None
+        body.setdefault("radius", float(start.radius[k]))
+        if "density" not in body:
+            body.setdefault("mass", float(start.mass[k]))
+    return document
+
 
 PLACE = "{}"  # in a command: where the path of the scene goes
 

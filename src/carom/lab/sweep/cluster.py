@@ -16,7 +16,7 @@ import dask
 from distributed import Client, Future, KilledWorker
 
 from carom.errors import ExperimentError
-from carom.lab.sweep.task import unfit
+from carom.lab.sweep.member_run import unfit
 from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s

@@ -25,7 +25,7 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class SweepPoint:
     """One run to be made."""
 
     name: str  # from the varied values; the recording has the same name
@@ -45,7 +45,7 @@ class Plan:
     title: str
     scene: str  # TOML, without [sweep]
     varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
-    points: tuple[Point, ...]
+    points: tuple[SweepPoint, ...]
     files: Mapping[str, Path] = field(default_factory=dict)  # data files that the scene reads, by the names it gives
     units: str = "SI"  # of the results, as `UnitSystem.recorded` names them
 
@@ -108,7 +108,7 @@ def plan(
     return Plan(scene.title, text, varied, points, _data_files(scene, points), scene.unit_system.recorded)
 
 
-def _data_files(scene: Scene, points: Sequence[Point]) -> dict[str, Path]:
+def _data_files(scene: Scene, points: Sequence[SweepPoint]) -> dict[str, Path]:
     """Return the data files of all runs that lie at or below the scene's folder, by their names in the scene."""
     files = None if scene.held is None else scene.held.files
     if files is None:
@@ -152,14 +152,14 @@ def _short_names(keys: Sequence[str]) -> dict[str, str]:
     return {key: short if last.count(short) == 1 else key for key, short in zip(keys, last, strict=True)}
 
 
-def _point(row: dict[str, Any], short: dict[str, str]) -> Point:
+def _point(row: dict[str, Any], short: dict[str, str]) -> SweepPoint:
     shown = {short[key]: _shown(row[key]) for key in short}
     name = ",".join(f"{key}={value}" for key, value in shown.items())
     safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown.items())
     if safe != name or len(safe) > _LONGEST_NAME:  # two values might become equal
         safe = f"{safe[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     parameters = {key: value for key, value in row.items() if key != SEED}
-    return Point(safe, parameters, row[SEED])
+    return SweepPoint(safe, parameters, row[SEED])
 
 
 def _shown(value: Any) -> str:
@@ -170,7 +170,7 @@ def _shown(value: Any) -> str:
     return json.dumps(value)
 
 
-def _refuse_hopeless(text: str, points: Sequence[Point], held: HeldBodies | None) -> None:
+def _refuse_hopeless(text: str, points: Sequence[SweepPoint], held: HeldBodies | None) -> None:
     """Refuse a sweep of which no run can be made, so a misspelt key is reported once, not once a run."""
     first: SceneError | None = None
     for point in points:

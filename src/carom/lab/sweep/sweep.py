@@ -1,4 +1,4 @@
-"""A sweep from its plan to its table."""
+"""A sweep from its plan to its table: sends runs to workers and enters their reports into the manifest."""
 
 from __future__ import annotations
 
@@ -6,18 +6,119 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from carom.errors import ExperimentError
-from carom.lab.sweep import table
-from carom.lab.sweep.conductor import Conductor, Watcher
-from carom.lab.sweep.folder import Folder
-from carom.lab.sweep.manifest import FAILED, PENDING, Manifest, Run, read
-from carom.lab.sweep.plan import Plan, Point
+from carom.lab.sweep import sweep_table as table
+from carom.lab.sweep.manifest import FAILED, PENDING, Folder, Manifest, SweepRun, read
+from carom.lab.sweep.member_run import Report, SweepTask, execute
+from carom.lab.sweep.plan import Plan, SweepPoint
 from carom.physics.parallel.cores import cores
 from carom.runs.environment import versions
 from carom.runs.interrupts import Interrupts
 from carom.runs.output import output_folder
-from carom.runs.workers import LocalWorkers, Workers
+from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
+from carom.scene.wording import counted
+
+INTERRUPTED = "interrupted"
+GONE = "the scheduler is gone, or has dropped runs"
+_TICK = 0.2  # s between two updates of a running sweep
+
+
+class Watcher(Protocol):
+    """Receives the progress of a sweep."""
+
+    def say(self, text: str) -> None:
+        """Receive a message that concerns all runs."""
+
+    def begin(self, found: int) -> None:
+        """Receive the number of runs that already exist."""
+
+    def ended(self, run: SweepRun) -> None:
+        """Receive a run that ended."""
+
+    def tick(self) -> None:
+        """Update the display; called a few times a second."""
+
+
+class Conductor:
+    """Makes runs on workers."""
+
+    def __init__(self, workers: Workers, manifest: Manifest, watch: Watcher) -> None:
+        self._workers = workers
+        self._manifest = manifest
+        self._watch = watch
+        self._left: set[str] = set()  # names of the runs that have not ended
+        self._dropped = 0  # runs that the scheduler refuses to make, or whose report it lost
+        self._unsaved = ""  # why the manifest could not be written
+
+    def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
+        """Make runs; return why this ended early, or an empty text.
+
+        The first interrupt lets current runs finish, the second drops them.
+
+        Raises
+        ------
+        OSError
+            If the final manifest could not be written.
+        """
+        plan, folder, version = self._manifest.plan, self._manifest.folder, versions()["carom"]
+        self._left = {point.name for point in points}
+        root, command = str(folder.root), self._manifest.command
+        self._workers.send(
+            execute, {point.name: SweepTask(root, plan.digest, version, command, point) for point in points}
+        )
+        stopping = False
+        while self._left and interrupts.count < 2:
+            entered = [self._enter(ended) for ended in self._workers.ended(_TICK)]
+            if any(entered):
+                self._save()
+            self._watch.tick()
+            if not self._workers.are_there:
+                break
+            if interrupts.count and not stopping:
+                stopping = True
+                self._let_finish()
+        stopped = INTERRUPTED if interrupts.count else GONE if self._left or self._dropped else ""
+        self._workers.drop()
+        if self._unsaved:
+            self._manifest.save()
+        return stopped
+
+    def _enter(self, ended: Ended) -> bool:
+        """Enter one run; tell whether it has ended."""
+        self._left.discard(ended.key)
+        if isinstance(ended.error, TaskDroppedError):
+            self._dropped += 1
+            return False
+        self._watch.ended(self._manifest.enter(ended.key, _report_of(ended)))
+        return True
+
+    def _save(self) -> None:
+        """Write the manifest; keep an error for later, since a full disk may get room again."""
+        try:
+            self._manifest.save()
+            self._unsaved = ""
+        except OSError as error:
+            if not self._unsaved:
+                self._watch.say(f"{self._manifest.folder.manifest} cannot be written: {error.strerror}")
+            self._unsaved = str(error)
+
+    def _let_finish(self) -> None:
+        """Drop the runs that have not begun."""
+        self._left.difference_update(self._workers.drop_waiting())
+        left = counted(len(self._left), "run")
+        self._watch.say(f"Interrupted. Waiting for {left} under way; interrupt again to drop them.")
+
+
+def _report_of(ended: Ended) -> Report:
+    """Return the report of a worker, or what is known if it sent none."""
+    if ended.error is None:
+        report: Report = ended.value
+        return report
+    if isinstance(ended.error, WorkerDiedError):
+        return {"status": FAILED, "outcome": "lost", "reason": str(ended.error)}
+    return {"status": FAILED, "outcome": "error", "reason": f"{type(ended.error).__name__}: {ended.error}"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +131,12 @@ class Ending:
     untabled: str = ""  # why the table could not be written
 
     @property
-    def failed(self) -> list[Run]:
+    def failed(self) -> list[SweepRun]:
         """The runs that did not complete."""
         return [run for run in self.manifest.asked if run.status == FAILED]
 
     @property
-    def missed(self) -> list[Run]:
+    def missed(self) -> list[SweepRun]:
         """The runs that completed and missed a promise of their scene."""
         return [run for run in self.manifest.asked if run.status not in (FAILED, PENDING) and not run.ok]
 
@@ -129,7 +230,7 @@ def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
         raise
 
 
-def _make(manifest: Manifest, todo: list[Point], watch: Watcher, address: str | None, workers: int | None) -> str:
+def _make(manifest: Manifest, todo: list[SweepPoint], watch: Watcher, address: str | None, workers: int | None) -> str:
     with contextlib.ExitStack() as stack:
         made: Workers
         if address is None:

@@ -21,10 +21,10 @@ import time as clock
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import DOP853, OdeSolution
 
-from carom.lab.tradeoff.trajectory import Trajectory
+from carom.arrays import FloatArray
+from carom.lab.compared_run import Trajectory
 from carom.physics.bodies import Bodies
 from carom.physics.contact.law import LAW
 from carom.physics.reference_api import BodyProxy, CollisionContext
@@ -34,8 +34,6 @@ from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import bodies_called
-
-FloatArray = NDArray[np.float64]
 
 MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000

@@ -57,7 +57,7 @@ AS_WRITTEN = Setting("as written", ())
 
 
 @dataclass(frozen=True, slots=True)
-class Point:
+class GridPoint:
     """A setting by its coordinates: a factor on the step, and the keys with changed values."""
 
     step: float = 1.0
@@ -67,14 +67,14 @@ class Point:
         """Return the value of a key; None if it is unchanged."""
         return dict(self.values).get(key)
 
-    def having(self, key: str, value: str | None) -> Point:
+    def having(self, key: str, value: str | None) -> GridPoint:
         """Return the point with another value of a key; None for that of the scene."""
         others = {k: v for k, v in self.values if k != key}
-        return Point(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
+        return GridPoint(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
 
-    def times(self, factor: float) -> Point:
+    def times(self, factor: float) -> GridPoint:
         """Return the point with another factor on the step."""
-        return Point(self.step * factor, self.values)
+        return GridPoint(self.step * factor, self.values)
 
     def setting(self, scene: Scene) -> Setting:
         """Return the point as a setting of a scene."""
@@ -134,7 +134,7 @@ def _in_effect(scene: Scene) -> dict[str, str]:
     }
 
 
-def default_points(scene: Scene) -> list[Point]:
+def default_points(scene: Scene) -> list[GridPoint]:
     """Return about a dozen useful settings of the parts that the scene requires; the first is the scene.
 
     Raises
@@ -151,20 +151,20 @@ def default_points(scene: Scene) -> list[Point]:
     parts, other = require(scene), knobs(scene)
     forces, located = parts.pulls, parts.impact_time.modelled
     if not parts.contact.modelled:
-        own = Point()
+        own = GridPoint()
         orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]
         euler = [point for point in orders if point.value("time.integrator") == "euler"]
         stepped = [point for point in orders if point not in euler and not _controls_error(scene, point)]
         exact = [point for point in orders if point != own and _controls_error(scene, point)]
         return [own, *euler, *(p.times(k) for p in stepped for k in STEPS if p.times(k) != own), *exact]
     steps = [1.0, 4.0, 2.0, 0.5] if forces else [1.0, 4.0, 2.0, 0.5, 8.0, 0.25]
-    points = [Point(step) for step in steps]
-    points += [Point().having(key, value) for key, values in other.items() if key != TIMING for value in values]
+    points = [GridPoint(step) for step in steps]
+    points += [GridPoint().having(key, value) for key, values in other.items() if key != TIMING for value in values]
     otherwise = [2.0] if forces else [1.0, 0.25] if located else [8.0, 1.0]
-    return points + [Point(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
+    return points + [GridPoint(step).having(TIMING, value) for value in other[TIMING] for step in otherwise]
 
 
-def _controls_error(scene: Scene, point: Point) -> bool:
+def _controls_error(scene: Scene, point: GridPoint) -> bool:
     """Tell whether a factor on the step has no effect at a point."""
     return INTEGRATORS[point.value("time.integrator") or integrator(scene).name].controls_error
 

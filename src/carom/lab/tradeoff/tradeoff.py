@@ -10,6 +10,7 @@ import hashlib
 import json
 import math
 import os
+import time
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -18,23 +19,51 @@ from typing import Any
 
 import numpy as np
 
+from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError
+from carom.lab.compared_run import RunBound, RunStoppedError, Trajectory, follow, sample_times
 from carom.lab.engines.engine import engine_called
-from carom.lab.tradeoff.cost import cost_of
-from carom.lab.tradeoff.error_measures import COMPARED, NAMES
-from carom.lab.tradeoff.pareto_front import pareto_front
-from carom.lab.tradeoff.reference import BUDGET, Reference, fineness, make_reference
-from carom.lab.tradeoff.result import Result
-from carom.lab.tradeoff.run_bound import RunBound, RunStoppedError
+from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
+from carom.lab.tradeoff.setting_results import (
+    SettingResult,
+    pareto_front,
+    reference_entry,
+    reference_of,
+    result_entry,
+    result_of,
+)
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, refusal
-from carom.lab.tradeoff.stored_study import reference_entry, reference_of, result_entry, result_of
-from carom.lab.tradeoff.trajectory import FloatArray, Trajectory, follow, sample_times
+from carom.physics.look_ahead.find_step import with_promise
+from carom.physics.parallel.cores import cores
+from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.recording.write.whole_file import write_whole
 from carom.runs.environment import environment
 from carom.runs.output import output_folder
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
+
+
+# The cost of a setting: the time of one run.
+def cost_of(setting: Setting, scene: Scene, threads: int | None) -> float:
+    """Run a setting of a scene once without recording; return the time it took in s, with that of a look ahead.
+
+    On one thread that is CPU time, which other programs on the machine hardly change.
+    """
+    if setting.engine:
+        return engine_called(setting.engine).run(scene, setting)
+    threads = setting.threads or threads or cores()
+    clock = time.thread_time if threads == 1 else time.perf_counter
+    asked = setting.apply(scene)
+    began = clock()
+    settled_scene = with_promise(asked, threads)
+    ahead = clock() - began
+    space = Space(settled_scene, threads)
+    began = clock()
+    for _ in space.run(schedule=at(())):
+        pass
+    return ahead + clock() - began
+
 
 DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
@@ -51,7 +80,7 @@ MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, a
 
 Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
-Examiner = Callable[[Result, Teller], None]  # of a run that was followed
+Examiner = Callable[[SettingResult, Teller], None]  # of a run that was followed
 
 
 class Study:
@@ -98,7 +127,7 @@ class Study:
         self.scene, self.folder, self.threads = scene, folder, threads
         self.limit, self.bounded = limit, bounded
         self._advice = advice
-        self.results: list[Result] = []
+        self.results: list[SettingResult] = []
         self.reference: Reference | None = None
         self.budget = min(BUDGET, limit)  # s, for the reference
         self.follow_engine: EngineFollower = self._followed
@@ -125,7 +154,7 @@ class Study:
         ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
         return median(ranges) if ranges else 0.0
 
-    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[Result]:
+    def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[SettingResult]:
         """Measure the settings that are not measured yet, and return the results of all these settings.
 
         The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
@@ -180,7 +209,7 @@ class Study:
         words = ["front" if a else "near" if b else "" for a, b in zip(on, near, strict=True)]
         return dict(zip((result.setting.name for result in done), words, strict=True))
 
-    def trajectory(self, result: Result) -> Trajectory:
+    def trajectory(self, result: SettingResult) -> Trajectory:
         """Read the trajectory of a setting that is measured."""
         return Trajectory.load(self._path(result))
 
@@ -204,15 +233,15 @@ class Study:
             ],
         }
 
-    def _result(self, setting: Setting) -> Result:
+    def _result(self, setting: Setting) -> SettingResult:
         """Return the result of a setting; creates one if there is none."""
         for result in self.results:
             if _key(result.setting) == _key(setting):
                 return result
-        self.results.append(Result(setting))
+        self.results.append(SettingResult(setting))
         return self.results[-1]
 
-    def _applied(self, result: Result) -> Scene | None:
+    def _applied(self, result: SettingResult) -> Scene | None:
         """Return the scene with a setting; None if this version refuses it, or another engine runs it."""
         if result.status == "refused" or result.setting.engine:
             return None
@@ -222,22 +251,22 @@ class Study:
             result.status, result.reason = "refused", reason
         return None if reason else scene
 
-    def _space(self, result: Result) -> Space:
+    def _space(self, result: SettingResult) -> Space:
         return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
 
-    def _bound(self, result: Result) -> RunBound:
+    def _bound(self, result: SettingResult) -> RunBound:
         """Return how far a setting may go; the scene as written goes on up to the limit."""
         if not self.bounded or not result.setting.overrides:
             return RunBound(seconds=self.limit)
         own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
         return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
 
-    def _may_go_on(self, result: Result) -> bool:
+    def _may_go_on(self, result: SettingResult) -> bool:
         """Tell whether a setting was stopped earlier than it would be now."""
         bound = self._bound(result)
         return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
 
-    def _follow(self, result: Result, tell: Teller) -> None:
+    def _follow(self, result: SettingResult, tell: Teller) -> None:
         assert self.reference is not None, "the reference comes first"
         times, setting = sample_times(self.scene), result.setting
         result.reason, units = "", self.scene.unit_system
@@ -264,10 +293,10 @@ class Study:
     def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
         return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
 
-    def _cost(self, result: Result) -> float:
+    def _cost(self, result: SettingResult) -> float:
         return cost_of(result.setting, self.scene, self.threads)
 
-    def _path(self, result: Result) -> Path:
+    def _path(self, result: SettingResult) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
         engine = [f"engine={result.setting.engine}"] if result.setting.engine else []
         name = hashlib.sha256("\n".join([*result.setting.overrides, *threads, *engine]).encode()).hexdigest()[:12]
@@ -310,12 +339,12 @@ def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
     return setting.overrides, setting.threads, setting.engine
 
 
-def _count(number: int, results: list[Result]) -> str:
+def _count(number: int, results: list[SettingResult]) -> str:
     """Say which of several repeats it is."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 
-def _left(results: list[Result], repeats: int) -> str:
+def _left(results: list[SettingResult], repeats: int) -> str:
     """Estimate the remaining time from earlier timings; empty before the first."""
     known = [result.cost for result in results if result.costs]
     if not known:
@@ -326,5 +355,5 @@ def _left(results: list[Result], repeats: int) -> str:
     return f"; about {seconds:.2g} s left"
 
 
-def _leave(result: Result, tell: Teller) -> None:
+def _leave(result: SettingResult, tell: Teller) -> None:
     """Examine nothing besides the errors."""

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.lab.why.cone import components, directions, gained
 from carom.lab.why.history import History, Step
 
-FloatArray = NDArray[np.float64]
 Rows = NDArray[np.void]
 
 _AT_REST = 1e-3  # of the impulses that hold a body, in a step

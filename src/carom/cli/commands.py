@@ -1,0 +1,107 @@
+"""The table of commands, and how they are loaded and shown.
+
+A command is one function. Its module is imported when the command runs or its help is shown, and imports what it needs
+when it runs, so that `carom --help` does not wait for a compiler and a viewer.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Iterator, Mapping
+from typing import Any, cast
+
+import typer
+from typer.core import TyperCommand, TyperGroup
+
+COMMANDS: dict[str, dict[str, str]] = {  # module:function by panels of the help, in the order of a newcomer's needs
+    "Simulate": {
+        "run": "carom.cli.run:run",
+        "scenes": "carom.cli.scenes:scenes",
+        "new": "carom.cli.scenes:new",
+        "explain": "carom.cli.explain:explain",
+        "resume": "carom.cli.resume:resume",
+        "sweep": "carom.lab.sweep.sweep_command:sweep",
+        "warmup": "carom.cli.warmup:warmup",
+    },
+    "Look": {"view": "carom.cli.view:view", "picture": "carom.cli.view:picture", "movie": "carom.cli.movie:movie"},
+    "Ask": {
+        "inspect": "carom.cli.inspect:inspect",
+        "contacts": "carom.cli.contacts:contacts",
+        "why": "carom.lab.why.why_command:why",
+        "replay": "carom.cli.replay:replay",
+        "diff": "carom.lab.diff.diff_command:diff",
+        "fork": "carom.lab.fork.fork_command:fork",
+        "shrink": "carom.lab.shrink.shrink_command:shrink",
+    },
+    "Measure": {
+        "tradeoff": "carom.lab.tradeoff.tradeoff_command:tradeoff",
+        "tune": "carom.lab.tradeoff.tune_command:tune",
+        "stress": "carom.cli.stress:stress",
+        "hunt": "carom.lab.hunt.hunt_command:hunt",
+        "crosscheck": "carom.lab.crosscheck.crosscheck_command:crosscheck",
+    },
+    "Keep and share": {
+        "clip": "carom.cli.clip:clip",
+        "repair": "carom.cli.repair:repair",
+        "report": "carom.cli.report:report",
+        "publish": "carom.cli.publish:publish",
+        "export": "carom.cli.export:export",
+    },
+}
+
+
+class Command(TyperCommand):
+    """A command whose help shows flags without a type, and paragraphs without the line breaks of the source."""
+
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        paragraphs = inspect.cleandoc(self.help or "").split("\n\n")  # Typer joins the lines of the first one only
+        self.help = "\n\n".join(paragraph.replace("\n", " ") for paragraph in paragraphs)
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, ``--help`` among them."""
+        return _plain(super().get_params(ctx))
+
+
+class _Commands(Mapping[str, Any]):
+    """The commands by name, each made on its first use."""
+
+    def __init__(self) -> None:
+        self._places = {name: (panel, home) for panel, row in COMMANDS.items() for name, home in row.items()}
+        self._made: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self._made:
+            panel, home = self._places[name]
+            module, _, function = home.partition(":")
+            app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+            app.command(name, cls=Command, rich_help_panel=panel)(getattr(importlib.import_module(module), function))
+            self._made[name] = typer.main.get_command(app)
+        return self._made[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._places)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+
+class CommandGroup(TyperGroup):
+    """The command above the others."""
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**keywords)
+        self.commands = cast("dict[str, Any]", _Commands())
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, ``--help`` among them."""
+        return _plain(super().get_params(ctx))
+
+
+def _plain(parameters: list[Any]) -> list[Any]:
+    """Show flags without a type, since they take no value."""
+    for parameter in parameters:
+        if getattr(parameter, "is_bool_flag", False):
+            parameter.metavar = ""
+    return parameters

@@ -1,0 +1,356 @@
+"""The data by which runs are compared: states at common times, first contacts and extremes.
+
+The common times fall within steps, and cutting steps there would change the run. The state is therefore interpolated
+between the ends of each such step: by a polynomial of degree five, or of degree three if the integrator has no forces
+at the ends. A body that was struck follows its flight from impact to impact.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray
+from carom.errors import ExperimentError, PhysicsError
+from carom.physics.frame import Frame
+from carom.physics.periodic_box import minimum_images
+from carom.physics.schedule import every
+from carom.physics.space import Space
+from carom.plan.auto import frame_interval
+from carom.recording.write.whole_file import whole_file
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+
+# How far a compared run may go: a number of steps, which is the same on every machine, and a CPU time.
+TELLING = 5.0  # s between two lines of progress
+
+
+class RunStoppedError(ExperimentError):
+    """A run was stopped at its bound.
+
+    Parameters
+    ----------
+    reached
+        The simulated time as text, with its unit.
+    by_limit
+        Whether the CPU time stopped it, which ``--limit`` sets.
+    """
+
+    def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:
+        self.steps, self.seconds = steps, seconds
+        after = f"{seconds:.3g} s of CPU time (--limit)" if by_limit else f"{steps} steps"
+        super().__init__(f"stopped after {after}, at t = {reached}")
+
+
+@dataclass(frozen=True, slots=True)
+class RunBound:
+    """The bound of a run."""
+
+    steps: float = math.inf
+    seconds: float = math.inf  # of CPU time
+
+
+class RunGuard:
+    """Watches a run from its start: when to stop it, and what to say of it meanwhile.
+
+    Parameters
+    ----------
+    bound
+        How far it may go.
+    tell
+        Called with a step and a simulated time in s, every `TELLING` seconds.
+    """
+
+    def __init__(self, bound: RunBound, tell: Callable[[int, float], None]) -> None:
+        self._bound, self._tell = bound, tell
+        self._began, self._told = time.process_time(), time.perf_counter()
+
+    @property
+    def seconds(self) -> float:
+        """CPU time since the start, in s."""
+        return time.process_time() - self._began
+
+    def is_over(self, step: int, reached: float) -> bool:
+        """Tell whether to stop after a step that reached a simulated time in s."""
+        if time.perf_counter() - self._told > TELLING:
+            self._told = time.perf_counter()
+            self._tell(step, reached)
+        return step >= self._bound.steps or self.seconds > self._bound.seconds
+
+    @property
+    def is_late(self) -> bool:
+        """Whether the CPU time is over, not the number of steps."""
+        return self.seconds > self._bound.seconds
+
+
+SAMPLES = 200  # times at which trajectories are compared
+EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
+LATE = 0.9  # of the samples, from which on bodies are assumed to have come to rest
+MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
+
+
+UNBOUNDED = RunBound()
+
+
+def _ignore(step: int, time: float) -> None:
+    """Say nothing of a run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trajectory:
+    """Data of a run for comparison; NaN if not measured."""
+
+    time: FloatArray  # (K,) s
+    position: FloatArray  # (K, n, 3) m
+    velocity: FloatArray  # (K, n, 3) m/s
+    pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
+    met: FloatArray  # (m,) s, the time of their first contact
+    energy_error: float  # largest |integration error| over the energy scale, or energy put in by contacts if more
+    energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
+    momentum_error: float  # largest error of the momentum over its scale
+    angular_momentum_error: float  # likewise
+    overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
+    sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can rest
+    impacts: int  # contacts that closed faster than at rest, summed over the steps
+    steps: int
+    frames: int  # in a recording of the run; 0 for a reference, which is not recorded
+    # of exact references only: the ends of every impact, (k, 2), and its time in s, (k,)
+    struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
+    struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def until(self, count: int) -> Trajectory:
+        """Return the first ``samples`` samples, with everything else unchanged."""
+        values = {each.name: getattr(self, each.name) for each in fields(self)}
+        return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
+
+    def save(self, path: Path) -> None:
+        """Write a ``.npz`` atomically."""
+        with whole_file(path) as part:
+            np.savez(part, **{each.name: getattr(self, each.name) for each in fields(self)})
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a file written by `save`. Raises ValueError or OSError if it is not one."""
+        with np.load(path, allow_pickle=False) as kept:
+            missing = [each.name for each in fields(cls) if each.name not in kept]
+            if missing:
+                raise ValueError(f"{path}: no {missing[0]} in it")
+            values = {each.name: kept[each.name] for each in fields(cls)}
+        return cls(**{name: value if value.ndim else value.item() for name, value in values.items()})
+
+
+def sample_times(scene: Scene) -> FloatArray:
+    """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
+
+    The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The
+    others are not round numbers, because times of impacts can be, and at such a time a velocity has two values.
+    """
+    count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
+    fractions = (np.arange(1, count + 1) - EARLIER) / count
+    fractions[-1] = 1.0
+    return np.asarray(scene.time.duration * fractions)
+
+
+def follow(
+    space: Space, times: FloatArray, bound: RunBound = UNBOUNDED, tell: Callable[[int, float], None] = _ignore
+) -> Trajectory:
+    """Run a space to its end and collect its data; this does not change the steps.
+
+    Parameters
+    ----------
+    times
+        (K,) s, at which it is sampled.
+    bound
+        How far it may go.
+    tell
+        Called with the step and the time in s now and then.
+
+    Raises
+    ------
+    PhysicsError
+        If the state is no longer finite.
+    RunStoppedError
+        If it goes beyond its bound.
+    """
+    guard = RunGuard(bound, tell)
+    watch = _Watch(space, times, guard)
+    frames = space.run(schedule=watch)
+    next(frames)  # the start
+    for frame in frames:
+        if watch.is_over:
+            reached = space.scene.unit_system.text(space.time, TIME)
+            raise RunStoppedError(space.step, guard.seconds, reached, by_limit=guard.is_late)
+        watch.sample(frame)
+    watch.see_contacts(space.time)
+    if len(watch.position) < len(times):
+        raise PhysicsError(f"the run stopped at t = {space.scene.unit_system.text(space.time, TIME)}")
+    extremes, n = space.extremes, len(space.state) + len(space.planes)
+    collides = space.requirements.contact.modelled
+    met = np.array(list(watch.met), dtype=np.int64)
+    return Trajectory(
+        time=times,
+        position=np.array(watch.position),
+        velocity=np.array(watch.velocity),
+        pair=np.stack((met // n, met % n), axis=1),
+        met=np.array(list(watch.met.values())),
+        energy_error=extremes.energy_fault.value if extremes.energy_fault else 0.0,
+        energy_gain=extremes.energy_gain.value,
+        momentum_error=extremes.momentum_error.value if extremes.momentum_error else np.nan,
+        angular_momentum_error=extremes.angular_momentum_error.value if extremes.angular_momentum_error else np.nan,
+        overlap=(extremes.overlap.value if extremes.overlap else 0.0) if collides else np.nan,
+        sinking=watch.sinking if space.requirements.resting.modelled else np.nan,
+        impacts=extremes.impacts,
+        steps=space.step,
+        frames=watch.frames,
+    )
+
+
+class _Watch:
+    """A schedule that asks for a frame after each step that passes a time, and keeps the state before it."""
+
+    def __init__(self, space: Space, times: FloatArray, guard: RunGuard) -> None:
+        self.is_over = False  # whether the run was stopped at its bound
+        self.position: list[FloatArray] = []
+        self.velocity: list[FloatArray] = []
+        self.met: dict[int, float] = {}  # s, by i (n + p) + j
+        self._space, self._times, self._guard = space, times, guard
+        self._recorded = every(frame_interval(space.scene))
+        self._frames, self._last_recorded = 1, True  # the start
+        self._ends = len(space.state) + len(space.planes)
+        self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
+        self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
+        self._began = 0.0  # s, when that step began
+        self._before: tuple[float, FloatArray, FloatArray, FloatArray]
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Copy the state before a step: this is called when its length is known and nothing has moved yet.
+
+        An integrator with a solution within its steps calls it after the step.
+        """
+        if self._space.has_solution:
+            self._began = before
+            self.see_contacts(time)
+        else:
+            self.see_contacts(before)
+            self._began = before
+        self._last_recorded = self._recorded(step, before, time)
+        self._frames += self._last_recorded
+        done = len(self.position)
+        passes = done < len(self._times) and time >= self._times[done]
+        if time < self._times[-1] and self._guard.is_over(step, time):
+            self.is_over = True
+            self._space.stop()
+        if passes:
+            state = self._space.state
+            self._before = (before, state.position.copy(), state.velocity.copy(), state.acceleration.copy())
+        return passes
+
+    def see_contacts(self, time: float) -> None:
+        """Store the pairs that touch for the first time in the step that ended at a time in s."""
+        graph = self._space.contacts
+        touching = graph.pairs[:, 0] * self._ends + graph.pairs[:, 1]
+        if not np.array_equal(touching, self._touching):
+            met = np.full(len(graph), time) if graph.into_step is None else self._began + graph.into_step
+            fresh = ~np.isin(touching, self._touching, assume_unique=True)
+            order = np.argsort(met[fresh], kind="stable")
+            for pair, moment in zip(touching[fresh][order].tolist(), met[fresh][order].tolist(), strict=True):
+                self.met.setdefault(pair, moment)
+            self._touching = touching
+
+    @property
+    def frames(self) -> int:
+        """The number of frames in a recording of the run so far; its end is always one."""
+        return self._frames + (not self._last_recorded)
+
+    @property
+    def sinking(self) -> float:
+        """Mean overlap over the smaller radius of the contacts late in the run; 0 if there was none."""
+        overlaps = np.concatenate(self._overlaps) if self._overlaps else np.empty(0)
+        return float(overlaps.mean()) if len(overlaps) else 0.0
+
+    def sample(self, frame: Frame) -> None:
+        """Take the samples that the step of a frame has passed."""
+        n, graph = len(frame.position), frame.contacts
+        if len(self.position) >= LATE * len(self._times):
+            self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
+        if self._space.has_solution:
+            self._sample_solution(frame)
+            return
+        begin, x, v, a = self._before
+        dt = frame.time - begin
+        struck = np.zeros((self._ends, 1), dtype=np.bool_)
+        struck[graph.pairs] = True
+        impacts, flight = self._space.impacts, _Flight(v, a, (frame.acceleration - a) / dt)
+        flown = 0  # impacts so far
+        way = frame.position - x
+        if self._space.box is not None:
+            way = minimum_images(way, self._space.box)
+        while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
+            h = self._times[len(self.position)] - begin
+            ends = (a, frame.acceleration) if self._space.ends_with_forces else None
+            smooth = between(h / dt, dt, way, v, frame.velocity, ends)
+            while flown < len(impacts) and impacts.time[flown] < h:
+                flight.bend(impacts.pairs[flown], float(impacts.time[flown]), impacts.after[flown])
+                flown += 1
+            moved, velocity = (
+                np.where(struck[:n], bent, even) for bent, even in zip(flight.at(h), smooth, strict=True)
+            )
+            if h == dt:
+                moved, velocity = way, frame.velocity
+            self.position.append(x + moved)
+            self.velocity.append(velocity)
+
+    def _sample_solution(self, frame: Frame) -> None:
+        """Take the samples from the integrator's own solution within its last step."""
+        while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
+            solution = self._space.between(float(self._times[len(self.position)]))
+            assert solution is not None
+            self.position.append(solution[0])
+            self.velocity.append(solution[1])
+
+
+class _Flight:
+    """The paths of all bodies from the beginning of a step, with their impacts."""
+
+    def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray) -> None:
+        self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
+        self._since = np.zeros((len(v), 1))  # s, the last impact of each
+
+    def at(self, h: float | FloatArray, bodies: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
+        """Return displacements and velocities h after the beginning, in s."""
+        since, v, jerk = self._since[bodies], self._v[bodies], self._jerk[bodies]
+        s, a = h - since, self._a[bodies] + since * jerk
+        return self._way[bodies] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
+
+    def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
+        """Add an impact at a time in s, with the velocities of the pair right after it."""
+        moving = pair < len(self._way)  # planes do not move
+        bodies = pair[moving]
+        self._way[bodies], _ = self.at(moment, bodies)
+        self._v[bodies], self._since[bodies] = after[moving], moment
+
+
+def between(
+    s: float, dt: float, way: FloatArray, v0: FloatArray, v1: FloatArray, forces: tuple[FloatArray, FloatArray] | None
+) -> tuple[FloatArray, FloatArray]:
+    """Return displacement and velocity at s in [0, 1] of the Hermite polynomial of degree five or three."""
+    u0, u1 = v0 * dt, v1 * dt
+    c5, c4, c3, c2 = np.zeros_like(way), np.zeros_like(way), u0 + u1 - 2 * way, 3 * way - 2 * u0 - u1
+    if forces is not None:
+        b0, b1 = (a * dt * dt / 2 for a in forces)
+        c2 = b0
+        c3 = 10 * way - 6 * u0 - 4 * u1 - 3 * b0 + b1
+        c4 = -15 * way + 8 * u0 + 7 * u1 + 3 * b0 - 2 * b1
+        c5 = 6 * way - 3 * u0 - 3 * u1 - b0 + b1
+    moved = s * (u0 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
+    velocity = (u0 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / dt
+    return moved, velocity

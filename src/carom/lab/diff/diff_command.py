@@ -1,0 +1,228 @@
+"""`carom diff`: where and how two recordings part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from carom.cli.json_output import say_json
+from carom.cli.options import ForceOption, JsonOption, not_a_folder, recording_option
+from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
+from carom.scene.wording import command, counted
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
+    from carom.scene.units.system import UnitSystem
+    from carom.scene.wording import Names
+
+ROWS = 12  # of the table of how the difference grows
+KEYS = 50  # of the scene that are printed; --json has all
+
+FirstArgument = Annotated[
+    Path, typer.Argument(metavar="A", help="A recording (.rrd), or the zip of `carom report`.", callback=not_a_folder)
+]
+SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one.", callback=not_a_folder)]
+
+
+def diff(
+    a: FirstArgument,
+    b: SecondArgument,
+    output: Annotated[Path | None, recording_option("Write both into one .rrd for the viewer.")] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare two recordings: where they differ first, and whether chaos explains it. Exit with 1 if they differ.
+
+    Impacts of the same bodies are compared in their order.
+    """
+    from dataclasses import replace
+
+    from carom.lab.diff.diff import diff as compare
+    from carom.lab.diff.diff import overlay
+    from carom.recording.edit.bundle import opened
+    from carom.recording.read.body_lookup import names_of
+    from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_itself, refuse_output
+
+    if output is not None:
+        for path in (a, b):
+            refuse_itself(output, path)
+        refuse_output(output, force)
+    with opened(a) as one, opened(b) as other:
+        recordings = Recording.open(one), Recording.open(other)
+        found = replace(compare(*recordings), paths=(a, b))
+        if output is not None:
+            overlay(*recordings, found, output)
+        names = names_of(recordings[0])
+        if as_json:
+            say_json(_document(found, names, recordings[0].units))
+        else:
+            _print(found, names, recordings[0].units, output)
+    if not found.same:
+        raise typer.Exit(1)
+
+
+def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
+    """Return the result as a document."""
+    from dataclasses import asdict
+
+    curve, verdict = found.curve, found.verdict
+    first = verdict.first
+    keys = ("step", "time", "rms", "floor", "energy")
+    rows = zip(*(getattr(curve, key).tolist() for key in keys), strict=True)
+    return {
+        "a": str(found.paths[0]),
+        "b": str(found.paths[1]),
+        "units": units.recorded,
+        "same_bits": found.same,
+        "verdict": {"kind": verdict.kind, "text": verdict.text, "jump": verdict.jump, "allowed": verdict.allowed},
+        "scene": {key: list(values) for key, values in found.scene.items()},
+        "defaults": {key: found.defaults[key] for key in found.scene if key in found.defaults},
+        "environment": {key: list(values) for key, values in found.environment.items()},
+        "frames": {
+            "a": found.frames[0],
+            "b": found.frames[1],
+            "common": len(curve.step),
+            "matched_by": found.matched_by,
+        },
+        "engines": list(found.engines),
+        "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
+        "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
+        "growth": None if found.divergence is None else asdict(found.divergence),
+        "size": curve.size,
+        "curve": [dict(zip(keys, row, strict=True)) for row in rows],
+    }
+
+
+def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
+    def nested(pair: ImpactPair | None) -> dict[str, Any] | None:
+        return None if pair is None else {"a": of(pair.a), "b": of(pair.b)}
+
+    def of(impact: Impact | None) -> dict[str, Any] | None:
+        if impact is None:
+            return None
+        return {
+            "number": impact.number,
+            "bodies": list(impact.bodies),
+            "between": names.pair(impact.bodies),
+            "time": impact.time,
+            "approach_speed": impact.approach_speed,
+            "normal_impulse": impact.normal_impulse,
+            "mode": impact.mode,
+        }
+
+    return {
+        "counts": None if found.counts is None else list(found.counts),
+        "compared": found.compared,
+        "first_difference": nested(found.first),
+        "first_in_one_only": nested(found.alone),
+    }
+
+
+def _print(found: Diff, names: Names, units: UnitSystem, output: Path | None) -> None:
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(soft_wrap=True)
+    console.print(_overview(found, names, units))
+    if not found.same:
+        console.print()
+        console.print(_curve(found, units))
+    console.print()
+    console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
+    if output is not None:
+        console.print(f"{output} written: both, one over the other; {command('view', output)}")
+
+
+def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    table.add_row("A", f"{found.paths[0]}, {counted(found.frames[0], 'frame')}")
+    table.add_row("B", f"{found.paths[1]}, {counted(found.frames[1], 'frame')}")
+    for name, differing in (("scene", found.scene), ("environment", found.environment)):
+        if name == "scene" and any(found.engines):
+            recorded = zip("AB", found.engines, strict=True)
+            known = [f"{which} was recorded from {engine}" for which, engine in recorded if engine]
+            table.add_row(name, f"not compared: {', '.join(known)}")
+        elif not differing:
+            table.add_row(name, "the same")
+        for k, (key, (one, other)) in enumerate(list(differing.items())[:KEYS]):
+            default = found.defaults.get(key) if name == "scene" else None
+            in_a, in_b = _short(one, default), _short(other, default)
+            table.add_row("" if k else name, f"{key}: {in_a} in A, {in_b} in B")
+        if len(differing) > KEYS:
+            table.add_row("", f"… and {len(differing) - KEYS} more keys")
+    table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
+    for k, line in enumerate(_impact_lines(found.impacts, names, units)):
+        table.add_row("" if k else "impacts", line)
+    return table
+
+
+def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Say where the impacts part, and by how much."""
+    if found is None:
+        yield "not compared, not recorded in both"
+        return
+    if found.counts is not None:
+        yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
+    if found.first is None:
+        yield f"all {found.compared} that both recorded are the same" if found.compared else "none that both recorded"
+    different = [pair for pair in (found.first, found.alone) if pair is not None]
+    for pair in sorted(different, key=lambda pair: pair.time):
+        yield _called(pair, names, units)
+
+
+def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
+    """Name an impact by its numbers in both runs, and say how it differs."""
+    a, b = pair.a, pair.b
+    one = a or b
+    assert one is not None, "one of both has it"
+    what = f"{names.pair(one.bodies)}, t = {units.text(one.time, TIME, '.9g')}"
+    if a is None or b is None:
+        return f"first in {'B' if a is None else 'A'} only: impact {one.number}, {what}"
+    number = f"{a.number}" if a.number == b.number else f"{a.number} in A, {b.number} in B"
+    return f"first different: impact {number}, {what}: {_by_how_much(a, b, units)}"
+
+
+def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
+    """Give the differences of an impact, B - A, as far as there are any."""
+    differences = (
+        (b.time - a.time, TIME, "time"),
+        (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),
+        (b.normal_impulse - a.normal_impulse, IMPULSE, "impulse"),
+    )
+    parts = [f"{units.text(value, dimension, '+.2e')} in {what}" for value, dimension, what in differences if value]
+    parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
+    return f"{', '.join(parts)} (B - A)" if parts else "in its direction, friction or lost energy"
+
+
+def _curve(found: Diff, units: UnitSystem) -> Table:
+    """Show a dozen frames from the first difference on."""
+    import numpy as np
+    from rich.table import Table
+
+    curve, first = found.curve, found.verdict.first or 0
+    measured = (("t", TIME), ("rms distance", LENGTH), ("energy, B - A", ENERGY))
+    table = Table("step", *(units.labelled(*each) for each in measured), box=None, pad_edge=False)
+    for column in table.columns:
+        column.justify = "right"
+    chosen = np.unique(np.linspace(first, len(curve.step) - 1, ROWS).astype(int))
+    for k in chosen:
+        seen = curve.rms[k] > curve.floor[k]
+        limit = max(curve.floor[k], curve.rms[k])
+        rms = f"{units.shown(curve.rms[k], LENGTH):.2e}" if seen else f"below {units.shown(limit, LENGTH):.0e}"
+        time, energy = units.shown(curve.time[k], TIME), units.shown(curve.energy[k], ENERGY)
+        table.add_row(str(curve.step[k]), f"{time:.6g}", rms, f"{energy:+.2e}")
+    return table
+
+
+def _short(value: Any, default: Any = None) -> str:
+    text = str(value)
+    if value is None:
+        text = "nothing" if default is None else f"{default} by default"
+    return text if len(text) <= 60 else text[:57] + "…"

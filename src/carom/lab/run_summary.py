@@ -1,0 +1,333 @@
+"""The summary of a run without a recording, and expressions over its numbers, such as ``energy.max_error > 1e-3``.
+
+An expression is parsed into a tree and evaluated node by node; nothing in it is executed.
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import operator
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from carom.errors import ExperimentError, PhysicsError
+from carom.event import Event
+from carom.physics.frame import Frame
+from carom.physics.space import Space
+from carom.runs.environment import versions
+from carom.runs.expectation import Verdict, judge
+from carom.runs.run import closing_summary
+from carom.scene.start import half_spaces
+from carom.scene.wording import Names, nearest
+
+LONGEST = 1000  # characters
+_EXAMPLE = "expected a condition such as energy.max_error > 1e-3"
+_WORDS: dict[str, Any] = {"true": True, "false": False, "null": None, "inf": math.inf, "nan": math.nan}
+_COMPARISONS: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Gt: operator.gt,
+    ast.GtE: operator.ge,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+    ast.In: lambda item, container: item in container,
+    ast.NotIn: lambda item, container: item not in container,
+}
+_OPERATIONS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_SIGNS: dict[type[ast.unaryop], Callable[[Any], Any]] = {
+    ast.Not: operator.not_,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+_FUNCTIONS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max, "len": len}
+
+
+class UnknownNameError(Exception):
+    """A summary does not have a name that an expression uses."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.name = name
+
+
+class Expression:
+    """A condition on a summary.
+
+    Parameters
+    ----------
+    text
+        Comparisons of names, numbers and texts, joined by ``and``, ``or`` and ``not``. Names are the keys of
+        ``carom inspect --json``, with dots between the levels.
+
+    Raises
+    ------
+    ExperimentError
+        If it cannot be read.
+    """
+
+    def __init__(self, text: str, option: str = "--while") -> None:
+        self.text, self.option = text, option
+        try:
+            if len(text) > LONGEST:
+                raise ExperimentError(f"{option}: {len(text)} characters are too many; at most {LONGEST}")
+            self._tree = ast.parse(text.strip(), mode="eval").body
+        except (SyntaxError, ValueError, RecursionError, MemoryError):
+            raise ExperimentError(f"{option} {text}: {_EXAMPLE}") from None
+        self.names = list(dict.fromkeys(self._names(self._tree)))
+        if not self.names:
+            raise ExperimentError(f"{option} {text}: it names nothing of a run; {_EXAMPLE}")
+
+    def holds(self, summary: Mapping[str, Any]) -> bool:
+        """Tell whether the condition holds.
+
+        Raises
+        ------
+        UnknownNameError
+            If the summary lacks a name.
+        """
+        try:
+            return bool(self._value(self._tree, summary))
+        except (TypeError, ZeroDivisionError, OverflowError):  # such as null > 1: momentum is not conserved
+            return False
+
+    def unknown(self, summary: Mapping[str, Any]) -> list[str]:
+        """Return the names that a summary does not have."""
+        known = set(_leaves(summary))
+        return [name for name in self.names if name not in known]
+
+    def explain_unknown(self, name: str, summary: Mapping[str, Any]) -> str:
+        """Say that a summary has no such name, and which one is nearest."""
+        near = nearest(name, list(_leaves(summary)))
+        hint = f'; did you mean "{near}"?' if near else ""
+        return f"{self.option} {self.text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
+
+    def measured(self, summary: Mapping[str, Any]) -> str:
+        """Say what the summary has under each name, for a message."""
+        return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
+
+    def _names(self, node: ast.expr) -> Iterator[str]:
+        """Yield all names; refuse every node that is not part of a condition."""
+        match node:
+            case ast.Name() | ast.Attribute():
+                name = self._dotted(node)
+                if name not in _WORDS:
+                    yield name
+                return
+            case ast.Constant(value=bool() | int() | float() | str()):
+                return
+            case ast.List(elts=parts) | ast.Tuple(elts=parts) | ast.BoolOp(values=parts):
+                pass
+            case ast.Compare(left=left, ops=ops, comparators=others) if all(type(op) in _COMPARISONS for op in ops):
+                parts = [left, *others]
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATIONS:
+                parts = [left, right]
+            case ast.UnaryOp(op=sign, operand=operand) if type(sign) in _SIGNS:
+                parts = [operand]
+            case ast.Call(func=ast.Name(id=function), args=parts, keywords=[]) if function in _FUNCTIONS:
+                pass
+            case _:
+                raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not allowed; {_EXAMPLE}")
+        for part in parts:
+            yield from self._names(part)
+
+    def _dotted(self, node: ast.expr) -> str:
+        if isinstance(node, ast.Name):
+            return node.id
+        if isinstance(node, ast.Attribute):
+            return f"{self._dotted(node.value)}.{node.attr}"
+        raise ExperimentError(f"{self.option} {self.text}: {ast.unparse(node)} is not a name; {_EXAMPLE}")
+
+    def _value(self, node: ast.expr, summary: Mapping[str, Any]) -> Any:
+        match node:
+            case ast.Name() | ast.Attribute():
+                name = self._dotted(node)
+                return _WORDS[name] if name in _WORDS else _looked_up(name, summary)
+            case ast.Constant(value=value):
+                return value
+            case ast.List(elts=parts) | ast.Tuple(elts=parts):
+                return [self._value(part, summary) for part in parts]
+            case ast.BoolOp(op=ast.And(), values=parts):
+                return all(self._value(part, summary) for part in parts)
+            case ast.BoolOp(values=parts):
+                return any(self._value(part, summary) for part in parts)
+            case ast.Compare(left=left, ops=ops, comparators=others):
+                values = [self._value(part, summary) for part in (left, *others)]
+                pairs = zip(values, ops, values[1:], strict=False)
+                return all(_COMPARISONS[type(op)](one, other) for one, op, other in pairs)
+            case ast.BinOp(left=left, op=op, right=right):
+                return _OPERATIONS[type(op)](self._value(left, summary), self._value(right, summary))
+            case ast.UnaryOp(op=sign, operand=operand):
+                return _SIGNS[type(sign)](self._value(operand, summary))
+            case ast.Call(func=ast.Name(id=function), args=parts):
+                return _FUNCTIONS[function](*(self._value(part, summary) for part in parts))
+        raise AssertionError(f"{ast.dump(node)} was let through")
+
+
+def _looked_up(name: str, summary: Mapping[str, Any]) -> Any:
+    node: Any = summary
+    for key in name.split("."):
+        if not isinstance(node, Mapping) or key not in node:
+            raise UnknownNameError(name)
+        node = node[key]
+    return node
+
+
+def _leaves(node: Mapping[str, Any], above: str = "") -> Iterator[str]:
+    for key, value in node.items():
+        if isinstance(value, Mapping):
+            yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}"
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else repr(value)
+
+
+Pair = frozenset[str]  # names of both ends
+
+SUNK = 0.05  # of the smaller radius: a deeper overlap must not last
+LASTING = 20  # steps
+STEADY = 0.01  # of the smaller radius: an overlap that changes less in so many steps is one at rest
+
+
+class Touches:
+    """The pairs that met so far, by their names, which stay when other bodies are left out.
+
+    Attributes
+    ----------
+    pairs
+        Those that met.
+    sunk
+        Those that overlap at rest: the overlap over the smaller radius.
+    """
+
+    def __init__(self, space: Space) -> None:
+        self._names = Names(list(space.names), list(half_spaces(space.scene).name))
+        self._radius = space.state.radius
+        self._since: dict[Pair, tuple[int, float]] = {}  # step from which on an overlap is steady, and the overlap then
+        self.pairs: set[Pair] = set()
+        self.sunk: dict[Pair, float] = {}
+
+    def see(self, frame: Frame) -> None:
+        """Add the impacts since the frame before, and look for overlaps that last."""
+        if frame.impacts is not None:
+            self.pairs |= {self._pair(int(row["i"]), int(row["j"])) for row in frame.impacts}
+        since, self._since = self._since, {}
+        for (i, j), overlap in zip(frame.contacts.pairs, frame.contacts.overlaps, strict=True):
+            depth = float(overlap / min(self._radius[i], self._radius[j] if j < len(self._radius) else np.inf))
+            if depth > SUNK:
+                pair = self._pair(int(i), int(j))
+                step, before = since.get(pair, (frame.step, depth))
+                self._since[pair] = (step, before) if abs(depth - before) <= STEADY else (frame.step, depth)
+        self.sunk = {pair: depth for pair, (step, depth) in self._since.items() if frame.step - step >= LASTING}
+
+    def _pair(self, i: int, j: int) -> Pair:
+        return frozenset((end_name(self._names, i), end_name(self._names, j)))
+
+
+def end_name(names: Names, end: int) -> str:
+    """Return the name of a body or a plane, without its number."""
+    return names.bodies[end] if end < len(names.bodies) else names.of(end)
+
+
+class Observation:
+    """A run up to a frame.
+
+    Parameters
+    ----------
+    space
+        The run.
+    initial
+        J, its energy at the start.
+    frames
+        Number of frames so far.
+    warnings
+        Those so far.
+    touches
+        The pairs that met so far.
+    error
+        The message with which it failed; empty if it did not.
+    stated
+        Whether that is a PhysicsError, which the engine gives as a reason.
+    """
+
+    def __init__(
+        self,
+        space: Space,
+        initial: float,
+        frames: int,
+        warnings: list[Event],
+        touches: Touches,
+        error: str = "",
+        stated: bool = False,
+    ) -> None:
+        self.space = space
+        self.error = error
+        self.stated = stated
+        self.warned = frozenset(warning.kind for warning in warnings)
+        self.touches = touches
+        self._initial = initial
+        self._frames = frames
+        self._warnings = warnings
+
+    @cached_property
+    def verdicts(self) -> list[Verdict]:
+        """The promises of the scene."""
+        return judge(self.space.scene, self.space.named_extremes(), self.space.time)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The numbers that `carom inspect --json` prints of a recording, without those of the recording itself."""
+        space = self.space
+        closing = _nested(closing_summary(space, space.named_extremes(), self.verdicts))
+        for moment in closing.get("moments", {}).values():
+            for ends in ("bodies", "planes"):
+                moment[ends] = [int(number) for number in moment[ends].split(",") if number]
+        for section in ("momentum", "angular_momentum"):
+            closing.setdefault(section, {"max_error": None})
+        final = space.status.energy.total
+        energy = {"initial": self._initial, "final": final, "max_error": 0.0} | closing.pop("energy", {})
+        contacts = {"total": 0, "max_overlap": 0.0} | closing.pop("contacts", {})
+        closing.pop("profile", None)
+        missed = [str(verdict) for verdict in self.verdicts if not verdict.met]
+        outcome = f"failed: {self.error}" if self.error else "expectation missed" if missed else "completed"
+        return {
+            "scene": {"title": space.scene.title},
+            "bodies": len(space.state),
+            "frames": self._frames,
+            "outcome": outcome,
+            "energy": energy,
+            "contacts": contacts,
+            "warnings": [{"step": w.step, "time": w.time, "text": w.text, "kind": w.kind} for w in self._warnings],
+            "moments": {},
+            "accuracy": {},
+            "versions": versions(),
+            "expect": {},
+        } | closing
+
+
+def said_by(error: Exception) -> str:
+    """Return the message of a PhysicsError; of any other exception also its type."""
+    return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"
+
+
+def _nested(properties: Mapping[str, Any]) -> dict[str, Any]:
+    """Nest entries by the dots in their keys."""
+    found: dict[str, Any] = {}
+    for key, value in properties.items():
+        *path, last = key.split(".")
+        node = found
+        for name in path:
+            node = node.setdefault(name, {})
+        node[last] = value
+    return found

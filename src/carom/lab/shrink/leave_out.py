@@ -1,0 +1,324 @@
+"""Passes of `carom shrink` over the document: leave out bodies, parts of the model, keys and digits."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from carom.errors import SceneError
+from carom.lab.run_summary import Observation
+from carom.lab.shrink.literal import BODIES, ORIGIN, Document, KeyPath, value_at, with_bodies, with_value
+from carom.lab.shrink.trials import Smallest, Trials, observe
+from carom.physics.frame import Frame
+from carom.physics.schedule import every
+from carom.physics.space import Space
+from carom.plan.features import require
+from carom.scene.load import scene_from_dict
+
+Met = tuple[int, int]  # bodies that touched in a step
+
+
+def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
+    """Leave out bodies; tell whether any was."""
+    before = smallest.bodies
+    _keep_the_cone(smallest, trials)
+    base = smallest.document
+    fewest(range(smallest.bodies), lambda parts: smallest.takes_first([with_bodies(base, part) for part in parts]))
+    return smallest.bodies < before
+
+
+def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
+    """Keep the bodies in question, those from which contacts lead to them, or those nearby; the fewest first."""
+    names = [body["name"] for body in smallest.document[BODIES]]
+    suspects = {number for number, name in enumerate(names) if name in smallest.suspects}
+    if not suspects or len(suspects) == len(names):
+        return
+    base = smallest.document
+    for kept in (*cones(suspects, _contacts(smallest, trials), len(names)), *_nearest(suspects, base)):
+        if smallest.takes(with_bodies(base, sorted(kept))):
+            return
+
+
+def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
+    """Yield the bodies with some of the nearest others, and then with ever more."""
+    position = np.array([body.get("position", ORIGIN) for body in document[BODIES]])  # (n, 3) m
+    distance = np.linalg.norm(position[:, None] - position[sorted(bodies)][None], axis=2).min(axis=1)
+    order = np.argsort(distance, kind="stable")
+    size = len(bodies) + 4
+    while size < len(order) // 2:
+        yield set(order[:size].tolist())
+        size *= 2
+
+
+def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:
+    """Yield the bodies, then also those that touched them, and so on; last those of the whole backward cone.
+
+    Parameters
+    ----------
+    bodies
+        Numbers of bodies.
+    steps
+        The pairs that touched in each step, in order of time.
+    count
+        Number of all bodies; planes, whose numbers follow, have no cone.
+    """
+    yield set(bodies)
+    every_pair = [pair for step in steps for pair in step if max(pair) < count]
+    once = bodies | {end for pair in every_pair if bodies & set(pair) for end in pair}
+    if once != bodies:
+        yield once
+    cone = set(bodies)
+    for step in reversed(steps):
+        size = -1
+        while size != len(cone):  # contacts of one step act on each other
+            size = len(cone)
+            cone |= {end for pair in step if max(pair) < count and cone & set(pair) for end in pair}
+    if cone != once and len(cone) < count:
+        yield cone
+
+
+def _contacts(smallest: Smallest, trials: Trials) -> list[list[Met]]:
+    """Run the smallest scene and return the pairs that touched in each step."""
+    met: list[list[Met]] = []
+
+    def see(seen: Observation, frame: Frame) -> bool:
+        rows = [rows for rows in (frame.impacts, frame.contact_rows) if rows is not None]
+        met.append([(int(row["i"]), int(row["j"])) for table in rows for row in table])
+        return True
+
+    space = Space(smallest.scene, threads=1, record_contacts=True)
+    observe(space, trials.budget, see, schedule=every(0.0))
+    return met
+
+
+# Delta debugging (Zeller & Hildebrandt, IEEE TSE 28, 183, 2002): the fewest items that still fail.
+Item = TypeVar("Item")
+
+
+def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
+    """Return a part of the items that fails, and of which no item can be left out.
+
+    Parameters
+    ----------
+    items
+        They fail together.
+    first
+        Returns the number of the first of several parts that fails; items keep their order in each.
+    """
+    kept, parts = list(items), 2
+    while len(kept) > 1:
+        pieces = _split(kept, min(parts, len(kept)))
+        found = first(pieces) if parts == 2 else None
+        if found is not None:
+            kept, parts = pieces[found], 2
+            continue
+        rests = [_without(pieces, k) for k in range(len(pieces))]
+        found = first(rests)
+        if found is not None:
+            kept, parts = rests[found], max(2, len(pieces) - 1)
+        elif len(pieces) == len(kept):
+            break
+        else:
+            parts = 2 * parts
+    return kept
+
+
+def _split(items: list[Item], parts: int) -> list[list[Item]]:
+    """Split items into parts of nearly equal lengths."""
+    ends = [len(items) * k // parts for k in range(parts + 1)]
+    return [items[lo:hi] for lo, hi in itertools.pairwise(ends)]
+
+
+def _without(pieces: list[list[Item]], k: int) -> list[Item]:
+    return [item for piece in pieces[:k] + pieces[k + 1 :] for item in piece]
+
+
+# Drops parts of the model in the order of requirements, then every key whose default does as well.
+_KEPT = {("title",), ("time", "duration")}  # keys that a scene has in any case
+_KEPT_OF_BODIES = {"name", "position"}
+_LISTS = ("plane", "pair", "material")  # lists of tables besides the bodies
+
+
+def drop_parts(smallest: Smallest) -> bool:
+    """Drop whole parts of the model; tell whether any was."""
+    changed = False
+    for candidate in _without_parts(smallest):
+        changed |= _is_simpler(candidate, smallest) and smallest.takes_as_short(candidate)
+    return changed
+
+
+def set_defaults(smallest: Smallest) -> bool:
+    """Leave out sections and keys whose defaults add no part of the model; tell whether any was."""
+    changed = False
+    for candidate in _with_defaults(smallest):
+        changed |= _adds_nothing(candidate, smallest) and smallest.takes_as_short(candidate)
+    return changed
+
+
+def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
+    """Tell whether a candidate models no part that the smallest scene does not."""
+    try:
+        return _modelled(candidate) <= _modelled(smallest.document)
+    except SceneError:
+        return False
+
+
+def _is_simpler(candidate: Document, smallest: Smallest) -> bool:
+    """Tell whether a candidate models fewer parts than the smallest scene, or as few with fewer keys."""
+    try:
+        before, after = _modelled(smallest.document), _modelled(candidate)
+    except SceneError:
+        return False
+    return after < before or (after == before and _keys(candidate) < _keys(smallest.document))
+
+
+def _keys(node: object) -> int:
+    """Count the keys of a document, at all levels."""
+    if isinstance(node, dict):
+        return len(node) + sum(map(_keys, node.values()))
+    return sum(map(_keys, node)) if isinstance(node, list) else 0
+
+
+def _modelled(document: Document) -> set[str]:
+    return {part.name for part in require(scene_from_dict(document)).parts if part.modelled}
+
+
+def _without_parts(smallest: Smallest) -> Iterator[Document]:
+    """Yield the smallest scene of the moment without one part after the other."""
+    yield _changed(smallest, {("time", "accuracy"): None})
+    yield _of_all_bodies(smallest, "angular_velocity")
+    yield _of_all_bodies(smallest, "fixed")
+    yield smallest.document | {"contact": {"enabled": False}}
+    yield _changed(smallest, {("contact", "stabilisation"): "none"})
+    yield smallest.document | {"gravity": {"constant": 0.0}}
+    yield _changed(smallest, {("gravity", "constant"): 0.0})
+    yield _changed(smallest, {("gravity", "uniform"): None})
+    yield _changed(smallest, {("drag",): None})
+    yield _changed(smallest, {("domain",): None})
+    yield _changed(smallest, {("plane",): None})
+    for key in _LISTS:
+        for place in reversed(range(len(smallest.document.get(key, [])))):
+            tables = smallest.document[key]
+            yield _changed(smallest, {(key,): tables[:place] + tables[place + 1 :]})
+    yield _changed(smallest, {("contact", "restitution"): 0.0})
+    yield _changed(smallest, {("contact", "static_friction"): 0.0, ("contact", "kinetic_friction"): None})
+
+
+def _with_defaults(smallest: Smallest) -> Iterator[Document]:
+    """Yield the smallest scene of the moment without one section or key after the other."""
+    for section in [key for key in smallest.document if key not in (BODIES, "time", *_LISTS)]:
+        if (section,) not in _KEPT:
+            yield _changed(smallest, {(section,): None})
+    for section in list(smallest.document):
+        if isinstance(smallest.document[section], dict):
+            for key in list(smallest.document[section]):
+                if (section, key) not in _KEPT:
+                    yield _changed(smallest, {(section, key): None})
+    for section in _LISTS:
+        for place in range(len(smallest.document.get(section, []))):
+            for key in list(smallest.document[section][place]):
+                yield _changed(smallest, {(section, place, key): None})
+    keys = dict.fromkeys(key for body in smallest.document[BODIES] for key in body if key not in _KEPT_OF_BODIES)
+    for key in keys:
+        yield _of_all_bodies(smallest, key)
+        for body in range(smallest.bodies):
+            if key in smallest.document[BODIES][body]:
+                yield _changed(smallest, {(BODIES, body, key): None})
+
+
+def _changed(smallest: Smallest, values: dict[KeyPath, object]) -> Document:
+    """Return the document with other values; a section that becomes empty is left out."""
+    document = smallest.document
+    for path, value in values.items():
+        if value is not None or value_at(document, path) is not None:
+            document = with_value(document, path, value)
+    return {key: value for key, value in document.items() if value not in ({}, [])}
+
+
+def _of_all_bodies(smallest: Smallest, key: str) -> Document:
+    bodies = [{name: value for name, value in body.items() if name != key} for body in smallest.document[BODIES]]
+    return smallest.document | {BODIES: bodies}
+
+
+# Writes every number with the fewest digits that still show the failure.
+MOST_DIGITS = 17
+_FIXED_FRAME = ("plane", "domain", "drag")  # sections that hold bodies to a place or a velocity
+_NOT_ROUNDED = {"expect"}  # sections whose numbers say what a failure is
+
+
+def round_numbers(smallest: Smallest) -> bool:
+    """Shorten numbers, first all together, then one by one; tell whether any was."""
+    changed = _move_frame(smallest)
+    for digits in range(1, MOST_DIGITS):
+        if smallest.takes_as_short(_mapped(smallest.document, lambda value, digits=digits: rounded(value, digits))):  # type: ignore[misc]
+            changed = True
+            break
+    for path in list(_paths(smallest.document)):
+        changed |= _shorten(smallest, path)
+    return changed
+
+
+def rounded(value: float, digits: int) -> float:
+    """Round to so many significant digits; with 0 digits to 0."""
+    return float(f"{value:.{digits - 1}e}") if digits else 0.0
+
+
+def digits_of(value: float) -> int:
+    """Return the number of significant digits that write a number exactly; 0 has none."""
+    return 0 if value == 0.0 else next(d for d in range(1, MOST_DIGITS + 1) if rounded(value, d) == value)
+
+
+def _shorten(smallest: Smallest, path: KeyPath) -> bool:
+    value = value_at(smallest.document, path)
+    if not isinstance(value, float):
+        return False
+    for digits in range(digits_of(value)):
+        if smallest.takes_as_short(_tidy(with_value(smallest.document, path, rounded(value, digits)))):
+            return True
+    return False
+
+
+def _move_frame(smallest: Smallest) -> bool:
+    """Put the origin into the first body, and let it rest, where neither matters."""
+    if any(key in smallest.document for key in _FIXED_FRAME):
+        return False
+    changed = False
+    for key in ("position", "velocity"):
+        bodies = smallest.document[BODIES]
+        origin = bodies[0].get(key, ORIGIN)
+        if any(origin) and not any(body.get("fixed") for body in bodies):
+            moved = [body | {key: _difference(body.get(key, ORIGIN), origin)} for body in bodies]
+            changed |= smallest.takes_as_short(_tidy(smallest.document | {BODIES: moved}))
+    return changed
+
+
+def _difference(one: list[float], other: list[float]) -> list[float]:
+    return [a - b for a, b in zip(one, other, strict=True)]
+
+
+def _tidy(document: Document) -> Document:
+    """Leave out vectors of zeros, which are the defaults."""
+    bodies = [{key: value for key, value in body.items() if value != ORIGIN} for body in document[BODIES]]
+    return document | {BODIES: bodies}
+
+
+def _mapped(document: Document, change: Callable[[float], float]) -> Document:
+    """Change every number of a document."""
+    for path in list(_paths(document)):
+        document = with_value(document, path, change(float(value_at(document, path))))
+    return _tidy(document)
+
+
+def _paths(node: object, above: KeyPath = ()) -> Iterator[KeyPath]:
+    """Yield the paths of all numbers with a fraction; whole numbers are counts."""
+    if isinstance(node, dict):
+        for key, value in node.items():
+            yield from _paths(value, (*above, key)) if key not in _NOT_ROUNDED else ()
+    elif isinstance(node, list):
+        for k, value in enumerate(node):
+            yield from _paths(value, (*above, k))
+    elif isinstance(node, float):
+        yield above

@@ -1,0 +1,161 @@
+"""The file of a reduced scene: TOML with comments, and the mark by which an unfinished one is found again."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import textwrap
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from tomlkit.items import Array
+
+from carom.errors import RecordingError
+from carom.lab.shrink.literal import BODIES, Document
+from carom.lab.shrink.reducer import Reduction, Stage
+from carom.recording.write.whole_file import write_whole
+from carom.runs.environment import versions
+from carom.scene.wording import counted
+
+_MARK = re.compile(
+    r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
+)
+_HEAD = 10_000  # characters, in which the mark stands
+
+
+def key_of(scene_toml: str, condition: str) -> str:
+    """Return 48 bits that name a scene and a condition."""
+    return hashlib.sha256(f"{scene_toml}\0{condition}".encode()).hexdigest()[:12]
+
+
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """What an earlier reduction left."""
+
+    finished: bool
+    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene that it began with
+
+
+def earlier(path: Path, key: str) -> Earlier | None:
+    """Return what is known of a file if it is the result for a key."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            found = _MARK.search(file.read(_HEAD))
+    except (OSError, UnicodeDecodeError):
+        return None
+    if found is None or found[1] != key:
+        return None
+    return Earlier(found[4] == "minimal", (int(found[2]), int(found[3])))
+
+
+def unfinished_text(
+    document: Document, asked: str, said: str, before: tuple[int, int], key: str, command: str, why: str = ""
+) -> str:
+    """Write the smallest scene so far, from which the same command continues."""
+    comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
+    comments.append(f"Not finished ({why or 'still at work'}): the same command goes on from here.")
+    return commented(document, [*comments, _mark(key, before, "unfinished")])
+
+
+def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
+    """Write a reduced scene with its comments."""
+    made, before = reduction.document, reduction.before
+    if not reduction.minimal:
+        return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
+    comments = [command, f"Asked for: {asked}", f"Shown here: {reduction.said}", *_history(reduction)]
+    return commented(made, [*comments, _mark(key, before, "minimal")])
+
+
+def _mark(key: str, before: tuple[int, int], state: str) -> str:
+    return f"shrink {key} of {before[0]} bodies and {before[1]} steps, {state}"
+
+
+def _history(reduction: Reduction) -> list[str]:
+    bodies, steps = reduction.before
+    taken = f"{counted(reduction.steps, 'step')} of {steps}"
+    if reduction.steps > steps:  # fewer bodies may take other steps
+        taken = f"{counted(reduction.steps, 'step')}, where the scene took {steps}"
+    left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
+    found = "; ".join(_told(stage) for stage in _turns(reduction.stages))
+    how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
+    return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]
+
+
+def _turns(stages: list[Stage]) -> list[Stage]:
+    """Return the first stage of each name, and those that changed the number of bodies or steps."""
+    told: list[Stage] = []
+    for stage in stages:
+        known = any(stage.name == other.name for other in told)
+        if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
+            told.append(stage)
+    return told
+
+
+def _told(stage: Stage) -> str:
+    return f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
+
+
+def write(path: Path, text: str) -> None:
+    """Replace a file at once, so that an interrupt leaves a whole one.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {error.strerror}") from None
+
+
+WIDTH = 110  # characters of a comment
+
+
+def commented(document: Document, comments: list[str]) -> str:
+    """Write a scene with comments above it, one line for each body.
+
+    Parameters
+    ----------
+    document
+        The scene.
+    comments
+        Paragraphs.
+    """
+    written = tomlkit.document()
+    for line in _wrapped(comments):
+        written.add(tomlkit.comment(line))
+    written.add(tomlkit.nl())
+    for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
+        written.add(key, document[key])
+    for key in [BODIES, *(key for key, value in document.items() if isinstance(value, list) and key != BODIES)]:
+        written.add(key, _rows(document[key]))
+    for key, value in document.items():
+        if isinstance(value, dict):
+            written.add(key, _table(value))
+    return tomlkit.dumps(written)
+
+
+def _table(values: dict[str, Any]) -> tomlkit.items.Table:
+    table = tomlkit.table()
+    for key, value in values.items():
+        table.add(key, value)
+    return table
+
+
+def _rows(tables: list[dict[str, Any]]) -> Array:
+    """Write tables as one line each."""
+    rows = tomlkit.array()
+    for values in tables:
+        row = tomlkit.inline_table()
+        row.update(values)
+        rows.append(row)
+    return rows.multiline(True)
+
+
+def _wrapped(paragraphs: list[str]) -> Iterator[str]:
+    for paragraph in paragraphs:
+        yield from textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False)

@@ -1,0 +1,240 @@
+"""A sweep as a table, one row per run, and a figure of one column over another. The figure needs `carom[plot]`."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from operator import eq, ge, gt, le, lt, ne
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+
+from carom.errors import ExperimentError
+from carom.lab.sweep.manifest import Folder, SweepRun, put
+from carom.lab.sweep.plan import SEED
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.unit import Physical, nearest_float, physical
+from carom.scene.wording import suggestion
+
+Row = dict[str, Any]
+
+_FIRST = ("name",)
+_LAST = ("status", "outcome", "reason", "wall_time", "fingerprint", "file", "size", "worker")
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {"<=": le, ">=": ge, "!=": ne, "=": eq, "<": lt, ">": gt}
+_CONDITION = re.compile(r"\s*([^<>=!\s]+)\s*(<=|>=|!=|=|<|>)\s*(.*?)\s*")
+
+
+def rows_of(runs: Sequence[SweepRun]) -> list[Row]:
+    """Return one row per run; missing values are None."""
+    rows = [
+        {"name": run.name, **run.parameters, SEED: run.seed, **{key: getattr(run, key) for key in _LAST}, **run.results}
+        for run in runs
+    ]
+    keys = dict.fromkeys(key for row in rows for key in row)
+    return [{key: row.get(key) for key in keys} for row in rows]
+
+
+def columns_of(rows: Sequence[Row]) -> list[str]:
+    """Return the names of the columns, in their order."""
+    return list(rows[0]) if rows else [*_FIRST, SEED, *_LAST]
+
+
+def write(folder: Folder, runs: Sequence[SweepRun]) -> None:
+    """Write the table as Parquet and as CSV. Raises OSError if the disk is full."""
+    rows = rows_of(runs)
+    table = pa.table({key: _column([row[key] for row in rows]) for key in columns_of(rows)})
+    parquet, text = io.BytesIO(), io.BytesIO()
+    pa.parquet.write_table(table, parquet)
+    pa.csv.write_csv(table, text)
+    put(folder.table, parquet.getvalue())
+    put(folder.table.with_suffix(".csv"), text.getvalue())
+
+
+def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> list[Row]:
+    """Return the rows that meet all conditions, in order.
+
+    Parameters
+    ----------
+    conditions
+        Such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``. Missing values meet no
+        condition.
+    sort
+        A column; with a minus before it the largest comes first. Rows without a value come last.
+
+    Raises
+    ------
+    ExperimentError
+        If there is no such column, or a condition cannot be read.
+    """
+    met = [_met(condition, rows) for condition in conditions]
+    found = [row for k, row in enumerate(rows) if all(one[k] for one in met)]
+    if sort is None:
+        return found
+    key = known(sort.removeprefix("-"), rows)
+    there = [row for row in found if row[key] is not None]
+    there.sort(key=lambda row: _order(row[key]), reverse=sort.startswith("-"))
+    return there + [row for row in found if row[key] is None]
+
+
+def known(key: str, rows: Sequence[Row]) -> str:
+    """Return the name of a column. Raises ExperimentError if there is none."""
+    columns = columns_of(rows)
+    if key in columns:
+        return key
+    raise ExperimentError(f"{key}: no such column; {suggestion(key, columns)}")
+
+
+def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, Any], Any], str]:
+    matched = _CONDITION.fullmatch(condition)
+    if matched is None:
+        raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
+    return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
+
+
+def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
+    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
+    key, compare, wanted = _parsed(condition, rows)
+    values = [row[key] for row in rows]
+    there = [value for value in values if value is not None]
+    met = [None if value is None else _compared(value, compare, wanted) for value in values]
+    if there and all(one is None for one in met):
+        raise ExperimentError(f"--filter {key}: column {key} {_unlike(there[0], wanted)}")
+    differs = [compare is ne and value is not None for value in values]
+    return [other if one is None else one for one, other in zip(met, differs, strict=True)]
+
+
+def _compared(value: Any, compare: Callable[[Any, Any], Any], wanted: str) -> bool | None:
+    """Compare numbers, quantities with units by their sizes, or texts; None if these are of different kinds."""
+    if _is_number(value):
+        number = _number_of(wanted)
+        return None if number is None else bool(compare(value, number))
+    text = _text(value)
+    quantity, other = physical(text), physical(wanted)
+    if quantity and other and quantity.unit.exponents == other.unit.exponents:
+        return bool(compare(quantity.size, other.size))
+    return bool(compare(text, wanted)) if compare in (eq, ne) else None
+
+
+def _number_of(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None
+
+
+def _unlike(value: Any, wanted: str) -> str:
+    """Say of which kind a column is, by one of its values, where nothing in it can be compared with what is wanted."""
+    if _is_number(value):
+        return f'is numeric; got "{wanted}"'
+    if physical(_text(value)):
+        return f'has units, such as "{value}"; got "{wanted}"'
+    return f'is text, such as "{_text(value)}"; compare it by = or !='
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _order(value: Any) -> tuple[int, Any]:
+    """Sort numbers first, then quantities with units by their sizes, then text."""
+    if isinstance(value, (int, float)):
+        return 0, value
+    quantity = physical(_text(value))
+    return (2, _text(value)) if quantity is None else (1, (quantity.unit.exponents, quantity.size))
+
+
+def _column(values: list[Any]) -> pa.Array:
+    """Return a column of one type; lists, and values without a common type, are written as JSON."""
+    kinds = {type(value) for value in values if value is not None}
+    if kinds <= {int, float} or (len(kinds) == 1 and kinds <= {bool, str}):
+        return pa.array([float(value) if kinds == {int, float} and value is not None else value for value in values])
+    return pa.array([None if value is None else _text(value) for value in values], pa.string())
+
+
+def _text(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+MOST_LINES = 12  # in the legend
+_DECADES = 50.0  # an axis is logarithmic if the ratio of its ends is larger
+
+Points = dict[float, list[float]]  # all y of one x
+
+
+def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: str, path: Path) -> None:
+    """Draw ``y`` over ``x`` into a PNG, with a line for each combination of the other varied values.
+
+    A point is the mean of the runs that differ only in their seeds; the bar is their range.
+
+    Raises
+    ------
+    ExperimentError
+        If a column is not numeric, or no run has both.
+    """
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
+
+    others = [key for key in varied if key not in (x, y, SEED)]
+    lines: dict[str, Points] = defaultdict(lambda: defaultdict(list))
+    units = {key: _unit(rows, key) for key in (x, y)}
+    for row in rows:
+        if row[x] is not None and row[y] is not None:
+            label = ", ".join(f"{key} = {row[key]}" for key in others)
+            lines[label][_number(row, x, units[x])].append(_number(row, y, units[y]))
+    if not lines:
+        raise ExperimentError(f"--plot: no run has both {x} and {y}")
+    drawing = Figure(figsize=(7.0, 4.2), dpi=150, layout="constrained")
+    axes = drawing.add_subplot()
+    for label, points in lines.items():
+        _line(axes, label, points)
+    axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=title)
+    axes.grid(visible=True, alpha=0.3)
+    for axis, values in (("x", _all_x(lines)), ("y", _all_y(lines))):
+        if min(values) > 0.0 and max(values) > _DECADES * min(values):
+            axes.set(**{f"{axis}scale": "log"})
+    if others and len(lines) <= MOST_LINES:
+        axes.legend(frameon=False)
+    with whole_file(path) as part:
+        drawing.savefig(part)
+
+
+def _line(axes: Any, label: str, points: Points) -> None:
+    at = sorted(points)
+    means = [math.fsum(points[value]) / len(points[value]) for value in at]
+    below = [mean - min(points[value]) for mean, value in zip(means, at, strict=True)]
+    above = [max(points[value]) - mean for mean, value in zip(means, at, strict=True)]
+    axes.errorbar(at, means, yerr=(below, above), label=label, marker="o", markersize=4, capsize=3, linewidth=1.2)
+
+
+def _unit(rows: Sequence[Row], key: str) -> Physical | None:
+    """Return the first quantity with a unit in a column; its unit is that of the axis."""
+    quantities = (physical(row[key]) for row in rows if isinstance(row[key], str))
+    return next((found for found in quantities if found), None)
+
+
+def _labelled(key: str, unit: Physical | None) -> str:
+    return key if unit is None else f"{key} ({unit.unit_text})"
+
+
+def _number(row: Row, key: str, axis: Physical | None) -> float:
+    value = row[key]
+    if isinstance(value, (int, float)) and axis is None:
+        return float(value)
+    found = physical(value) if isinstance(value, str) else None
+    if found and axis and found.unit.exponents == axis.unit.exponents:
+        return nearest_float(found.size / axis.unit.size)
+    raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, which is not a number")
+
+
+def _all_x(lines: dict[str, Points]) -> list[float]:
+    return [value for points in lines.values() for value in points]
+
+
+def _all_y(lines: dict[str, Points]) -> list[float]:
+    return [value for points in lines.values() for values in points.values() for value in values]

@@ -1,0 +1,262 @@
+"""`carom tradeoff`: the measured cost of accuracy in a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.cli.json_output import say_json
+from carom.cli.options import SceneArgument, SetOption, ThreadsOption
+from carom.cli.text import say
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import command
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.lab.tradeoff.setting_results import SettingResult
+    from carom.lab.tradeoff.settings_grid import Setting
+    from carom.lab.tradeoff.tradeoff import Study, Teller
+    from carom.scene.units.system import UnitSystem
+
+VaryOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--vary",
+        metavar="KEY=A,B,C",
+        help="Values of a scene key (list or range, as for `carom sweep`), of `step` (a factor on the step) or of "
+        "`threads`. Repeat it for combinations. Default: about a dozen settings that matter for the scene.",
+    ),
+]
+RepeatsOption = Annotated[int, typer.Option("--repeats", metavar="N", help="Time each setting N times.", min=1)]
+EngineOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--engine",
+        metavar="A,B,C",
+        help="Compare with other engines on the same scene: rebound, mujoco, box3d, pybullet, newton. Needs their "
+        "packages.",
+    ),
+]
+LimitOption = Annotated[
+    float | None,
+    typer.Option(
+        "--limit",
+        metavar="SECONDS",
+        help="CPU time in seconds after which to stop the run of a setting, and time after which to stop a reference. "
+        "Default: none, but settings that are not chosen with --vary stop after some 10⁶ steps.",
+        min=0.0,
+    ),
+]
+COLUMNS = {
+    "position": "position",
+    "velocity": "velocity",
+    "impact": "impact time",
+    "missed": "missed",
+    "energy": "energy",
+    "energy_gain": "gain",
+    "momentum": "momentum",
+    "overlap": "overlap",
+    "sinking": "sinking",
+    "impacts": "impact count",
+    "size": "size",
+    "dispersion": "dispersion",
+}
+TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared up to it only
+STATISTICS = ("size", "dispersion")  # that are compared as far as the reference goes
+STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
+PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
+
+
+def tradeoff(
+    scene: SceneArgument,
+    vary: VaryOption = None,
+    engines: EngineOption = None,
+    repeats: RepeatsOption = 3,
+    limit: LimitOption = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder of the study. Default: recordings/tradeoff/SCENE."),
+    ] = None,
+    overrides: SetOption = None,
+    threads: ThreadsOption = None,
+    force: Annotated[bool, typer.Option("--force", help="Start over, in place of the existing study.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Measure cost and errors of a scene's settings, and show which settings no other beats.
+
+    Measurements are kept; the same command continues where it stopped.
+    """
+    from carom.lab.engines.engine import engines_called
+    from carom.lab.tradeoff.settings_grid import default_settings
+
+    others = engines_called(engines or ())
+    study, settings = opened(scene, vary, folder, overrides, threads, force, limit)
+    wanted = default_settings(study.scene) if settings is None else settings
+    wanted += [setting for engine in others for setting in engine.settings(study.scene)]
+    finished = ran(lambda tell: study.measure(wanted, repeats, tell), quiet=as_json)
+    if as_json:
+        say_json(study.document())
+    else:
+        _show(study)
+    _draw(study, quiet=as_json)
+    if not finished:
+        say(STOPPED, err=True)
+        raise typer.Exit(1)
+
+
+def opened(
+    source: str,
+    vary: list[str] | None,
+    folder: Path | None,
+    overrides: list[str] | None,
+    threads: int | None,
+    anew: bool,
+    limit: float | None,
+    advice: str | None = None,
+) -> tuple[Study, list[Setting] | None]:
+    """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
+    from carom.lab.tradeoff.settings_grid import vary as grid
+    from carom.lab.tradeoff.tradeoff import ADVICE, Study
+    from carom.scene.schema import Scene
+
+    scene = Scene.load(source, overrides)
+    settings = grid(scene, vary) if vary else None
+    where = folder or Path("recordings/tradeoff") / Path(source).stem
+    most = math.inf if limit is None else limit
+    study = Study(
+        scene, where, threads=threads, force=anew, advice=advice or ADVICE, limit=most, bounded=settings is None
+    )
+    return study, settings
+
+
+def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
+    """Measure, and print the progress; return whether it was completed, not stopped by the interrupt key."""
+    from rich.markup import escape
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.terminal import Terminal
+
+    if not quiet:
+        announce_compilation()
+    console = Terminal(stderr=True, quiet=quiet, markup=True)
+    try:
+        if console.is_terminal:
+            with console.status("") as status:
+                measure(lambda text: status.update(escape(text)))
+        else:
+            measure(lambda text: console.print(escape(text), soft_wrap=True))
+    except KeyboardInterrupt:
+        return False
+    return True
+
+
+def _draw(study: Study, quiet: bool) -> None:
+    """Leave the figure and the recording beside the document; say where they are, or why there is none."""
+    from carom.errors import ExperimentError
+    from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
+    from carom.lab.tradeoff.tradeoff_figure import draw, record
+
+    if not any(result.complete for result in study.results):
+        return
+    said = [str(study.folder / DOCUMENT)]
+    figure, recording = study.folder / FIGURE, study.folder / OVERLAY
+    try:
+        draw(study.document(), figure, study.scene.unit_system)
+        said.append(str(figure))
+    except ExperimentError as error:
+        said.append(f"no figure: {error}")
+    record(study, recording)
+    if not quiet:
+        say("  ".join([*said, command("view", recording)]))
+
+
+def _show(study: Study) -> None:
+    from rich.markup import escape
+
+    from carom.cli.terminal import Terminal
+
+    console = Terminal(markup=True)
+    if not console.is_terminal:
+        console.width = PIPE_WIDTH
+    console.print(table_of(study))
+    reference = study.reference
+    if reference is None:
+        return
+    console.print(f"Reference, {escape(reference.text)}.", soft_wrap=True)
+    end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
+    console.print(
+        f"Positions are compared up to the horizon, {units.text(horizon, TIME)} of {units.text(end, TIME)}, where it "
+        f"is sure to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
+        soft_wrap=True,
+    )
+    console.print(_legend(study.noise), soft_wrap=True)
+    for result in study.results:
+        if result.reason:
+            status = "" if result.status == "stopped" else f"{result.status}: "
+            console.print(f"{escape(result.setting.name)}: {status}{escape(result.reason)}", soft_wrap=True)
+
+
+def _legend(noise: float) -> str:
+    if not noise:
+        return (
+            "[bold]●[/bold] no other setting is as good and cheaper, by one run each: how far costs vary is not known."
+        )
+    return (
+        "[bold]●[/bold] no other setting is as good and as cheap; ○ there may be one, within the noise of the costs or "
+        "the doubt of the reference; without a mark, there is. Costs are medians ± half their range; their noise is "
+        f"that, or {noise:.0%} where that is more."
+    )
+
+
+def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
+    """Make the table of a study, cheapest first, with a column for each of some errors."""
+    from rich import box
+    from rich.markup import escape
+    from rich.table import Table
+
+    from carom.lab.tradeoff.reference import NAMES
+
+    done = sorted((r for r in study.results if r.errors is not None), key=lambda r: (math.isnan(r.cost), r.cost))
+    shown = [
+        e for e in NAMES if e in COLUMNS and e in errors and any(not math.isnan(getattr(r.errors, e)) for r in done)
+    ]
+    marks = {error: study.marks(error) for error in shown}
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("setting", "cost / s", "±", "steps", *(_heading(study, error) for error in shown)):
+        table.add_column(heading, no_wrap=True, justify="left" if heading == "setting" else "right")
+    for result in done:
+        name = result.setting.name
+        cells = [_cell(result, error, marks[error].get(name, ""), study.scene.unit_system) for error in shown]
+        cost = (f"{result.cost:.3g}", f"{result.spread:.0%}") if result.costs else ("", "")
+        table.add_row(escape(name), *cost, str(result.steps), *cells)
+    for result in study.results:
+        if result.errors is None:
+            steps = str(result.steps) if result.status == "stopped" else ""
+            table.add_row(escape(result.setting.name), result.status, "", steps)
+    return table
+
+
+def _heading(study: Study, error: str) -> str:
+    """Return the name of a column, with the unit of its numbers, and up to when positions are compared."""
+    units, reference = study.scene.unit_system, study.reference
+    unit = units.unit(TIME) if error == "impact" else ""
+    heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]
+    if reference is not None and not reference.is_complete and error in TO_THE_HORIZON:
+        heading += f" up to {units.text(reference.horizon, TIME)}"
+    if reference is not None and not reference.whole and error in STATISTICS:
+        heading += f" up to {units.text(float(reference.trajectory.time[-1]), TIME)}"
+    return heading
+
+
+def _cell(result: SettingResult, error: str, mark: str, units: UnitSystem) -> str:
+    value = getattr(result.errors, error)
+    value = units.shown(value, TIME) if error == "impact" else value
+    if math.isnan(value):
+        return ""
+    text = f"{value:.0f}" if error == "missed" else f"{value:.1e}" if value else "0"
+    return f"[bold]{text} ●[/bold]" if mark == "front" else f"{text} {'○' if mark == 'near' else ' '}"

@@ -1,0 +1,229 @@
+"""The figure of a study, and its recording. The figure needs ``plot``.
+
+The figure shows the error over the cost, the front, and a line for each setting at several steps; the recording shows
+the trajectories of the settings over the reference.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from carom.errors import ExperimentError
+from carom.install import install_extra
+from carom.lab.tradeoff.setting_results import pareto_front
+from carom.lab.tradeoff.settings_grid import AS_WRITTEN
+from carom.lab.tradeoff.tradeoff import Study
+from carom.physics.space import Space
+from carom.recording.write.whole_file import whole_file
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
+from carom.show.trajectories import ComparedTrajectory, write_trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.lines import Line2D
+
+
+PANELS = {
+    "position": "position, rms / size",
+    "impact": "first contacts, rms",
+    "energy": "integration error / energy",
+    "overlap": "deepest overlap / radius",
+    "sinking": "mean overlap at rest / radius",
+    "energy_gain": "rise of the energy / energy",
+    "impacts": "number of impacts, relative",
+}
+MOST_PANELS = 6
+OF_THE_RUN_ALONE = ("energy", "energy_gain", "overlap", "sinking")  # errors that need no reference
+LEAST = 1e-14  # rounding; smaller errors are drawn here
+INK, FAINT = "#1b2a3a", "#8a94a0"
+COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
+OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
+MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of each power of ten are labelled
+COLUMNS = 4  # of the legend
+
+
+class Look(NamedTuple):
+    """How the points of a family of settings are drawn."""
+
+    colour: str
+    marker: str
+
+
+def styled(size: float) -> AbstractContextManager[None]:
+    """Return the context in which carom's figures are drawn, with a size of letters in points.
+
+    Raises
+    ------
+    ExperimentError
+        If matplotlib is not there.
+    """
+    try:
+        import matplotlib as mpl  # noqa: PLC0415 - an extra
+    except ImportError:
+        raise ExperimentError(f"a figure needs matplotlib: {install_extra('plot')}") from None
+    context: AbstractContextManager[None] = mpl.rc_context(
+        {"font.size": size, "axes.edgecolor": FAINT, "text.color": INK, "axes.labelcolor": INK}
+    )
+    return context
+
+
+def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
+    """Draw the document of a study into a PNG or SVG; times of impacts are drawn in units of its scene.
+
+    Raises
+    ------
+    ExperimentError
+        If matplotlib is not there, or nothing is measured.
+    """
+    done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
+    panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
+    if not panels:
+        raise ExperimentError("nothing is measured yet that could be drawn")
+    families = _families(done)
+    looks = _looks(families)
+    with styled(8):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg  # noqa: PLC0415 - an extra
+        from matplotlib.figure import Figure  # noqa: PLC0415
+
+        rows = (len(panels) + 1) // 2
+        figure = Figure(figsize=(5.4 * min(len(panels), 2), 3.6 * rows + 0.8), layout="constrained", dpi=110)
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(rows, min(len(panels), 2), squeeze=False).ravel()
+        for ax, error in zip(axes, panels, strict=False):
+            _panel(ax, error, document, families, looks, units if error == "impact" else None)
+        for ax in axes[len(panels) :]:
+            ax.set_visible(False)
+        title, reference = document["scene"]["title"], document["reference"]
+        if not reference.get("complete", True):  # a document of before there was this key
+            title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
+        figure.suptitle(title, fontsize=10)
+        ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
+        words = "filled: on the front; ring: in doubt; faint: another is as good and cheaper"
+        noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
+        figure.legend(
+            handles=[_sample(name, look) for name, look in looks.items()],
+            loc="outside lower center",
+            ncols=min(COLUMNS, len(looks)),
+            fontsize=7,
+            frameon=False,
+            title="\n".join([words, noise, *ends]),
+            title_fontproperties={"size": 7},
+        )
+        with whole_file(path) as part:
+            figure.savefig(part)
+
+
+def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Group settings that differ in the step only, by the name that they share; one alone has its whole name."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for entry in done:
+        found.setdefault(_without_step(entry), []).append(entry)
+    return {name if len(group) > 1 else _short(group[0]): group for name, group in found.items()}
+
+
+def _without_step(entry: dict[str, Any]) -> str:
+    parts = [part for part in _short(entry).split(", ") if not part.startswith(("step ×", "dt ="))]
+    return ", ".join(parts) or AS_WRITTEN.name
+
+
+def _short(entry: dict[str, Any]) -> str:
+    """Return the name of a setting without what most of them have in common."""
+    return str(entry["name"]).replace("integrator = ", "")
+
+
+def _looks(families: dict[str, list[dict[str, Any]]]) -> dict[str, Look]:
+    """Give each family a look of its own; those of other engines have other markers."""
+    found: dict[str, Look] = {}
+    counts = {OWN: 0, OTHERS: 0}
+    for name, group in families.items():
+        markers = OTHERS if group[0].get("engine") else OWN
+        k, counts[markers] = counts[markers], counts[markers] + 1
+        found[name] = Look(COLOURS[k % len(COLOURS)], markers[k // len(COLOURS) % len(markers)])
+    return found
+
+
+def _sample(name: str, look: Look) -> Line2D:
+    """Return the entry of a family in the legend."""
+    from matplotlib.lines import Line2D  # noqa: PLC0415 - an extra
+
+    return Line2D([], [], color=look.colour, marker=look.marker, markersize=5, linewidth=0.8, label=name)
+
+
+def _panel(
+    ax: Axes,
+    error: str,
+    document: dict[str, Any],
+    families: dict[str, list[dict[str, Any]]],
+    looks: dict[str, Look],
+    units: UnitSystem | None,
+) -> None:
+    """Draw one error over the cost; ``units`` are those of an error that is a time."""
+    from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
+
+    one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
+    ax.set(xscale="log", yscale="log", xlabel="cost / s", ylabel=f"{PANELS[error]} / {unit}" if unit else PANELS[error])
+    points: list[tuple[float, float]] = []
+    ax.autoscale(enable=False, axis="y")
+    for name, group in families.items():
+        look = looks[name]
+        known = [entry for entry in group if entry["errors"][error] is not None]
+        here = [(entry["cost"], one * max(entry["errors"][error], LEAST)) for entry in known]
+        points += here
+        if len(here) > 1:
+            ax.plot(*zip(*sorted(here), strict=True), color=look.colour, linewidth=0.6, alpha=0.5)
+        for (cost, wrong), entry in zip(here, known, strict=True):
+            mark = entry["marks"][error]
+            ax.errorbar(cost, wrong, xerr=cost * entry["spread"], fmt="none", ecolor=look.colour, elinewidth=0.6)
+            fill, alpha = ("white", 1.0) if mark == "near" else (look.colour, 1.0 if mark else 0.35)
+            point = ax.plot(cost, wrong, look.marker, markersize=5, color=look.colour, alpha=alpha, zorder=3)
+            point[0].set_markerfacecolor(fill)
+    cost, wrong = (np.array([point[k] for point in points]) for k in (0, 1))
+    wide = cost.max() > MOST_LABELLED * cost.min()
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter("{x:g}")
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.spines[["top", "right"]].set_visible(False)
+    ax.tick_params(which="both", color=FAINT)
+    # of the medians: a line through the settings that are certainly on the front would have gaps
+    on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
+    if on.any():
+        ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)
+    floor = one * (document["reference"]["uncertainty"][error] or 0.0)
+    seen = error not in OF_THE_RUN_ALONE and floor > max(one * LEAST, wrong.min() / 30)
+    if seen:
+        ax.axhline(floor, color=FAINT, linewidth=0.8, linestyle=":")
+        words, where = "the reference's own uncertainty", ("axes fraction", "data")
+        ax.annotate(words, (1.0, floor), xycoords=where, ha="right", va="bottom", fontsize=6, color=FAINT)
+    ax.margins(x=0.06)
+    drawn = [*wrong, floor] if seen else wrong
+    least, most = min(drawn), max(drawn)
+    room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits of equal errors come with a warning
+    ax.set_ylim(least / room, most * room)
+
+
+def record(study: Study, path: Path) -> None:
+    """Write a study's trajectories into one ``.rrd``, in place of an earlier one.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    reference = study.reference
+    if reference is None or not len(reference.trajectory):
+        return
+    trajectories = [ComparedTrajectory(f"reference, {reference.kind}", reference.trajectory.position, np.empty(0))]
+    longest = reference.trajectory
+    for result in study.results:
+        if result.status == "measured":
+            run = study.trajectory(result)
+            distance, _ = reference.scale.apart(run, reference.trajectory)
+            compared = ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
+            trajectories.append(compared)
+            longest = run
+    write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)
