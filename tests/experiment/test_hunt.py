@@ -14,7 +14,7 @@ from carom.errors import SceneError
 from carom.lab.hunt.hunt import LAWS, Hunt, Miss, laws_of
 from carom.lab.hunt.random_scenes import Drawn, drawn
 from carom.lab.shrink.trials import OutOfTime
-from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.scene.load import scene_from_dict
 from carom_command import carom
 

@@ -22,7 +22,7 @@ from carom.lab.shrink.result_file import commented
 from carom.lab.shrink.shrink_command import _print
 from carom.lab.shrink.trials import Judges, OutOfTime, Task, Trials
 from carom.lab.shrink.whole_run import IMAGES, INVARIANCES, CommandShows, Image, Varies
-from carom.physics.diagnostics.audit import Audit
+from carom.physics.diagnostics.bookkeeper import BalanceAudit
 from carom.physics.space import Space
 from carom.runs.workers import Ended
 from carom.scene.load import scene_from_text
