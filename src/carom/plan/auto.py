@@ -33,7 +33,7 @@ PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; for two e
 SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
 
 LATE_CFL = 0.5  # fraction of its radius that a body may move in a step, if impacts are resolved at its end
-FREE_CFL = 1.0  # likewise, with times of impact and without forces: shorter steps only cost more (docs/trade.md)
+FREE_CFL = 1.0  # the same with times of impact and without forces: shorter steps only cost more (docs/trade.md)
 
 EXACT_IMPACT = 1e-9  # relative error of an approach speed up to which an impact counts as exact
 

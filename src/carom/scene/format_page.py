@@ -84,8 +84,8 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
 
 
 def _table(model: type[BaseModel], heading: str, text: str = "") -> str:
-    told = text.partition(": ")[2] or text if heading != "At the top" else ""
-    lines = [f"## {heading}", "", *([told[0].upper() + told[1:], ""] if told else [])]
+    sentence = text.partition(": ")[2] or text if heading != "At the top" else ""
+    lines = [f"## {heading}", "", *([sentence[0].upper() + sentence[1:], ""] if sentence else [])]
     lines += ["| key | value | unit | default | |", "|---|---|---|---|---|"]
     return "\n".join([*lines, *(_row(key, info) for key, info in model.model_fields.items()), ""])
 

@@ -129,7 +129,7 @@ def longest_text(bodies: int) -> int:
 
 
 def _parse(text: str, source: str) -> dict[str, Any]:
-    """Read TOML, at most `DEEPEST` levels of it."""
+    """Read TOML of up to `DEEPEST` levels."""
     line = line_of_long_key(text)
     if line is not None:
         raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
@@ -310,7 +310,7 @@ def _scene(
     material: Material | None
     try:
         material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
-    except (KeyError, TypeError, ValueError):  # likewise, mistakes in materials
+    except (KeyError, TypeError, ValueError):  # so are mistakes in materials
         material = None
     columns = columns_of_arrays(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}

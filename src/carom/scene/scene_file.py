@@ -62,7 +62,7 @@ PATIENCE = 30.0  # s, for which a pipe may be silent
 RECORDED = b"RRF2"  # first bytes of a recording
 
 _PIECE = 1 << 20  # bytes
-_PAUSE = 0.01  # s, between two looks at a silent pipe
+_PAUSE = 0.01  # s, between two attempts to read a silent pipe
 
 
 def scene_path(source: str | Path) -> Path:
@@ -107,7 +107,7 @@ def read_text(path: Path) -> str:
 
 
 def _read(path: Path) -> bytes:
-    """Read a regular file or a pipe once, at most `LARGEST_FILE` bytes of it."""
+    """Read a regular file or a pipe once, up to `LARGEST_FILE` bytes."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe that nothing writes would block
     with os.fdopen(descriptor, "rb", buffering=0) as file:
         kind = os.fstat(descriptor)

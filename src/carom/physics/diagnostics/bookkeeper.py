@@ -294,7 +294,7 @@ class Bookkeeper:
             self.log(warning)
 
     def measure(self, potentials: Potentials, checked: bool, contact: ContactPipeline | None = None) -> None:
-        """Compute energy and momentum; ``checked`` says whether to warn of their errors.
+        """Compute energy and momentum; warn of their errors if ``checked``.
 
         A warning lists the present contacts of ``contact``, if given, beside those that were kept.
         """

@@ -24,7 +24,7 @@ from carom.scene.wording import Names
 
 MOST_CONTACTS = 6  # listed in a warning, those that added most energy first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
-MOST_WARNINGS = 100  # of a rise in a run; more would say nothing new
+MOST_WARNINGS = 100  # of a rise in a run; more would add nothing new
 
 
 @dataclass(frozen=True, slots=True)

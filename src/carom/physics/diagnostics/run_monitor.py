@@ -131,9 +131,9 @@ class Activity:
 
 
 @kernel
-def remembered(energy: float, struck: float) -> float:
+def remembered(energy: float, impacts: float) -> float:
     """Return the energy of recent impacts after a step, given that before it and that of its impacts, all in J."""
-    return energy + (struck - energy / STEPS_REMEMBERED)
+    return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
 CRAWL = 5.0  # times as many steps as the first one promised

@@ -244,7 +244,7 @@ def fly(
     border
         (b,) `BORDER`.
     queue
-        (movers,) room for the event queue.
+        (movers,) buffer for the event queue.
     ends, others
         The neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``.
     box
@@ -309,8 +309,8 @@ def _time_in_skin(a: Any) -> float:
     ox, oy, oz = a.x - a.start_x, a.y - a.start_y, a.z - a.start_z
     v2 = a.vx * a.vx + a.vy * a.vy + a.vz * a.vz
     ov = ox * a.vx + oy * a.vy + oz * a.vz
-    room = max(0.0, a.skin * a.skin - (ox * ox + oy * oy + oz * oz))
-    return float((np.sqrt(ov * ov + v2 * room) - ov) / v2) if v2 > 0.0 else np.inf
+    left = max(0.0, a.skin * a.skin - (ox * ox + oy * oy + oz * oz))
+    return float((np.sqrt(ov * ov + v2 * left) - ov) / v2) if v2 > 0.0 else np.inf
 
 
 @inner
@@ -414,10 +414,10 @@ def _time_to_border(x: float, y: float, z: float, r: float, a: Any, wall: Any, l
         z, vz = 0.0, 0.0
     if not wall.around:
         return _time_to_sphere(x, y, z, a.vx, a.vy, vz, wall.radius + r, g, left)
-    room = max(0.0, wall.radius - r)
+    space = max(0.0, wall.radius - r)
     A = a.vx * a.vx + a.vy * a.vy + vz * vz - g * g
-    B = x * a.vx + y * a.vy + z * vz + g * room
-    C = min(0.0, x * x + y * y + z * z - room * room)
+    B = x * a.vx + y * a.vy + z * vz + g * space
+    C = min(0.0, x * x + y * y + z * z - space * space)
     root2 = B * B - A * C
     if root2 < 0.0 or (B <= 0.0 and not A > 0.0):
         return np.inf

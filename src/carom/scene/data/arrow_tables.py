@@ -14,14 +14,14 @@ import pyarrow.parquet as pq
 
 from carom.arrow_claims import claims, unpacked_bytes
 from carom.errors import SceneError
-from carom.scene.data.formats import BODY, NUMBER, STEP, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import BODY, NUMBER, STEP, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
 from carom.scene.data.mapping import printable
 
 _STREAM_IN_FILE = 8  # bytes, after which an Arrow file goes on as a stream
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
-def open_csv(path: Path, called: str, snapshot: int) -> Table:
+def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a file of comma-separated values, or with tabs if it is called .tsv; the first line names the columns."""
     refuse_large(called, "file", path.stat().st_size)
     parse = pyarrow.csv.ParseOptions(delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
@@ -46,7 +46,7 @@ def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
     return pc.replace_substring_regex(column, r"\.0$", "") if pc.all(whole).as_py() else column
 
 
-def open_parquet(path: Path, called: str, snapshot: int) -> Table:
+def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Parquet file."""
     file = pq.ParquetFile(path, memory_map=True)
     refuse_many_rows(called, file.metadata.num_rows)
@@ -59,7 +59,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> Table:
 
 
 def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
-    """Return the bytes of columns in memory, as the metadata of a Parquet file say."""
+    """Return the bytes of columns in memory that the metadata of a Parquet file state."""
     total = 0
     for group in range(metadata.num_row_groups):
         for k in range(metadata.num_columns):
@@ -69,7 +69,7 @@ def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
     return total
 
 
-def open_arrow(path: Path, called: str, snapshot: int) -> Table:
+def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an Arrow file, an Arrow stream or a Feather file."""
     with pa.memory_map(str(path)) as source:
         file = source.read(6) == b"ARROW1"
@@ -114,7 +114,7 @@ def _stores_each_row(kind: pa.DataType) -> bool:
     return all(_stores_each_row(kind.field(k).type) for k in range(kind.num_fields))
 
 
-class _ArrowTable(Table):
+class _ArrowTable(DataTable):
     """Columns of an Arrow table."""
 
     def __init__(self, called: str, names: Sequence[str], read: _Read, snapshot: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, Raw, Table, flags_of, numbers_of, texts_of
+from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_of, texts_of
 from carom.scene.data.mapping import VECTORS, ColumnMapping, mapping_of, unused_columns, with_material
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
@@ -113,7 +113,7 @@ _DIMENSIONS = {  # whose product a quantity has
 
 
 def read_columns(
-    section: BodyData, table: Table, units: UnitSystem, material: Material | None = None
+    section: BodyData, table: DataTable, units: UnitSystem, material: Material | None = None
 ) -> tuple[BodyColumns, tuple[str, ...]]:
     """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
 
@@ -265,8 +265,8 @@ class _Reader:
         return values
 
 
-def _refuse_other_units(table: Table, units: UnitSystem, mapping: ColumnMapping) -> None:
-    """Refuse a table that says that the numbers to be read are in other units than those of the scene."""
+def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapping) -> None:
+    """Refuse a table whose numbers are in other units than those of the scene."""
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)

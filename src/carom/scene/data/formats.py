@@ -31,7 +31,7 @@ Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
 
 
 class MotionLaw(NamedTuple):
-    """What moves the bodies of a simulation, as its file says; numbers are plain ones of the table."""
+    """The law of motion of a simulation in a file; numbers are in the units of the table."""
 
     constant: float  # gravitational; 0 without gravity
     softening: float
@@ -39,21 +39,21 @@ class MotionLaw(NamedTuple):
     collides: bool
 
 
-class Table:
+class DataTable:
     """The columns of a file; only those that are asked for are read."""
 
     called: str  # what messages call it
     names: Sequence[str]  # of its columns
-    units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if it does not say
-    law: MotionLaw | None = None  # None if it does not say
-    notes: tuple[str, ...] = ()  # sentences on what of it is not used, or read in another way
+    units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if not known
+    law: MotionLaw | None = None  # None if not known
+    notes: tuple[str, ...] = ()  # sentences on columns that are not used or are read in another way
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
         raise NotImplementedError
 
 
-class Arrays(Table):
+class Arrays(DataTable):
     """Columns that a Python program gives as arrays, or that another package read."""
 
     def __init__(self, arrays: Mapping[str, Raw], called: str = "the arrays") -> None:
@@ -137,7 +137,7 @@ def _shown(value: Any) -> str:
     return "empty, which" if value is None or value == "" else repr(value)[:60]
 
 
-_LONGEST_REASON = 200  # characters of what a library says
+_LONGEST_REASON = 200  # characters of the message of a library
 
 
 class _Format(NamedTuple):
@@ -165,7 +165,7 @@ _FORMATS = {
 }
 
 
-def open_table(path: Path, called: str, snapshot: int) -> Table:
+def open_table(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a data file.
 
     Parameters
@@ -185,15 +185,15 @@ def open_table(path: Path, called: str, snapshot: int) -> Table:
     if path.suffix.lower() not in _FORMATS:
         raise SceneError(f'{called}: no format has the ending "{path.suffix}"; {suggestion(path.suffix, _FORMATS)}')
     form = _FORMATS[path.suffix.lower()]
-    opener: Callable[[Path, str, int], Table] = getattr(import_module(f"{__package__}.{form.module}"), form.opener)
+    opener: Callable[[Path, str, int], DataTable] = getattr(import_module(f"{__package__}.{form.module}"), form.opener)
     with _reading(called, form):
         return _Guarded(opener(path, called, snapshot), form)
 
 
-class _Guarded(Table):
+class _Guarded(DataTable):
     """A table whose errors are all `SceneError`."""
 
-    def __init__(self, table: Table, form: _Format) -> None:
+    def __init__(self, table: DataTable, form: _Format) -> None:
         self._table = table
         self._form = form
         self.called, self.names, self.units = table.called, table.names, table.units

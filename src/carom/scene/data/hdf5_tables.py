@@ -11,12 +11,12 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import NUMBER, Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import NUMBER, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
 
 _MOST_DATASETS = 10_000
 
 
-def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
+def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an HDF5 file."""
     try:
         import h5py  # noqa: PLC0415 - an extra
@@ -34,14 +34,14 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> Table:
     return _Datasets(path, called, names)
 
 
-class _Datasets(Table):
+class _Datasets(DataTable):
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read datasets; their shapes are checked before memory is taken."""
+        """Read datasets; their shapes are checked before memory is allocated."""
         import h5py  # noqa: PLC0415 - an extra
 
         with h5py.File(self._path, "r") as file:

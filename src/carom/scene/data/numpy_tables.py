@@ -12,27 +12,27 @@ import numpy as np
 from numpy.lib import format as npy
 
 from carom.errors import SceneError
-from carom.scene.data.formats import Raw, Table, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
 
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters
 
 
-def open_npz(path: Path, called: str, snapshot: int) -> Table:
+def open_npz(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an archive of arrays."""
     with zipfile.ZipFile(path) as archive:
         names = [name.removesuffix(_SUFFIX) for name in archive.namelist() if name.endswith(_SUFFIX)]
     return _Archive(path, called, names)
 
 
-class _Archive(Table):
+class _Archive(DataTable):
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read arrays; what their headers say is checked before memory is taken."""
+        """Read arrays; their headers are checked before memory is allocated."""
         with zipfile.ZipFile(self._path) as archive:
             claimed = sum(archive.getinfo(name + _SUFFIX).file_size for name in names)
             refuse_bomb(self.called, claimed, self._path.stat().st_size)
@@ -54,7 +54,7 @@ class _Archive(Table):
 
 
 def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Read what an array says about itself."""
+    """Read the shape and the type in the header of an array."""
     version = npy.read_magic(member)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"an array of version {version[0]}.{version[1]}")

@@ -11,7 +11,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import Arrays, MotionLaw, Raw, Table, refuse_many_rows
+from carom.scene.data.formats import Arrays, DataTable, MotionLaw, Raw, refuse_many_rows
 from carom.scene.data.mapping import printable
 from carom.scene.units.system import units_of_rebound
 from carom.scene.wording import counted
@@ -21,7 +21,7 @@ _DAMAGED = "corrupted"  # in the warning about an archive that ends early
 _KNOWN = ("test particle (type 0) has finite mass", "might not be synchronized")  # warnings about what is done here
 
 
-def open_rebound(path: Path, called: str, snapshot: int) -> Table:
+def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a Simulationarchive at one of its snapshots."""
     try:
         import rebound  # noqa: PLC0415 - an extra

@@ -14,7 +14,7 @@ ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a ru
 
 
 class Expect(Section):
-    """[expect]: promises that are checked at the end; a run that misses one says so and exits with 1."""
+    """[expect]: promises that are checked at the end; a run that misses one reports it and exits with 1."""
 
     energy_error: NonNegative | None = Field(
         None,
@@ -54,20 +54,22 @@ class Promise(Section):
         description="longest useful steps over those of the run, or the usual ones of gauss-radau15 and wisdom-holman; "
         "more than 0"
     )
-    until: Annotated[Positive, TIME] = Field(description="s, the part of the run that was looked ahead; more than 0")
+    until: Annotated[Positive, TIME] = Field(
+        description="s, time up to which runs ahead examined the accuracy; more than 0"
+    )
     looked: Annotated[NonNegative, TIME] | None = Field(
         None,
         description="s, time that the runs ahead reached, where their budget ended before `until`; none: all of it; "
         "not negative",
     )
     horizon: Annotated[NonNegative, TIME] | None = Field(
-        None, description="s, time up to which the accuracy is kept; none: as far as was looked; not negative"
+        None, description="s, time up to which the accuracy is kept; none: as far as the runs ahead went; not negative"
     )
     integrator: Literal["wisdom-holman"] | None = Field(
         None, description="the integrator, where the run ahead chose another one than the scene"
     )
     lyapunov: Annotated[Real, RATE] = Field(
-        description="1/s, largest Lyapunov exponent, over the time that was looked ahead"
+        description="1/s, largest Lyapunov exponent, over the time of the runs ahead"
     )
     error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
         description="expected error of positions over the size of the system, at equally spaced times up to `looked`, "

@@ -161,7 +161,7 @@ class Record(Section):
     )
     colour_by: Literal["auto", "group", "material", "speed", "graph", "island"] = Field(
         "auto",
-        description="what tells bodies apart in the viewer: group, material, speed, their colour in the collision "
+        description="what distinguishes bodies in the viewer: group, material, speed, their colour in the collision "
         'graph, or the bodies that touch each other; "auto": material if one has a colour, else group; graph with '
         'contact.colouring = "bodies"',
     )

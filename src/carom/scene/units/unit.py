@@ -111,7 +111,7 @@ class UnknownUnitError(UnitError):
 class Unit:
     """A unit: its size in SI, exactly, and its dimension."""
 
-    size: Fraction  # SI units in one of it
+    size: Fraction  # in SI units
     exponents: Exponents
 
     @property
