@@ -10,7 +10,7 @@ from affected import GOLDEN, ROOT, affected
 @pytest.mark.parametrize(
     ("changed", "test"),
     [
-        ("src/carom/physics/diagnostics/energy.py", "tests/physics/test_energy.py"),  # imports it
+        ("src/carom/physics/diagnostics/energy.py", "tests/physics/diagnostics/test_energy.py"),  # imports it
         ("src/carom/physics/contact/coulomb.py", f"{GOLDEN}[golden/heap]"),  # has kernels
         ("tests/support/monte_carlo_gas.py", "tests/published/test_granular_gas.py"),  # a module of tests
         ("tests/scene/test_hint.py", "tests/scene/test_hint.py"),  # a test

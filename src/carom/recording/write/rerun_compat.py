@@ -1,10 +1,10 @@
 """Rerun's private interfaces, and the undocumented behaviour of Rerun 0.41 that carom relies on.
 
-Nothing else in carom uses them. tests/recording/test_rerun_compat.py has a test for each; run it before the upper bound
-of rerun-sdk in pyproject.toml is raised.
+Nothing else in carom uses them. test_rerun_compat.py has a test for each; run it before the upper bound of rerun-sdk in
+pyproject.toml is raised.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
-test of tests/recording/test_web.py tries it in a browser.
+test of tests/show/test_web.py tries it in a browser.
 """
 
 from __future__ import annotations

@@ -22,8 +22,8 @@ from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_of, change_of_velocity, relative_velocity, slip
 from carom.physics.parallel.jit import inline, kernel, unowned
 
-# The closing speed that a contact may keep. Chosen so that the columns of tests/physics/test_convergence.py stand. With
-# a tenth of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
+# The closing speed that a contact may keep. Chosen so that the columns of test_convergence.py stand. With a tenth
+# of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.
 INTOLERABLE = 10.0  # times the tolerated speed; the search begins if a contact closes faster
 PART_OF_REST = 0.3  # of the rest speed
 PART_OF_APPROACH = 0.03  # of the speed at which an impact closed

@@ -29,7 +29,7 @@ from edited_recordings import (
     with_column,
     without_column,
 )
-from experiment.test_frame_check import nudged
+from runs.test_frame_check import nudged
 
 ROW_ID = "rerun.controls.RowId"
 # when, where and by which command it was run: nothing of that comes back when it is run again

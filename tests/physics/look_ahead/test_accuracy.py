@@ -106,7 +106,7 @@ def test_many_orbits_keep_the_accuracy(eccentricity: float, accuracy: float, orb
 def test_rounding_at_a_close_passage_ends_the_promise() -> None:
     """A last bit of a coordinate is 10⁻¹³ of the distance at pericentre; other steps round differently."""
     scene = Scene.load(
-        str(Path(__file__).parents[2] / "benchmarks/scenes/eccentric-triple.toml"), ["time.accuracy=1e-10"]
+        str(Path(__file__).parents[3] / "benchmarks/scenes/eccentric-triple.toml"), ["time.accuracy=1e-10"]
     )
     space = Space(scene, 1)
     other = Space(scene_from_text(space.scene.toml, "shorter steps", ["time.max_dt=0.01"]), 1)

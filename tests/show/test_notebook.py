@@ -13,7 +13,7 @@ from carom.recording.write.recorder import Recorder
 from carom.show import notebook
 from scripted_run import ScriptedRun
 
-EXAMPLE = Path(__file__).parents[1] / "docs" / "notebook.ipynb"
+EXAMPLE = Path(__file__).parents[2] / "docs" / "notebook.ipynb"
 LARGEST = 20_000  # bytes
 
 

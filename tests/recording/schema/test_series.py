@@ -16,7 +16,7 @@ from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
 from carom.recording.write.recorder import Recorder
 from scripted_run import ScriptedRun
 
-DOCS = Path(__file__).parents[2] / "docs" / "recording.md"
+DOCS = Path(__file__).parents[3] / "docs" / "recording.md"
 
 
 def documented() -> str:
