@@ -18,7 +18,7 @@ from carom.physics.status import StepStatus
 
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:
-    assert dir(carom) == ["Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
+    assert dir(carom) == ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
     assert carom.__version__ == version("carom")
     assert carom.errors.SceneError.__doc__
 

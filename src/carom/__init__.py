@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from carom import errors as errors
     from carom import record as record
+    from carom.physics.frame import Frame as Frame
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
     from carom.runs.run import run as run
@@ -22,9 +23,10 @@ if TYPE_CHECKING:
 
     __version__: str
 
-__all__ = ["Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
+__all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
 
 _HOMES = {
+    "Frame": "carom.physics.frame",
     "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.schema",
     "Space": "carom.physics.space",

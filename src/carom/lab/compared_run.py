@@ -16,16 +16,10 @@ from typing import Self
 
 import numpy as np
 
+from carom import Frame, Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.physics.frame import Frame
-from carom.physics.periodic_box import minimum_images
-from carom.physics.schedule import every
-from carom.physics.space import Space
-from carom.plan.auto import frame_interval
-from carom.recording.write.whole_file import whole_file
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
+from carom.extend import TIME, every, frame_interval, minimum_images, whole_file
 
 # How far a compared run may go: a number of steps, which is the same on every machine, and a CPU time.
 TELLING = 5.0  # s between two lines of progress

@@ -14,15 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from carom import Frame, Space
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.physics.frame import Frame
-from carom.physics.space import Space
-from carom.runs.environment import versions
-from carom.runs.expectation import Verdict, judge
-from carom.runs.run import closing_summary
-from carom.scene.start import half_spaces
-from carom.scene.wording import Names, nearest
+from carom.extend import Names, Verdict, closing_summary, half_spaces, judge, nearest, versions
 
 LONGEST = 1000  # characters
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"

@@ -14,8 +14,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from carom import Recording, Scene
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError, RecordingError
+from carom.extend import (
+    Ended,
+    LocalWorkers,
+    Names,
+    Outcome,
+    Verdict,
+    WorkerDiedError,
+    cores,
+    finite,
+    half_spaces,
+    judge,
+    place,
+    recording_space,
+    simulate,
+    write_whole,
+)
 from carom.lab.compared_run import Trajectory, sample_times
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.engines.engine import Engine, engine_called
@@ -23,17 +40,6 @@ from carom.lab.engines.watched import COMPLETED, Watched, watch
 from carom.lab.tradeoff.setting_results import SettingResult, result_entry
 from carom.lab.tradeoff.settings_grid import Setting
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
-from carom.physics.parallel.cores import cores
-from carom.physics.placement import place
-from carom.recording.read.recording import Recording
-from carom.recording.write.whole_file import write_whole
-from carom.runs.expectation import Verdict, judge
-from carom.runs.json_numbers import finite
-from carom.runs.run import Outcome, recording_space, simulate
-from carom.runs.workers import Ended, LocalWorkers, WorkerDiedError
-from carom.scene.schema import Scene
-from carom.scene.start import half_spaces
-from carom.scene.wording import Names
 
 
 # What is found by following a run step by step: criteria, broken laws, and where it leaves the reference.

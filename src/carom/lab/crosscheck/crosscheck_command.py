@@ -9,19 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import SetOption, ThreadsOption, bundled
-from carom.cli.text import say
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import command
+from carom.extend import TIME, SetOption, ThreadsOption, bundled, command, say, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.cli.terminal import Terminal
+    from carom import Scene
+    from carom.extend import Terminal, UnitSystem
     from carom.lab.crosscheck.crosscheck import Crosscheck, Teller
-    from carom.scene.schema import Scene
-    from carom.scene.units.system import UnitSystem
 
 
 SEVERAL_LIMIT = 30.0  # s, of each run and reference, if there are several scenes
@@ -82,12 +77,12 @@ def crosscheck(
 
     Results are kept; the same command continues where it stopped.
     """
+    from carom import Scene
     from carom.errors import ExperimentError
+    from carom.extend import bundled_folders
     from carom.lab.crosscheck.crosscheck import Crosscheck, Runs
     from carom.lab.engines.engine import engines_called
     from carom.lab.tradeoff.tradeoff_command import STOPPED, ran
-    from carom.scene.scene_file import bundled_folders
-    from carom.scene.schema import Scene
 
     chosen, known = engines_called(engines), bundled_folders()
     names = list(dict.fromkeys(name for source in scenes for name in known.get(source.rstrip("/"), [source])))
@@ -180,7 +175,7 @@ def _report(scene: Scene) -> str:
 
 
 def _console() -> Terminal:
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal
     from carom.lab.tradeoff.tradeoff_command import PIPE_WIDTH
 
     console = Terminal(markup=True)

@@ -13,8 +13,21 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from carom import Recording, Scene
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError, SceneError
+from carom.extend import (
+    DEEPEST,
+    STEP,
+    Pair,
+    RecordedBodies,
+    count_at,
+    impacts_by_number,
+    is_too_deep,
+    line_of_long_key,
+    scene_from_text,
+    write_overlay,
+)
 from carom.lab.diff.divergence import (
     SAME_TIME,
     DiffVerdict,
@@ -24,14 +37,6 @@ from carom.lab.diff.divergence import (
     divergence_of,
     verdict,
 )
-from carom.recording.read.impacts import count_at, impacts_by_number
-from carom.recording.read.recorded_scene import RecordedBodies
-from carom.recording.read.recording import Recording
-from carom.recording.schema.paths import STEP
-from carom.scene.key_places import DEEPEST, is_too_deep, line_of_long_key
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
-from carom.show.comparison import Pair, write_overlay
 
 # The first impact at which two recordings part.
 

@@ -8,17 +8,26 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, not_a_folder, recording_option
-from carom.scene.units.dimension import ENERGY, IMPULSE, LENGTH, TIME, VELOCITY
-from carom.scene.wording import command, counted
+from carom.extend import (
+    ENERGY,
+    IMPULSE,
+    LENGTH,
+    TIME,
+    VELOCITY,
+    ForceOption,
+    JsonOption,
+    command,
+    counted,
+    not_a_folder,
+    recording_option,
+    say_json,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
-    from carom.scene.units.system import UnitSystem
-    from carom.scene.wording import Names
 
 ROWS = 12  # of the table of how the difference grows
 KEYS = 50  # of the scene that are printed; --json has all
@@ -42,12 +51,10 @@ def diff(
     """
     from dataclasses import replace
 
+    from carom import Recording
+    from carom.extend import names_of, opened, refuse_itself, refuse_output
     from carom.lab.diff.diff import diff as compare
     from carom.lab.diff.diff import overlay
-    from carom.recording.edit.bundle import opened
-    from carom.recording.read.body_lookup import names_of
-    from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_itself, refuse_output
 
     if output is not None:
         for path in (a, b):
@@ -125,7 +132,7 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
 
 
 def _print(found: Diff, names: Names, units: UnitSystem, output: Path | None) -> None:
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal
 
     console = Terminal(soft_wrap=True)
     console.print(_overview(found, names, units))

@@ -12,13 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import Recording
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.physics.periodic_box import minimum_images
-from carom.recording.read.frame_rows import RecordedPositions
-from carom.recording.read.recording import Recording
-from carom.scene.units.dimension import LENGTH, RATE, TIME
-from carom.scene.units.system import SI, UnitSystem
+from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
 _POINTS, _FACTOR = 5, 10.0  # least number of frames, and least growth, to which a rate is fitted

@@ -10,13 +10,11 @@ import math
 
 import numpy as np
 
+from carom import Scene
+from carom.extend import PACKAGE, Plane, engine_package
+from carom.extend import box3d as source_of
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.recording.source.adapters.box3d import PACKAGE
-from carom.recording.source.adapters.box3d import box3d as source_of
-from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.source import Plane
-from carom.scene.schema import Scene
 
 SUBSTEPS = 4  # the default, in a step
 

@@ -6,8 +6,10 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
+from carom import Scene
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError
+from carom.extend import suggestion
 from carom.lab.compared_run import Trajectory
 from carom.lab.engines.box3d import Box3D
 from carom.lab.engines.mujoco import MuJoCo
@@ -16,8 +18,6 @@ from carom.lab.engines.pybullet import PyBullet
 from carom.lab.engines.rebound import Rebound
 from carom.lab.engines.stepped import Simulation
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.scene.schema import Scene
-from carom.scene.wording import suggestion
 
 
 class Engine(Protocol):

@@ -17,31 +17,40 @@ from typing import Self
 
 import numpy as np
 
+from carom import Recording
 from carom.errors import RecordingError
-from carom.recording.read.recording import Recording
-from carom.recording.schema.header import Header, Scalar
-from carom.recording.source.faults import Fault, Tolerances
-from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.snapshot import Snapshot, memory_of, reader_of
-from carom.recording.source.source import (
+from carom.extend import (
+    ONCE_A_STEP,
+    SI,
+    TIME,
+    Fault,
+    Header,
     Model,
+    Observer,
+    Scalar,
     Setup,
+    Snapshot,
     Source,
     State,
     SteppedSource,
+    Tolerances,
+    UnitError,
+    UnitSystem,
     array_of,
+    claimed_output,
+    closing_of,
+    environment,
+    header_of_source,
+    memory_of,
+    not_finite,
+    reader_of,
+    refuse_name,
     refuse_no_rotation,
+    refuse_output,
     setup_of,
     time_of,
 )
-from carom.recording.write.recorder import Recorder as FileRecorder
-from carom.runs.closing import closing_of
-from carom.runs.contact_counts import ONCE_A_STEP
-from carom.runs.environment import environment
-from carom.runs.output import claimed_output, refuse_name, refuse_output
-from carom.scene.units.dimension import TIME
-from carom.scene.units.system import SI, UnitSystem
-from carom.scene.units.unit import UnitError
+from carom.extend import Recorder as FileRecorder
 
 # `SnapshotWriter`: the thread that records the snapshots of another engine's run.
 WAITING_BYTES = 32_000_000  # of states that wait for the writer

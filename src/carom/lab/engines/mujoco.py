@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import Scene
+from carom.extend import Coefficients, Source, State, engine_package
+from carom.extend import mujoco as source_of
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.recording.source.adapters.mujoco import mujoco as source_of
-from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.source import Source, State
-from carom.scene.schema import Coefficients, Scene
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow

@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from carom import Scene
 from carom.errors import RecordingError
+from carom.extend import Coefficients, engine_package
+from carom.extend import newton as source_of
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.recording.source.adapters.newton import newton as source_of
-from carom.recording.source.adapters.package import engine_package
-from carom.scene.schema import Coefficients, Scene
 
 ITERATIONS = 2  # of the solver in a step, its default
 

@@ -11,11 +11,11 @@ import math
 
 import numpy as np
 
+from carom import Scene
+from carom.extend import engine_package
+from carom.extend import pybullet as source_of
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.adapters.pybullet import pybullet as source_of
-from carom.scene.schema import Scene
 
 ITERATIONS = 50  # of the solver, its default
 _NO_DAMPING = {

@@ -15,24 +15,26 @@ from typing import Any
 
 import numpy as np
 
+from carom import Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError
+from carom.extend import (
+    DOMINANT,
+    TIME,
+    Source,
+    State,
+    UnitSystem,
+    further,
+    half_spaces,
+    pair_coefficients,
+    place,
+    require,
+)
+from carom.extend import rebound as record
 from carom.lab.compared_run import RunStoppedError, Trajectory
 from carom.lab.engines.stepped import FINER, Simulation, refuse
 from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.settings_grid import STEPS, Setting
-from carom.physics.placement import place
-from carom.physics.space import Space
-from carom.plan.features import require
-from carom.plan.hierarchy import DOMINANT
-from carom.plan.pulls import further
-from carom.recording.source.adapters.rebound import rebound as record
-from carom.recording.source.source import Source, State
-from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Scene
-from carom.scene.start import half_spaces
-from carom.scene.units.dimension import TIME
-from carom.scene.units.system import UnitSystem
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"

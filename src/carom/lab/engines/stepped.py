@@ -10,22 +10,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
+from carom.extend import (
+    SI,
+    SPHERE,
+    TIME,
+    Coefficients,
+    HalfSpaces,
+    InitialBodies,
+    Model,
+    Source,
+    UnitSystem,
+    engine_package,
+    further,
+    half_spaces,
+    pair_coefficients,
+    place,
+    require,
+)
 from carom.lab.compared_run import Trajectory
 from carom.lab.engines.watched import ROUNDING, watch
 from carom.lab.tradeoff.settings_grid import Setting
-from carom.physics.placement import place
-from carom.physics.space import Space
-from carom.plan.features import require
-from carom.plan.pulls import further
-from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.source import SPHERE, Model, Source
-from carom.scene.matter import pair_coefficients
-from carom.scene.schema import Coefficients, Scene
-from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
-from carom.scene.units.dimension import TIME
-from carom.scene.units.system import SI, UnitSystem
 
 
 @dataclass(frozen=True, slots=True)

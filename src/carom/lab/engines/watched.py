@@ -12,21 +12,27 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from carom import Frame, Scene
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError
+from carom.extend import (
+    ONCE_A_STEP,
+    TIME,
+    Extremes,
+    Fault,
+    Observer,
+    Recorder,
+    Setup,
+    State,
+    Tolerances,
+    claimed_output,
+    closing_of,
+    environment,
+    header_of_source,
+    not_finite,
+    setup_of,
+)
 from carom.lab.compared_run import RunStoppedError, Trajectory, between
-from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.frame import Frame
-from carom.recording.source.faults import Fault, Tolerances
-from carom.recording.source.observer import Observer, header_of_source, not_finite
-from carom.recording.source.source import Setup, State, setup_of
-from carom.recording.write.recorder import Recorder
-from carom.runs.closing import closing_of
-from carom.runs.contact_counts import ONCE_A_STEP
-from carom.runs.environment import environment
-from carom.runs.output import claimed_output
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.lab.engines.stepped import Simulation

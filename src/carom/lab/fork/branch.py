@@ -12,23 +12,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import Recording, Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
+from carom.extend import (
+    TIME,
+    Checkpoint,
+    Every,
+    Workers,
+    checkpoint_before,
+    continued_scene,
+    frame_interval,
+    integrator,
+    minimum_images,
+    recorded_scene,
+    require,
+    space_of,
+    tolerance,
+)
 from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.periodic_box import minimum_images
-from carom.physics.schedule import Every
-from carom.physics.space import Space
-from carom.plan.auto import frame_interval, integrator
-from carom.plan.features import require
-from carom.recording.read.moment import tolerance
-from carom.recording.read.recorded_scene import recorded_scene
-from carom.recording.read.recording import Recording
-from carom.runs.continued_scene import continued_scene
-from carom.runs.window import checkpoint_before, space_of
-from carom.runs.workers import Workers
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
 _STATE = {"domain": "the places of the bodies belong to it", "sweep": "one fork is one run"}

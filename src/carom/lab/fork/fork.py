@@ -7,15 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from carom import Recording
+from carom.extend import LENGTH, TIME, Forecast, Outcome, Watcher, in_words, simulate, write_forecast
 from carom.lab.diff.diff import Diff, diff, overlay
 from carom.lab.fork.branch import ForkStart
 from carom.lab.fork.ensemble import Ensemble
 from carom.private_folder import temporary_folder
-from carom.recording.read.recording import Recording
-from carom.runs.ending import in_words
-from carom.runs.run import Outcome, Watcher, simulate
-from carom.scene.units.dimension import LENGTH, TIME
-from carom.show.forecast import Forecast, write_forecast
 
 
 @dataclass(frozen=True, slots=True)

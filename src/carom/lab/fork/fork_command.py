@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.live_line import LiveLine, bar
-from carom.cli.options import (
+from carom.extend import (
     ForceOption,
     JsonOption,
+    LiveLine,
     RecordingArgument,
     SetOption,
+    bar,
+    command,
     recording_option,
+    say,
+    say_json,
     seconds,
     simulated,
 )
-from carom.cli.text import say
-from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -78,11 +79,10 @@ def fork(
     Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
     the band that all forks span.
     """
+    from carom import Recording
     from carom.errors import ExperimentError
+    from carom.extend import opened, refuse_itself, refuse_output
     from carom.lab.fork.branch import Branch, start_of
-    from carom.recording.edit.bundle import opened
-    from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_itself, refuse_output
 
     ulps = _ulps(perturb)
     if overrides is None and perturb is None:
@@ -168,12 +168,10 @@ def _many(
 ) -> tuple[dict[str, Any], list[str]]:
     from dataclasses import replace
 
+    from carom.extend import TIME, LocalWorkers, cores
     from carom.lab.fork.branch import PerturbedTask, by_seed, outcome_of, results_of
     from carom.lab.fork.ensemble import Chance, chances, ensemble, inevitable
     from carom.lab.fork.fork import write_ensemble
-    from carom.physics.parallel.cores import cores
-    from carom.runs.workers import LocalWorkers
-    from carom.scene.units.dimension import TIME
 
     units = start.scene.unit_system
     expression = None if outcome is None else outcome_of(start, outcome)  # a mistake is found before the workers start
@@ -244,8 +242,8 @@ def _median(found: Ensemble) -> float | None:
 def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevitable | None) -> Iterator[str]:
     import numpy as np
 
+    from carom.extend import LENGTH, TIME
     from carom.lab.diff.divergence import rate_text
-    from carom.scene.units.dimension import LENGTH, TIME
 
     units = start.scene.unit_system
 

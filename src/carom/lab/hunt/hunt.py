@@ -9,7 +9,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from carom import Recording, Scene, Space
 from carom.errors import ExperimentError, PhysicsError, SceneError
+from carom.extend import (
+    Interrupts,
+    Requirements,
+    command,
+    integrator,
+    output_folder,
+    recording_space,
+    report,
+    require,
+    scene_from_dict,
+    scene_from_text,
+    simulate,
+)
 from carom.lab.hunt.random_scenes import IMPACTS, SMOOTH, drawn
 from carom.lab.run_summary import said_by
 from carom.lab.shrink.condition import Condition, condition_from
@@ -17,17 +31,6 @@ from carom.lab.shrink.reducer import Reducer
 from carom.lab.shrink.result_file import key_of, text_of, write
 from carom.lab.shrink.trials import Budget, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies
-from carom.physics.space import Space
-from carom.plan.auto import integrator
-from carom.plan.features import Requirements, require
-from carom.recording.read.recording import Recording
-from carom.runs.interrupts import Interrupts
-from carom.runs.output import output_folder
-from carom.runs.report import report
-from carom.runs.run import recording_space, simulate
-from carom.scene.load import scene_from_dict, scene_from_text
-from carom.scene.schema import Scene
-from carom.scene.wording import command
 
 LEDGER = 1e-9  # of the energy scale, where no force bends the flight: some 10⁶ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # of the largest momentum; likewise

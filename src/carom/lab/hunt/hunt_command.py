@@ -8,10 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import JsonOption, work_time
-from carom.cli.text import say
-from carom.scene.wording import counted
+from carom.extend import JsonOption, counted, say, say_json, work_time
 
 if TYPE_CHECKING:
     from carom.lab.hunt.hunt import Hunt, Miss, Tally
@@ -63,8 +60,7 @@ def hunt(
 
 
 def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal, announce_compilation
 
     console = Terminal(stderr=True, quiet=quiet)
     if not quiet:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carom.extend import PARTS
 from carom.lab.hunt.documents import (
     Document,
     Draw,
@@ -27,7 +28,6 @@ from carom.lab.hunt.documents import (
     smooth,
     vector,
 )
-from carom.scene.parts import PARTS
 
 MOST_BODIES = 16
 DRIFT = 10.0  # of all bodies together; its energy, which is not in the scale of errors, is rounded, too

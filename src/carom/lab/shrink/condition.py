@@ -7,13 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from carom.errors import ExperimentError
+from carom.extend import TIME, Expect, Names, Verdict, half_spaces, nearest, suggestion
 from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
 from carom.lab.shrink.whole_run import ReplayDiffers, Varies
-from carom.runs.expectation import Verdict
-from carom.scene.schema.promise import Expect
-from carom.scene.start import half_spaces
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import Names, nearest, suggestion
 
 WARNINGS = ("energy-rise", "energy-ledger", "energy-lost", "limit", "pace", "horizon")
 _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")

@@ -6,20 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
+from carom import Frame, Recording, Scene
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
-from carom.physics.frame import Frame
-from carom.physics.placement import place
-from carom.recording.edit.bundle import is_bundle, opened
-from carom.recording.read.recorded_scene import recorded_scene, start_of
-from carom.recording.read.recording import Recording
-from carom.runs.window import checkpoint_before
-from carom.scene.load import load_scene
-from carom.scene.matter import body_materials
-from carom.scene.scene_file import RECORDED
-from carom.scene.schema import Scene
-from carom.scene.schema.contact import DEFAULT
-from carom.scene.start import InitialBodies, half_spaces
+from carom.extend import (
+    DEFAULT,
+    RECORDED,
+    InitialBodies,
+    body_materials,
+    checkpoint_before,
+    half_spaces,
+    is_bundle,
+    load_scene,
+    opened,
+    place,
+    recorded_scene,
+    start_of,
+)
 
 Document = dict[str, Any]  # a scene, as `Scene.from_dict` takes it
 KeyPath = tuple[str | int, ...]  # of keys and places in lists

@@ -6,18 +6,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from carom import Scene, Space
 from carom.errors import ExperimentError
+from carom.extend import InitialBodies, Interrupts, counted, place
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
 from carom.lab.shrink.literal import Document, at_moment, literal
 from carom.lab.shrink.time_cut import Chronicle, begin_late, chronicle, cut_both_ends, cut_time
 from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials
-from carom.physics.placement import place
-from carom.physics.space import Space
-from carom.runs.interrupts import Interrupts
-from carom.scene.schema import Scene
-from carom.scene.start import InitialBodies
-from carom.scene.wording import counted
 
 _GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
 MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is

@@ -14,11 +14,9 @@ import tomlkit
 from tomlkit.items import Array
 
 from carom.errors import RecordingError
+from carom.extend import counted, versions, write_whole
 from carom.lab.shrink.literal import BODIES, Document
 from carom.lab.shrink.reducer import Reduction, Stage
-from carom.recording.write.whole_file import write_whole
-from carom.runs.environment import versions
-from carom.scene.wording import counted
 
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE

@@ -7,10 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption, JsonOption, SetOption, work_time
-from carom.cli.text import say
-from carom.scene.wording import command, counted
+from carom.extend import ForceOption, JsonOption, SetOption, command, counted, say, say_json, work_time
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -79,11 +76,11 @@ def shrink(
     """
     from dataclasses import asdict
 
+    from carom.extend import refuse_output, refuse_scene_output
     from carom.lab.shrink.condition import condition_from
     from carom.lab.shrink.literal import source_of
     from carom.lab.shrink.result_file import earlier, key_of
     from carom.lab.shrink.whole_run import CommandShows
-    from carom.runs.output import refuse_output, refuse_scene_output
 
     if condition is not None and while_command is not None:
         raise typer.BadParameter("give one of --while and --while-command", param_hint="--while-command")
@@ -143,8 +140,7 @@ def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str
 
 def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
     """Show the progress on a terminal, or a line for each stage elsewhere."""
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal, announce_compilation
 
     console = Terminal(stderr=True)
     announce_compilation()

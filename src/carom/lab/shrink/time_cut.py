@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
+from carom import Frame, Space
+from carom.extend import Schedule, every
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.literal import Document, Moment, at_moment, with_value
 from carom.lab.shrink.trials import Smallest, Trials, observe
-from carom.physics.frame import Frame
-from carom.physics.schedule import Schedule, every
-from carom.physics.space import Space
 
 ROOM = 200_000_000  # bytes of states that are kept of a run
 ROUNDING = 1e-9  # of the duration, since a sum of steps may fall short of it

@@ -11,21 +11,23 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
 
+from carom import Frame, Scene, Space
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
+from carom.extend import (
+    Every,
+    Interrupts,
+    LocalWorkers,
+    Schedule,
+    WorkerDiedError,
+    cores,
+    frame_interval,
+    scene_from_dict,
+    toml_text,
+)
 from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.literal import BODIES, Document
-from carom.physics.frame import Frame
-from carom.physics.parallel.cores import cores
-from carom.physics.schedule import Every, Schedule
-from carom.physics.space import Space
-from carom.plan.auto import frame_interval
-from carom.runs.interrupts import Interrupts
-from carom.runs.workers import LocalWorkers, WorkerDiedError
-from carom.scene.load import scene_from_dict
-from carom.scene.schema import Scene
-from carom.scene.toml_text import toml_text
 
 # How long a reduction may take, and whether the user has ended it.
 _POLL = 0.05  # s between two looks at a run

@@ -16,8 +16,8 @@ import dask
 from distributed import Client, Future, KilledWorker
 
 from carom.errors import ExperimentError
+from carom.extend import Ended, TaskDroppedError, WorkerDiedError
 from carom.lab.sweep.member_run import unfit
-from carom.runs.workers import Ended, TaskDroppedError, WorkerDiedError
 
 _CONNECT = 20.0  # s
 _ANSWER = 60.0  # s a scheduler may take

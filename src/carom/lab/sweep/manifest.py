@@ -19,12 +19,8 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, Field, ValidationError
 
 from carom.errors import ExperimentError
+from carom.extend import DEEPEST, DiskReserve, is_link_of_another, is_too_deep, new_name, output_folder, versions
 from carom.lab.sweep.plan import Plan, SweepPoint
-from carom.recording.write.disk_reserve import DiskReserve
-from carom.recording.write.whole_file import new_name
-from carom.runs.environment import versions
-from carom.runs.output import is_link_of_another, output_folder
-from carom.scene.key_places import DEEPEST, is_too_deep
 
 _ATTEMPT = re.compile(r"\.?(.+)\.[0-9a-f]{8}\.rrd(\.\w+)?")  # a recording being written, or its lock
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)

@@ -9,17 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from carom import Recording, Scene
 from carom.errors import PhysicsError, RecordingError, SceneError
+from carom.extend import DataFiles, SweepMember, finite, recording_space, scene_from_text, simulate, versions
 from carom.lab.sweep.manifest import DONE, FAILED, Folder, move
 from carom.lab.sweep.plan import SEED, SweepPoint, digest
-from carom.recording.read.recording import Recording
-from carom.recording.schema.header import SweepMember
-from carom.runs.environment import versions
-from carom.runs.json_numbers import finite
-from carom.runs.run import recording_space, simulate
-from carom.scene.data.body_sources import DataFiles
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
 
 Report = dict[str, Any]  # fields of `Run`
 

@@ -12,11 +12,18 @@ from typing import Any
 
 import tomlkit
 
+from carom import Scene
 from carom.errors import ExperimentError, SceneError
-from carom.scene.data.body_sources import HeldBodies
-from carom.scene.load import scene_from_text
-from carom.scene.schema import Scene
-from carom.scene.variation import MOST_RUNS, TOO_MANY_RUNS, Values, combinations, override, values_of
+from carom.extend import (
+    MOST_RUNS,
+    TOO_MANY_RUNS,
+    HeldBodies,
+    Values,
+    combinations,
+    override,
+    scene_from_text,
+    values_of,
+)
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer

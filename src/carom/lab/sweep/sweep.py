@@ -9,16 +9,22 @@ from pathlib import Path
 from typing import Protocol
 
 from carom.errors import ExperimentError
+from carom.extend import (
+    Ended,
+    Interrupts,
+    LocalWorkers,
+    TaskDroppedError,
+    WorkerDiedError,
+    Workers,
+    cores,
+    counted,
+    output_folder,
+    versions,
+)
 from carom.lab.sweep import sweep_table as table
 from carom.lab.sweep.manifest import FAILED, PENDING, Folder, Manifest, SweepRun, read
 from carom.lab.sweep.member_run import Report, SweepTask, execute
 from carom.lab.sweep.plan import Plan, SweepPoint
-from carom.physics.parallel.cores import cores
-from carom.runs.environment import versions
-from carom.runs.interrupts import Interrupts
-from carom.runs.output import output_folder
-from carom.runs.workers import Ended, LocalWorkers, TaskDroppedError, WorkerDiedError, Workers
-from carom.scene.wording import counted
 
 INTERRUPTED = "interrupted"
 GONE = "the scheduler is gone, or has dropped runs"

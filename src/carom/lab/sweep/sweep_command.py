@@ -8,12 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.extras import needing
-from carom.cli.json_output import say_json
-from carom.cli.live_line import LiveLine, bar
-from carom.cli.options import SetOption, bundled
-from carom.cli.units import duration_text
-from carom.scene.wording import command
+from carom.extend import LiveLine, SetOption, bar, bundled, command, duration_text, needing, say_json
 
 if TYPE_CHECKING:
     from carom.lab.sweep.manifest import SweepRun
@@ -206,10 +201,9 @@ def _run(
     force: bool,
     quiet: bool,
 ) -> Ending:
-    from carom.cli.extras import needing
+    from carom.extend import command_line, needing
     from carom.lab.sweep.plan import plan
     from carom.lab.sweep.sweep import sweep as make
-    from carom.runs.environment import command_line
 
     if cluster is not None:
         with needing("cluster", "carom sweep --cluster", "distributed", "dask"):
@@ -270,7 +264,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal
     from carom.lab.sweep.sweep_table import chosen
 
     rows, stored = _rows(folder)
@@ -337,13 +331,13 @@ def serve(folder: Path) -> None:
     Rerun's server has no password. So this process moves, with its viewer, where other users of the machine cannot
     connect, before it loads libraries that start threads. Without a screen, the server is there for viewers elsewhere.
     """
-    from carom.show.keeper import has_screen, isolate, screen_is_remote
+    from carom.extend import has_screen, isolate, screen_is_remote
 
     alone = has_screen() and not screen_is_remote() and isolate()
     from carom.lab.sweep.manifest import Folder, stored_runs
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):
-        from carom.show.catalog import serve_catalog
+        from carom.extend import serve_catalog
     paths = [folder / run.file for run in stored_runs(Folder(folder)) if run.file.startswith("runs/")]
     serve_catalog(folder.resolve().name, paths, typer.echo, alone)
 

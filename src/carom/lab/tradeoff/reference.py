@@ -19,16 +19,24 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
+from carom import Scene, Space
 from carom.arrays import FloatArray
+from carom.extend import (
+    LENGTH,
+    TIME,
+    auto_interval,
+    cfl,
+    counted,
+    integrator,
+    largest_step,
+    minimum_images,
+    pull_fraction,
+    require,
+    target_dx,
+    uses_tree,
+)
 from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import TIGHTEST, solve, why_not
-from carom.physics.periodic_box import minimum_images
-from carom.physics.space import Space
-from carom.plan.auto import auto_interval, cfl, integrator, largest_step, pull_fraction, target_dx, uses_tree
-from carom.plan.features import require
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import LENGTH, TIME
-from carom.scene.wording import counted
 
 
 # The errors of a run against a reference: in space and time up to a horizon, in statistics beyond it.

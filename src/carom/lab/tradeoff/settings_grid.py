@@ -6,16 +6,21 @@ import itertools
 import math
 from dataclasses import dataclass
 
+from carom import Scene, Space
 from carom.errors import PhysicsError, SceneError
+from carom.extend import (
+    INTEGRATORS,
+    damping,
+    gravity_method,
+    integrator,
+    require,
+    smoothing,
+    texts_of,
+    timing,
+    uses_tree,
+    why_no_hierarchy,
+)
 from carom.lab.tradeoff.reference import refined
-from carom.physics.space import Space
-from carom.plan.auto import gravity_method, integrator, smoothing, timing, uses_tree
-from carom.plan.features import require
-from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.pulls import damping
-from carom.scene.integrators import INTEGRATORS
-from carom.scene.schema import Scene
-from carom.scene.variation import texts_of
 
 STEP = "step"  # a pseudo-key: a factor on the step under any limit
 THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits

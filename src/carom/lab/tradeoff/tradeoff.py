@@ -19,8 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError
+from carom.extend import TIME, at, cores, environment, output_folder, with_promise, write_whole
 from carom.lab.compared_run import RunBound, RunStoppedError, Trajectory, follow, sample_times
 from carom.lab.engines.engine import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
@@ -33,15 +35,6 @@ from carom.lab.tradeoff.setting_results import (
     result_of,
 )
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, refusal
-from carom.physics.look_ahead.find_step import with_promise
-from carom.physics.parallel.cores import cores
-from carom.physics.schedule import at
-from carom.physics.space import Space
-from carom.recording.write.whole_file import write_whole
-from carom.runs.environment import environment
-from carom.runs.output import output_folder
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
 
 
 # The cost of a setting: the time of one run.

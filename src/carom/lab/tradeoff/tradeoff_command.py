@@ -9,19 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import SceneArgument, SetOption, ThreadsOption
-from carom.cli.text import say
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import command
+from carom.extend import TIME, SceneArgument, SetOption, ThreadsOption, command, say, say_json
 
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom.extend import UnitSystem
     from carom.lab.tradeoff.setting_results import SettingResult
     from carom.lab.tradeoff.settings_grid import Setting
     from carom.lab.tradeoff.tradeoff import Study, Teller
-    from carom.scene.units.system import UnitSystem
 
 VaryOption = Annotated[
     list[str] | None,
@@ -120,9 +116,9 @@ def opened(
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
     """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
+    from carom import Scene
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
-    from carom.scene.schema import Scene
 
     scene = Scene.load(source, overrides)
     settings = grid(scene, vary) if vary else None
@@ -138,8 +134,7 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
     """Measure, and print the progress; return whether it was completed, not stopped by the interrupt key."""
     from rich.markup import escape
 
-    from carom.cli.compiling import announce_compilation
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal, announce_compilation
 
     if not quiet:
         announce_compilation()
@@ -178,7 +173,7 @@ def _draw(study: Study, quiet: bool) -> None:
 def _show(study: Study) -> None:
     from rich.markup import escape
 
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal
 
     console = Terminal(markup=True)
     if not console.is_terminal:

@@ -12,16 +12,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from carom import Space
 from carom.errors import ExperimentError
+from carom.extend import SI, TIME, ComparedTrajectory, UnitSystem, whole_file, write_trajectories
 from carom.install import install_extra
 from carom.lab.tradeoff.setting_results import pareto_front
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN
 from carom.lab.tradeoff.tradeoff import Study
-from carom.physics.space import Space
-from carom.recording.write.whole_file import whole_file
-from carom.scene.units.dimension import TIME
-from carom.scene.units.system import SI, UnitSystem
-from carom.show.trajectories import ComparedTrajectory, write_trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

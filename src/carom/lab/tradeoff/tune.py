@@ -17,17 +17,11 @@ from pathlib import Path
 from typing import Any
 
 from carom.errors import ExperimentError, SceneError
+from carom.extend import TIME, auto_interval, finite, integrator, require, suggestion, toml_for, write_whole
 from carom.lab.tradeoff.reference import COMPARED, NAMES
 from carom.lab.tradeoff.setting_results import SettingResult, result_entry
 from carom.lab.tradeoff.settings_grid import AS_WRITTEN, GridPoint, Setting, default_points, knobs
 from carom.lab.tradeoff.tradeoff import Study, Teller
-from carom.plan.auto import auto_interval, integrator
-from carom.plan.features import require
-from carom.recording.write.whole_file import write_whole
-from carom.runs.json_numbers import finite
-from carom.scene.toml_text import toml_for
-from carom.scene.units.dimension import TIME
-from carom.scene.wording import suggestion
 
 FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky
 NEARER = 0.9  # half the step must reduce the factor by which limits are missed to this fraction

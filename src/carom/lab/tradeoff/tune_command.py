@@ -8,9 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import SceneArgument, SetOption, ThreadsOption
-from carom.cli.text import say
+from carom.extend import TIME, SceneArgument, SetOption, ThreadsOption, say, say_json
 from carom.lab.tradeoff.tradeoff_command import (
     COLUMNS,
     PIPE_WIDTH,
@@ -23,7 +21,6 @@ from carom.lab.tradeoff.tradeoff_command import (
     ran,
     table_of,
 )
-from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
     from carom.lab.tradeoff.tradeoff import Study
@@ -73,8 +70,8 @@ def tune(
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """
+    from carom.extend import refuse_scene_output
     from carom.lab.tradeoff.tune import limits, stopped, tuned, write
-    from carom.runs.output import refuse_scene_output
 
     asked = limits(error)
     path = output or Path(f"{Path(scene).stem}-tuned.toml")
@@ -104,7 +101,7 @@ def tune(
 
 
 def _show(study: Study, limits: Collection[str]) -> None:
-    from carom.cli.terminal import Terminal
+    from carom.extend import Terminal
 
     console = Terminal(markup=True)
     if not console.is_terminal:

@@ -8,21 +8,23 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import Recording, Scene, Space
 from carom.arrays import FloatArray
 from carom.contact_table import CONTACT_ROW, OPEN
 from carom.errors import RecordingError
-from carom.physics.checkpoint import Checkpoint
-from carom.physics.schedule import every
-from carom.physics.space import Space
-from carom.physics.status import StepStatus
-from carom.recording.read.body_lookup import body_number, names_of
-from carom.recording.read.recorded_scene import recorded_scene
-from carom.recording.read.recording import Recording
-from carom.runs.window import space_of
-from carom.scene.schema import Scene
-from carom.scene.units.dimension import TIME
-from carom.scene.units.system import SI, UnitSystem
-from carom.show.named_event import named_event
+from carom.extend import (
+    SI,
+    TIME,
+    Checkpoint,
+    StepStatus,
+    UnitSystem,
+    body_number,
+    every,
+    named_event,
+    names_of,
+    recorded_scene,
+    space_of,
+)
 
 Rows = NDArray[np.void]
 Watcher = Callable[[StepStatus], None]

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import Recording
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
+from carom.extend import TIME, tolerance
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.cone import Cone, Edge, Link, chain_of
 from carom.lab.why.history import History, Question, Step, Watcher
-from carom.recording.read.moment import tolerance
-from carom.recording.read.recording import Recording
-from carom.scene.units.dimension import TIME
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,29 +7,32 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import (
+from carom.extend import (
+    ENERGY,
+    IMPULSE,
+    TIME,
+    VELOCITY,
     ForceOption,
     JsonOption,
     OptionalTime,
     RecordingArgument,
+    command,
+    counted,
     recording_option,
+    say,
+    say_json,
     seconds,
     simulated_or_none,
 )
-from carom.cli.text import say
-from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY
-from carom.scene.wording import command, counted
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from carom import Recording
     from carom.arrays import FloatArray
+    from carom.extend import Names, UnitSystem
     from carom.lab.why.account import Account, Cause
     from carom.lab.why.why import Answer
-    from carom.recording.read.recording import Recording
-    from carom.scene.units.system import UnitSystem
-    from carom.scene.wording import Names
 
 
 MOST_CAUSES = 12  # of a body that are printed for people
@@ -68,13 +71,10 @@ def why(
     The steps before the moment are run again, so any recording can be asked. FILE may be the zip that `carom report`
     made.
     """
-    from carom.cli.replaying import replaying
+    from carom import Recording
+    from carom.extend import names_of, opened, refuse_itself, refuse_output, replaying
     from carom.lab.why.history import question_of
     from carom.lab.why.why import why as answer_to
-    from carom.recording.edit.bundle import opened
-    from carom.recording.read.body_lookup import names_of
-    from carom.recording.read.recording import Recording
-    from carom.runs.output import refuse_itself, refuse_output
 
     if output is not None:
         refuse_itself(output, file)
@@ -188,8 +188,7 @@ def _account_document(account: Account, names: Names) -> dict[str, Any]:
 
 def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: int) -> None:
     """Print an answer; the recording's first checkpoint is of the step ``oldest``."""
-    from carom.cli.terminal import Terminal
-    from carom.recording.read.moment import tolerance
+    from carom.extend import Terminal, tolerance
 
     console = Terminal(soft_wrap=True)
     console.print(answer.question.text, style="bold")
@@ -242,7 +241,7 @@ def _contacts_text(account: Account) -> str:
 def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     from rich.table import Table
 
-    from carom.cli.terminal import print_whole
+    from carom.extend import print_whole
 
     if not account.causes:
         return
@@ -341,7 +340,7 @@ def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:
 
 def write_answer(out: Path, recording: Recording, answer: Answer, text: str) -> None:
     """Write the bodies and contacts behind an answer. RecordingError if it cannot be written."""
-    from carom.show.causes import CauseEdge, Causes, write_causes
+    from carom.extend import CauseEdge, Causes, write_causes
 
     cone = answer.cone
     edges = [CauseEdge(edge.i, edge.j, edge.first, edge.share) for edge in answer.edges if edge.j < cone.count]

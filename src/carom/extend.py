@@ -1,0 +1,325 @@
+"""What authors of extensions and of the tools in `carom.lab` need, beside what `carom` itself exports.
+
+Names are imported at their first use, so that a command starts as fast as those of carom.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from carom.cli.compiling import announce_compilation as announce_compilation
+    from carom.cli.extras import needing as needing
+    from carom.cli.json_output import say_json as say_json
+    from carom.cli.live_line import LiveLine as LiveLine
+    from carom.cli.live_line import bar as bar
+    from carom.cli.options import ForceOption as ForceOption
+    from carom.cli.options import JsonOption as JsonOption
+    from carom.cli.options import OptionalTime as OptionalTime
+    from carom.cli.options import RecordingArgument as RecordingArgument
+    from carom.cli.options import SceneArgument as SceneArgument
+    from carom.cli.options import SetOption as SetOption
+    from carom.cli.options import ThreadsOption as ThreadsOption
+    from carom.cli.options import bundled as bundled
+    from carom.cli.options import not_a_folder as not_a_folder
+    from carom.cli.options import recording_option as recording_option
+    from carom.cli.options import seconds as seconds
+    from carom.cli.options import simulated as simulated
+    from carom.cli.options import simulated_or_none as simulated_or_none
+    from carom.cli.options import work_time as work_time
+    from carom.cli.replaying import replaying as replaying
+    from carom.cli.terminal import Terminal as Terminal
+    from carom.cli.terminal import print_whole as print_whole
+    from carom.cli.text import say as say
+    from carom.cli.units import duration_text as duration_text
+    from carom.physics.bodies import Bodies as Bodies
+    from carom.physics.checkpoint import Checkpoint as Checkpoint
+    from carom.physics.contact.law import LAW as LAW
+    from carom.physics.diagnostics.extremes import Extremes as Extremes
+    from carom.physics.look_ahead.find_step import with_promise as with_promise
+    from carom.physics.parallel.cores import cores as cores
+    from carom.physics.periodic_box import minimum_images as minimum_images
+    from carom.physics.placement import place as place
+    from carom.physics.reference_api import BodyProxy as BodyProxy
+    from carom.physics.reference_api import CollisionContext as CollisionContext
+    from carom.physics.schedule import Every as Every
+    from carom.physics.schedule import Schedule as Schedule
+    from carom.physics.schedule import at as at
+    from carom.physics.schedule import every as every
+    from carom.physics.status import StepStatus as StepStatus
+    from carom.plan.auto import auto_interval as auto_interval
+    from carom.plan.auto import cfl as cfl
+    from carom.plan.auto import frame_interval as frame_interval
+    from carom.plan.auto import gravity_method as gravity_method
+    from carom.plan.auto import integrator as integrator
+    from carom.plan.auto import largest_step as largest_step
+    from carom.plan.auto import pull_fraction as pull_fraction
+    from carom.plan.auto import smoothing as smoothing
+    from carom.plan.auto import target_dx as target_dx
+    from carom.plan.auto import timing as timing
+    from carom.plan.auto import uses_tree as uses_tree
+    from carom.plan.features import Requirements as Requirements
+    from carom.plan.features import require as require
+    from carom.plan.hierarchy import DOMINANT as DOMINANT
+    from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
+    from carom.plan.pulls import damping as damping
+    from carom.plan.pulls import further as further
+    from carom.recording.edit.bundle import is_bundle as is_bundle
+    from carom.recording.edit.bundle import opened as opened
+    from carom.recording.read.body_lookup import body_number as body_number
+    from carom.recording.read.body_lookup import names_of as names_of
+    from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
+    from carom.recording.read.impacts import count_at as count_at
+    from carom.recording.read.impacts import impacts_by_number as impacts_by_number
+    from carom.recording.read.moment import tolerance as tolerance
+    from carom.recording.read.recorded_scene import RecordedBodies as RecordedBodies
+    from carom.recording.read.recorded_scene import recorded_scene as recorded_scene
+    from carom.recording.read.recorded_scene import start_of as start_of
+    from carom.recording.schema.header import Header as Header
+    from carom.recording.schema.header import Scalar as Scalar
+    from carom.recording.schema.header import SweepMember as SweepMember
+    from carom.recording.schema.paths import STEP as STEP
+    from carom.recording.source.adapters.box3d import PACKAGE as PACKAGE
+    from carom.recording.source.adapters.box3d import box3d as box3d
+    from carom.recording.source.adapters.mujoco import mujoco as mujoco
+    from carom.recording.source.adapters.newton import newton as newton
+    from carom.recording.source.adapters.package import engine_package as engine_package
+    from carom.recording.source.adapters.pybullet import pybullet as pybullet
+    from carom.recording.source.adapters.rebound import rebound as rebound
+    from carom.recording.source.faults import Fault as Fault
+    from carom.recording.source.faults import Tolerances as Tolerances
+    from carom.recording.source.observer import Observer as Observer
+    from carom.recording.source.observer import header_of_source as header_of_source
+    from carom.recording.source.observer import not_finite as not_finite
+    from carom.recording.source.snapshot import Snapshot as Snapshot
+    from carom.recording.source.snapshot import memory_of as memory_of
+    from carom.recording.source.snapshot import reader_of as reader_of
+    from carom.recording.source.source import SPHERE as SPHERE
+    from carom.recording.source.source import Model as Model
+    from carom.recording.source.source import Plane as Plane
+    from carom.recording.source.source import Setup as Setup
+    from carom.recording.source.source import Source as Source
+    from carom.recording.source.source import State as State
+    from carom.recording.source.source import SteppedSource as SteppedSource
+    from carom.recording.source.source import array_of as array_of
+    from carom.recording.source.source import refuse_no_rotation as refuse_no_rotation
+    from carom.recording.source.source import setup_of as setup_of
+    from carom.recording.source.source import time_of as time_of
+    from carom.recording.write.disk_reserve import DiskReserve as DiskReserve
+    from carom.recording.write.recorder import Recorder as Recorder
+    from carom.recording.write.whole_file import new_name as new_name
+    from carom.recording.write.whole_file import whole_file as whole_file
+    from carom.recording.write.whole_file import write_whole as write_whole
+    from carom.runs.closing import closing_of as closing_of
+    from carom.runs.contact_counts import ONCE_A_STEP as ONCE_A_STEP
+    from carom.runs.continued_scene import continued_scene as continued_scene
+    from carom.runs.ending import in_words as in_words
+    from carom.runs.environment import command_line as command_line
+    from carom.runs.environment import environment as environment
+    from carom.runs.environment import versions as versions
+    from carom.runs.expectation import Verdict as Verdict
+    from carom.runs.expectation import judge as judge
+    from carom.runs.interrupts import Interrupts as Interrupts
+    from carom.runs.json_numbers import finite as finite
+    from carom.runs.output import claimed_output as claimed_output
+    from carom.runs.output import is_link_of_another as is_link_of_another
+    from carom.runs.output import output_folder as output_folder
+    from carom.runs.output import refuse_itself as refuse_itself
+    from carom.runs.output import refuse_name as refuse_name
+    from carom.runs.output import refuse_output as refuse_output
+    from carom.runs.output import refuse_scene_output as refuse_scene_output
+    from carom.runs.report import report as report
+    from carom.runs.run import Outcome as Outcome
+    from carom.runs.run import Watcher as Watcher
+    from carom.runs.run import closing_summary as closing_summary
+    from carom.runs.run import recording_space as recording_space
+    from carom.runs.run import simulate as simulate
+    from carom.runs.window import checkpoint_before as checkpoint_before
+    from carom.runs.window import space_of as space_of
+    from carom.runs.workers import Ended as Ended
+    from carom.runs.workers import LocalWorkers as LocalWorkers
+    from carom.runs.workers import TaskDroppedError as TaskDroppedError
+    from carom.runs.workers import WorkerDiedError as WorkerDiedError
+    from carom.runs.workers import Workers as Workers
+    from carom.scene.conversion import converted as converted
+    from carom.scene.conversion import rescaled as rescaled
+    from carom.scene.data.body_sources import DataFiles as DataFiles
+    from carom.scene.data.body_sources import HeldBodies as HeldBodies
+    from carom.scene.integrators import INTEGRATORS as INTEGRATORS
+    from carom.scene.key_places import DEEPEST as DEEPEST
+    from carom.scene.key_places import is_too_deep as is_too_deep
+    from carom.scene.key_places import line_of_long_key as line_of_long_key
+    from carom.scene.load import load_scene as load_scene
+    from carom.scene.load import scene_from_dict as scene_from_dict
+    from carom.scene.load import scene_from_text as scene_from_text
+    from carom.scene.matter import body_materials as body_materials
+    from carom.scene.matter import pair_coefficients as pair_coefficients
+    from carom.scene.parts import PARTS as PARTS
+    from carom.scene.scene_file import RECORDED as RECORDED
+    from carom.scene.scene_file import bundled_folders as bundled_folders
+    from carom.scene.schema import Coefficients as Coefficients
+    from carom.scene.schema.contact import DEFAULT as DEFAULT
+    from carom.scene.schema.promise import Expect as Expect
+    from carom.scene.start import HalfSpaces as HalfSpaces
+    from carom.scene.start import InitialBodies as InitialBodies
+    from carom.scene.start import half_spaces as half_spaces
+    from carom.scene.toml_text import toml_for as toml_for
+    from carom.scene.toml_text import toml_text as toml_text
+    from carom.scene.units.dimension import BASE as BASE
+    from carom.scene.units.dimension import ENERGY as ENERGY
+    from carom.scene.units.dimension import IMPULSE as IMPULSE
+    from carom.scene.units.dimension import LENGTH as LENGTH
+    from carom.scene.units.dimension import RATE as RATE
+    from carom.scene.units.dimension import TIME as TIME
+    from carom.scene.units.dimension import VELOCITY as VELOCITY
+    from carom.scene.units.dimension import Dimension as Dimension
+    from carom.scene.units.system import SI as SI
+    from carom.scene.units.system import UnitSystem as UnitSystem
+    from carom.scene.units.unit import Physical as Physical
+    from carom.scene.units.unit import UnitError as UnitError
+    from carom.scene.units.unit import nearest_float as nearest_float
+    from carom.scene.units.unit import physical as physical
+    from carom.scene.variation import MOST_RUNS as MOST_RUNS
+    from carom.scene.variation import TOO_MANY_RUNS as TOO_MANY_RUNS
+    from carom.scene.variation import Values as Values
+    from carom.scene.variation import combinations as combinations
+    from carom.scene.variation import override as override
+    from carom.scene.variation import texts_of as texts_of
+    from carom.scene.variation import values_of as values_of
+    from carom.scene.wording import Names as Names
+    from carom.scene.wording import bodies_called as bodies_called
+    from carom.scene.wording import command as command
+    from carom.scene.wording import counted as counted
+    from carom.scene.wording import nearest as nearest
+    from carom.scene.wording import suggestion as suggestion
+    from carom.show.catalog import serve_catalog as serve_catalog
+    from carom.show.causes import CauseEdge as CauseEdge
+    from carom.show.causes import Causes as Causes
+    from carom.show.causes import write_causes as write_causes
+    from carom.show.comparison import Pair as Pair
+    from carom.show.comparison import write_overlay as write_overlay
+    from carom.show.forecast import Forecast as Forecast
+    from carom.show.forecast import write_forecast as write_forecast
+    from carom.show.keeper import has_screen as has_screen
+    from carom.show.keeper import isolate as isolate
+    from carom.show.keeper import screen_is_remote as screen_is_remote
+    from carom.show.named_event import named_event as named_event
+    from carom.show.trajectories import ComparedTrajectory as ComparedTrajectory
+    from carom.show.trajectories import write_trajectories as write_trajectories
+
+_HOMES = {
+    # scenes
+    "carom.scene.conversion": "converted rescaled",
+    "carom.scene.data.body_sources": "DataFiles HeldBodies",
+    "carom.scene.integrators": "INTEGRATORS",
+    "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
+    "carom.scene.load": "load_scene scene_from_dict scene_from_text",
+    "carom.scene.matter": "body_materials pair_coefficients",
+    "carom.scene.parts": "PARTS",
+    "carom.scene.scene_file": "RECORDED bundled_folders",
+    "carom.scene.schema": "Coefficients",
+    "carom.scene.schema.contact": "DEFAULT",
+    "carom.scene.schema.promise": "Expect",
+    "carom.scene.start": "HalfSpaces InitialBodies half_spaces",
+    "carom.scene.toml_text": "toml_for toml_text",
+    "carom.scene.units.dimension": "BASE Dimension ENERGY IMPULSE LENGTH RATE TIME VELOCITY",
+    "carom.scene.units.system": "SI UnitSystem",
+    "carom.scene.units.unit": "Physical UnitError nearest_float physical",
+    "carom.scene.variation": "MOST_RUNS TOO_MANY_RUNS Values combinations override texts_of values_of",
+    "carom.scene.wording": "Names bodies_called command counted nearest suggestion",
+    # what a scene requires, and the automatic choices
+    "carom.plan.auto": (
+        "auto_interval cfl frame_interval gravity_method integrator largest_step pull_fraction smoothing "
+        "target_dx timing uses_tree"
+    ),
+    "carom.plan.features": "Requirements require",
+    "carom.plan.hierarchy": "DOMINANT why_no_hierarchy",
+    "carom.plan.pulls": "damping further",
+    # the physics
+    "carom.physics.bodies": "Bodies",
+    "carom.physics.checkpoint": "Checkpoint",
+    "carom.physics.contact.law": "LAW",
+    "carom.physics.diagnostics.extremes": "Extremes",
+    "carom.physics.look_ahead.find_step": "with_promise",
+    "carom.physics.parallel.cores": "cores",
+    "carom.physics.periodic_box": "minimum_images",
+    "carom.physics.placement": "place",
+    "carom.physics.reference_api": "BodyProxy CollisionContext",
+    "carom.physics.schedule": "Every Schedule at every",
+    "carom.physics.status": "StepStatus",
+    # recordings
+    "carom.recording.edit.bundle": "is_bundle opened",
+    "carom.recording.read.body_lookup": "body_number names_of",
+    "carom.recording.read.frame_rows": "RecordedPositions",
+    "carom.recording.read.impacts": "count_at impacts_by_number",
+    "carom.recording.read.moment": "tolerance",
+    "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
+    "carom.recording.schema.header": "Header Scalar SweepMember",
+    "carom.recording.schema.paths": "STEP",
+    "carom.recording.source.adapters.box3d": "PACKAGE box3d",
+    "carom.recording.source.adapters.mujoco": "mujoco",
+    "carom.recording.source.adapters.newton": "newton",
+    "carom.recording.source.adapters.package": "engine_package",
+    "carom.recording.source.adapters.pybullet": "pybullet",
+    "carom.recording.source.adapters.rebound": "rebound",
+    "carom.recording.source.faults": "Fault Tolerances",
+    "carom.recording.source.observer": "Observer header_of_source not_finite",
+    "carom.recording.source.snapshot": "Snapshot memory_of reader_of",
+    "carom.recording.source.source": (
+        "Model Plane SPHERE Setup Source State SteppedSource array_of refuse_no_rotation setup_of time_of"
+    ),
+    "carom.recording.write.disk_reserve": "DiskReserve",
+    "carom.recording.write.recorder": "Recorder",
+    "carom.recording.write.whole_file": "new_name whole_file write_whole",
+    # runs
+    "carom.runs.closing": "closing_of",
+    "carom.runs.contact_counts": "ONCE_A_STEP",
+    "carom.runs.continued_scene": "continued_scene",
+    "carom.runs.ending": "in_words",
+    "carom.runs.environment": "command_line environment versions",
+    "carom.runs.expectation": "Verdict judge",
+    "carom.runs.interrupts": "Interrupts",
+    "carom.runs.json_numbers": "finite",
+    "carom.runs.output": (
+        "claimed_output is_link_of_another output_folder refuse_itself refuse_name refuse_output refuse_scene_output"
+    ),
+    "carom.runs.report": "report",
+    "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
+    "carom.runs.window": "checkpoint_before space_of",
+    "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
+    # the viewer
+    "carom.show.catalog": "serve_catalog",
+    "carom.show.causes": "CauseEdge Causes write_causes",
+    "carom.show.comparison": "Pair write_overlay",
+    "carom.show.forecast": "Forecast write_forecast",
+    "carom.show.keeper": "has_screen isolate screen_is_remote",
+    "carom.show.named_event": "named_event",
+    "carom.show.trajectories": "ComparedTrajectory write_trajectories",
+    # commands
+    "carom.cli.compiling": "announce_compilation",
+    "carom.cli.extras": "needing",
+    "carom.cli.json_output": "say_json",
+    "carom.cli.live_line": "LiveLine bar",
+    "carom.cli.options": (
+        "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption bundled "
+        "not_a_folder recording_option seconds simulated simulated_or_none work_time"
+    ),
+    "carom.cli.replaying": "replaying",
+    "carom.cli.terminal": "Terminal print_whole",
+    "carom.cli.text": "say",
+    "carom.cli.units": "duration_text",
+}
+_PLACES = {name: home for home, names in _HOMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name at its first use."""
+    if name not in _PLACES:
+        raise AttributeError(f"module 'carom.extend' has no attribute {name!r}")
+    return getattr(importlib.import_module(_PLACES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Return the names, whether they have been used or not."""
+    return sorted(_PLACES)
