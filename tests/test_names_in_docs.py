@@ -203,9 +203,15 @@ def trees() -> dict[Path, ast.Module]:
 
 
 @cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Every node of a file; three of the lists below need all of them."""
+    return list(ast.walk(trees()[path]))
+
+
+@cache
 def docstring_nodes(path: Path) -> list[ast.Constant]:
     with_body = (ast.Module, ast.ClassDef, ast.FunctionDef)
-    bodies = (node.body for node in ast.walk(trees()[path]) if isinstance(node, with_body))
+    bodies = (node.body for node in nodes(path) if isinstance(node, with_body))
     firsts = (body[0].value for body in bodies if body and isinstance(body[0], ast.Expr))
     return [first for first in firsts if isinstance(first, ast.Constant) and isinstance(first.value, str)]
 
@@ -218,9 +224,9 @@ def docstrings(path: Path) -> list[str]:
 def strings() -> set[str]:
     """The texts in the code that are not docstrings."""
     found = set()
-    for path, tree in trees().items():
+    for path in trees():
         docs = {id(node) for node in docstring_nodes(path)}
-        for node in ast.walk(tree):
+        for node in nodes(path):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
                 found.add(node.value)
             elif isinstance(node, ast.Constant) and isinstance(node.value, bytes):
@@ -234,8 +240,8 @@ def words() -> set[str]:
     found = {*dir(builtins), *modules(), *(path.stem for path in CODE)}
     for text in strings():
         found.update(re.findall(r"\w+", text))
-    for tree in trees().values():
-        for node in ast.walk(tree):
+    for path in trees():
+        for node in nodes(path):
             for field in ("id", "attr", "arg", "name", "asname"):
                 if isinstance(name := getattr(node, field, None), str):
                     found.update(name.split("."))
@@ -258,7 +264,7 @@ def attributes() -> dict[str, set[str]]:
     """What the classes of carom have by their own definitions; and their bases, in ``bases:NAME``."""
     found: dict[str, set[str]] = {}
     for path in CODE:
-        for node in ast.walk(trees()[path]) if path.is_relative_to(PACKAGE) else ():
+        for node in nodes(path) if path.is_relative_to(PACKAGE) else ():
             if isinstance(node, ast.ClassDef):
                 own = found.setdefault(node.name, set())
                 own.update(f"bases:{base.id}" for base in node.bases if isinstance(base, ast.Name))

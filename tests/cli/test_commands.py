@@ -263,6 +263,7 @@ def test_explain_says_what_is_modelled_and_what_it_costs(tmp_path: Path) -> None
     assert document["cost"]["steps"] > 0
 
 
+@pytest.mark.slow
 def test_explain_says_that_the_error_sets_the_step_and_offers_no_key_to_raise(tmp_path: Path) -> None:
     keys = ("time.integrator=gauss-radau15", "time.target_dx=auto", "time.cfl=auto", "time.max_dt=1")
     limits = [part for key in keys for part in ("--set", key)]

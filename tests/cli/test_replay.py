@@ -78,6 +78,7 @@ def test_a_mistake_is_one_message(command: list[str], said: str, folder: Path) -
     assert said in " ".join(done.stderr.replace("│", "").split())
 
 
+@pytest.mark.slow
 def test_a_bundle_is_made_and_replayed_and_inspected(folder: Path) -> None:
     done = carom("report", "ts.rrd", "--json", cwd=folder)
     told = json.loads(done.stdout)

@@ -64,6 +64,7 @@ def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replac
     assert anew.returncode == 0 and "errors" in anew.stderr and study.read_bytes() != kept
 
 
+@pytest.mark.slow
 def test_a_limit_that_cannot_be_measured_is_refused_before_any_setting_is_timed(tmp_path: Path) -> None:
     # a plastic impact under mutual gravity: the pair stays in contact, and no exact solution describes that
     plastic = pair(gravity={"constant": 0.1}, contact={"restitution": 0.0}, time={"duration": 3.0})

@@ -131,7 +131,10 @@ def test_json_names_the_units_of_its_numbers(
         ("run", "-o", "x.rrd", "--force"),
         ("explain",),
         pytest.param(("tradeoff", *ONCE, "-o", "new", "--force"), marks=pytest.mark.slow),
-        ("tune", *ONCE, "--study", "new", "--new-study", "--error", "energy=1", "-o", "tuned.toml", "--force"),
+        pytest.param(
+            ("tune", *ONCE, "--study", "new", "--new-study", "--error", "energy=1", "-o", "tuned.toml", "--force"),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=lambda given: given[0],
 )

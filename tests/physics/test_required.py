@@ -205,6 +205,7 @@ def test_a_part_that_is_not_required_is_neither_compiled_nor_loaded(sections: Se
     assert not any(name.startswith((*OPTIONAL, *FAST_MULTIPOLE)) for name in loaded)
 
 
+@pytest.mark.slow
 def test_times_of_impact_drag_and_the_tree_load_kernels_of_their_own() -> None:
     gravity = WHOLE["gravity"] | {"method": "tree"}
     drag = {"relaxation_time": 1.0}

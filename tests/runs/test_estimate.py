@@ -88,6 +88,7 @@ def test_every_mark_of_the_profile_belongs_to_a_part() -> None:
     assert len(marks) > 8 and marks <= set(MARKS)
 
 
+@pytest.mark.slow
 def test_the_cost_of_a_scene_with_sleep_is_estimated() -> None:
     scene = Scene.from_dict(
         {

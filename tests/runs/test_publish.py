@@ -174,6 +174,7 @@ def test_what_a_killed_publication_left_is_not_in_the_way_of_the_next(run: Path)
     assert "<title>" in (folder / "index.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["the current folder", "a link", "a mounted disk"])
 def test_a_folder_that_cannot_be_renamed_is_published_to_again_and_again(run: Path, place: str) -> None:
     folder = run.parent / "out"

@@ -195,6 +195,7 @@ def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert not result.same and result.ended == "declined" and result.difference is None
 
 
+@pytest.mark.slow
 def test_what_the_first_step_of_a_replay_compiles_is_no_part_of_the_time_that_it_asks_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -294,6 +294,7 @@ def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: s
     assert verified.returncode == 0, verified.stderr
 
 
+@pytest.mark.slow
 def test_the_file_is_at_most_a_fifth_larger_than_its_arrays(bundled: Bundled) -> None:
     outcome = bundled("cloud-collapse")
     assert outcome.size <= 1.2 * outcome.payload

@@ -24,11 +24,16 @@ SLOW = (
     "dense-gas",
     "stack-20",
     "balls-at-rest",
+    "friction-ten",
+    "hub-400",
     "hub-4000",
+    "mass-ratio-squeezed",
     "million-steps",
+    "moving-frame",
     "pile-1000",
     "pythagorean",
-)  # three seconds or more each
+    "radius-ratio",
+)  # a second and a half or more each
 
 
 def cases() -> list[Any]:

@@ -92,6 +92,7 @@ def test_an_integrator_that_cannot_win_gets_no_shorter_steps(tmp_path: Path) -> 
     assert by_euler and min(by_euler) >= 1.0
 
 
+@pytest.mark.slow
 def test_a_step_that_would_lose_frames_is_not_taken(tmp_path: Path) -> None:
     scene = Scene.load("figure-eight", ["time.duration=1", "time.fixed_dt=0.005", "record.every=0.02"])
     tuning = search(scene, tmp_path, energy=1e-3)

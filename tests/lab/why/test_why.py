@@ -174,6 +174,7 @@ def answer_of(scene: Scene, folder: Path) -> tuple[FloatArray, FloatArray]:
     return shares, np.array([one.velocity for one in answer.accounts])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("floor", "friction", "steps"), [(False, 0.3, (0.1, 0.02)), (True, 0.0, (0.01, 0.005))], ids=["free", "on a floor"]
 )

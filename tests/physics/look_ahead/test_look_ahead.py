@@ -139,6 +139,7 @@ def test_a_look_ahead_ends_with_its_budget_and_says_how_far_it_came(monkeypatch:
     assert "it is kept up to t = " in text
 
 
+@pytest.mark.slow
 def test_the_promise_of_a_budget_does_not_depend_on_threads_or_on_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(LEAST, 0.2)
     one = with_promise(asteroids(300), 1).promise

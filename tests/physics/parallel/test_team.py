@@ -63,6 +63,7 @@ def test_any_number_of_threads_finds_the_same_contacts(box: float) -> None:
         assert np.array_equal(HierarchicalGrid(radius, np.full(3, box), Team(threads)).pairs(position), alone)
 
 
+@pytest.mark.slow
 def test_any_number_of_threads_finds_the_same_contacts_with_planes() -> None:
     # Blocks of bodies without a contact among them, and fixed bodies, which touch neither each other nor a plane.
     rng = np.random.default_rng(6)
