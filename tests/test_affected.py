@@ -13,7 +13,7 @@ from affected import GOLDEN, ROOT, affected
         ("src/carom/physics/diagnostics/energy.py", "tests/physics/diagnostics/test_energy.py"),  # imports it
         ("src/carom/physics/contact/coulomb.py", f"{GOLDEN}[golden/heap]"),  # has kernels
         ("tests/support/monte_carlo_gas.py", "tests/published/test_granular_gas.py"),  # a module of tests
-        ("tests/scene/test_hint.py", "tests/scene/test_hint.py"),  # a test
+        ("tests/scene/test_explanation.py", "tests/scene/test_explanation.py"),  # a test
     ],
 )
 def test_a_change_takes_the_tests_that_are_about_it(changed: str, test: str) -> None:

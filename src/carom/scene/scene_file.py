@@ -68,12 +68,12 @@ _PAUSE = 0.01  # s, between two attempts to read a silent pipe
 def scene_path(source: str | Path) -> Path:
     """Return the path of a scene's file, or of a bundled scene of that name."""
     try:
-        return _found(source)
+        return _existing_path(source)
     except OSError as error:  # a name of 300 characters
         raise SceneError(f"{str(source)[:100]}: cannot be read: {error.strerror}") from None
 
 
-def _found(source: str | Path) -> Path:
+def _existing_path(source: str | Path) -> Path:
     path = Path(source)
     if path.is_dir():
         raise SceneError(f"{path}: a folder, not a scene; give a .toml file in it")
@@ -93,7 +93,7 @@ def _found(source: str | Path) -> Path:
 def read_text(path: Path) -> str:
     """Read a scene's file, or a pipe; refuse a recording, a device and what is too long."""
     try:
-        text = _read(path)
+        text = _read_bytes(path)
     except OSError as error:
         raise SceneError(f"{path}: cannot be read: {error.strerror}") from None
     if text.startswith(RECORDED):
@@ -106,7 +106,7 @@ def read_text(path: Path) -> str:
         raise SceneError(f"{path}: not TOML: not UTF-8 text (byte {error.start})") from None
 
 
-def _read(path: Path) -> bytes:
+def _read_bytes(path: Path) -> bytes:
     """Read a regular file or a pipe once, up to `LARGEST_FILE` bytes."""
     descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe that nothing writes would block
     with os.fdopen(descriptor, "rb", buffering=0) as file:

@@ -131,14 +131,11 @@ class _ArrowTable(DataTable):
         steps = [STEP] if STEP in self.names and BODY in self.names and STEP not in names else []
         table = self._read(list(dict.fromkeys([*names, *steps])), texts)
         if steps:
-            table = table.filter(pc.equal(table[STEP], self._step(table[STEP])))
+            values = pc.unique(table[STEP])
+            if not -len(values) <= self._snapshot < len(values):
+                raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(values)}")
+            table = table.filter(pc.equal(table[STEP], values[self._snapshot]))
         return {name: self._array(name, table[name], name in texts) for name in names}
-
-    def _step(self, column: pa.ChunkedArray) -> pa.Scalar:
-        steps = pc.unique(column)
-        if not -len(steps) <= self._snapshot < len(steps):
-            raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(steps)}")
-        return steps[self._snapshot]
 
     def _array(self, name: str, column: pa.ChunkedArray, is_text: bool) -> Raw:
         """Convert a column; nulls of numbers become NaN, unless the numbers are texts."""
@@ -149,16 +146,14 @@ class _ArrowTable(DataTable):
                 refuse_large(self.called, name, len(column) * max(lengths, default=0))
             column, kind = column.cast(kind.value_type), kind.value_type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-            return self._vectors(name, column)
+            lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
+            if np.any(lengths != 3):
+                row = int(np.argmax(lengths != 3))
+                counted = f"{lengths[row]} numbers instead of [x, y, z]"
+                raise SceneError(f"{self.called}: column {name}, row {row}: {counted}")
+            return np.asarray(pc.list_flatten(column).to_numpy()).reshape(-1, 3)
         if is_text and pa.types.is_integer(kind):
             column, kind = column.cast(pa.string()), pa.string()
         if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
             column = column.cast(pa.float64(), safe=False)
         return np.asarray(column.to_numpy())
-
-    def _vectors(self, name: str, column: pa.ChunkedArray) -> Raw:
-        lengths = pc.fill_null(pc.list_value_length(column), 0).to_numpy()
-        if np.any(lengths != 3):
-            row = int(np.argmax(lengths != 3))
-            raise SceneError(f"{self.called}: column {name}, row {row}: {lengths[row]} numbers instead of [x, y, z]")
-        return np.asarray(pc.list_flatten(column).to_numpy()).reshape(-1, 3)

@@ -190,23 +190,19 @@ class UnitSystem:
     def _size(self, dimension: Dimension) -> Fraction:
         """Return the SI units in one unit of the scene, exactly."""
         if dimension not in self._sizes:
-            self._sizes[dimension] = self._sized(dimension)
+            size = Fraction(1)
+            if not self.dimensionless and dimension.plain in self.given:
+                size = unit_of(self.given[dimension.plain], dimension).size
+            elif not self.dimensionless:
+                for name, power in zip(BASE, dimension.exponents, strict=True):
+                    if power and name in self.given:
+                        size *= unit_of(self.given[name], NAMED[name]).size ** power
+            self._sizes[dimension] = size
         return self._sizes[dimension]
 
     @cached_property
     def _sizes(self) -> dict[Dimension, Fraction]:
         return {}
-
-    def _sized(self, dimension: Dimension) -> Fraction:
-        if self.dimensionless:
-            return Fraction(1)
-        if dimension.plain in self.given:
-            return unit_of(self.given[dimension.plain], dimension).size
-        size = Fraction(1)
-        for name, power in zip(BASE, dimension.exponents, strict=True):
-            if power and name in self.given:
-                size *= unit_of(self.given[name], NAMED[name]).size ** power
-        return size
 
 
 def composed(powers: Sequence[tuple[str, int]]) -> str:

@@ -102,7 +102,8 @@ class UnknownUnitError(UnitError):
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         near = _nearest(name, known)
-        hint = f' (did you mean "{_spaced(near)}"?)' if near else ""
+        # a name of several words as people write it; symbols, which have capitals, stay as they are
+        hint = f' (did you mean "{near.replace("_", " ") if near.islower() else near}"?)' if near else ""
         super().__init__(f'there is no unit "{name}"{hint}')
         self.name = name
 
@@ -213,11 +214,6 @@ def _nearest(name: str, known: Iterable[str]) -> str:
         by_lower.setdefault(word.lower(), []).append(word)
     near = difflib.get_close_matches(name.lower(), by_lower, n=1, cutoff=0.6)
     return max(by_lower[near[0]], key=lambda word: difflib.SequenceMatcher(None, name, word).ratio()) if near else ""
-
-
-def _spaced(name: str) -> str:
-    """Return a name of several words as people write it; symbols, which have capitals, stay as they are."""
-    return name.replace("_", " ") if name.islower() else name
 
 
 _QUANTITY = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)(.*)", re.DOTALL)
