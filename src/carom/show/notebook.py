@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from rerun.error_utils import RerunMissingDependencyError
 from rerun.notebook import RecordingOpenEvent, TimelineChangeEvent, Viewer, ViewerEvent
 
 from carom.errors import RecordingError
@@ -27,7 +26,7 @@ def show(recording: Recording, request: Request, height: int) -> None:
         moment, extra = shown.time, _bytes_of(recording, shown.supplement)
     try:
         viewer = Viewer(width="auto", height=height, use_global_recording=False)
-    except RerunMissingDependencyError:
+    except ImportError:
         raise RecordingError(f"a notebook needs rerun-notebook: {install_extra('notebook')}") from None
     shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
     waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer ignores times until it knows the timeline

@@ -17,7 +17,6 @@ from types import TracebackType
 from typing import Self, TypeVar
 
 import numpy as np
-from rerun.experimental import ViewerClient
 
 from carom.errors import RecordingError
 from carom.install import install_packages
@@ -25,6 +24,7 @@ from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import SIM_TIME
+from carom.recording.write.rerun_compat import connect_viewer
 from carom.show import keeper
 from carom.show.keeper import HOST, has_screen, screen_is_remote
 from carom.show.supplement import Supplement
@@ -96,7 +96,7 @@ class Viewer:
                     self._process.wait()
                     self._fail_if_ended()
                 self.address = f"{HOST}:{port}"  # to which a live recording can be sent
-                self.client = self._ask(lambda: ViewerClient.connect(f"rerun+http://{self.address}/proxy"))
+                self.client = self._ask(lambda: connect_viewer(f"rerun+http://{self.address}/proxy"))
             except BaseException:
                 self._end()
                 raise
@@ -160,6 +160,8 @@ class Viewer:
         """Ask the viewer; on failure raise a RecordingError, which gives the reason if the process has ended."""
         try:
             return question()
+        except RecordingError:
+            raise
         except Exception as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 self._process.wait(_DYING)

@@ -1,29 +1,39 @@
-"""What carom borrows from the inside of Rerun behaves as carom needs it to."""
+"""What carom borrows from the inside of Rerun behaves as carom needs it to, and carom can do without it."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+import rerun_bindings
 from rerun.notebook import Viewer
 
+import carom
+from carom.errors import RecordingError
+from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.index import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
 from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.write import rerun_compat
 from carom.recording.write.durable_sink import DurableSink
 from carom.recording.write.rerun_compat import (
     StoredLayout,
+    connect_viewer,
     end_earlier_streams,
     rerun_chunks,
     send_layout,
     send_to_notebook,
 )
+from carom.runs.replay import replay
+from carom.runs.resume import resumable_run, resume
+from small_scenes import pair
 
 APPLICATION = "carom-2-0123456789ab"
 
@@ -132,3 +142,86 @@ def test_a_notebook_viewer_passes_a_file_on_as_it_is(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr("rerun_notebook.Viewer.send_rrd", lambda _, data: sent.append(data))
     send_to_notebook(Viewer(width=100, height=100, use_global_recording=False), b"a file")
     assert sent == [b"a file"]
+
+
+def takes_nothing() -> None:
+    """Stand in for a private function whose signature is another one now."""
+
+
+@pytest.mark.parametrize("how", ["missing", "with another signature"])
+@pytest.mark.parametrize("private", ["all", "flush_and_cleanup_orphaned_recordings", "new_blueprint", "send_blueprint"])
+def test_without_a_private_interface_a_run_is_recorded_read_resumed_and_clipped(
+    private: str, how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # only carom's view of it is changed: the public functions of this version of Rerun need it themselves
+    known = {} if private == "all" else {**vars(rerun_bindings), private: takes_nothing}
+    if how == "missing":
+        known.pop(private, None)
+    monkeypatch.setattr(rerun_compat, "bindings", SimpleNamespace(**known))
+    recording = carom.run(pair(time={"duration": 0.2, "max_dt": 0.02}), tmp_path / "run.rrd")
+    run = resumable_run(recording, 0.3)
+    assert resume(run, run.space(), tmp_path / "longer.rrd").ok
+    clip(tmp_path / "longer.rrd", tmp_path / "clip.rrd", 0.1, 0.2)
+    for name in ("run", "longer", "clip"):
+        read = Recording.open(tmp_path / f"{name}.rrd")
+        assert read.finished and read.frames > 2 and read.layout(), name
+    assert replay(recording).same
+
+
+def test_without_the_hook_of_layouts_a_stored_layout_is_left_out(
+    run_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored = StoredLayout(Recording.open(run_file).layout())
+    monkeypatch.delattr(rrb.Blueprint, "_log_to_stream")
+    stream = stream_to(tmp_path / "copy.rrd")
+    stream.log("a", rr.TextDocument("a"), static=True)
+    send_layout(stream, APPLICATION, stored)
+    stream.disconnect()
+    assert chunks(tmp_path / "copy.rrd", RECORDING) and not chunks(tmp_path / "copy.rrd", BLUEPRINT)
+
+
+def test_without_its_private_hook_a_notebook_viewer_gets_the_file_as_a_stream(run_file: Path, tmp_path: Path) -> None:
+    class Other:
+        def add_recording(self, stream: rr.RecordingStream) -> None:
+            stream.set_sinks(rr.FileSink(tmp_path / "sent.rrd"))
+
+    send_to_notebook(Other(), run_file.read_bytes())  # type: ignore[arg-type]
+    paths = [{chunk.entity_path for chunk in chunks(file, RECORDING)} for file in (run_file, tmp_path / "sent.rrd")]
+    assert "state/checkpoint" in paths[1] and paths[0] == paths[1]
+
+
+@pytest.mark.parametrize("gone", ["rerun.experimental.ViewerClient", "rerun.experimental.ViewerClient.take_screenshot"])
+def test_a_rerun_whose_viewer_cannot_be_driven_is_refused_in_a_sentence(
+    gone: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(gone)
+    with pytest.raises(RecordingError, match=r"cannot be driven for pictures .* pip install \"rerun-sdk==0\.41\.0\""):
+        connect_viewer("rerun+http://127.0.0.1:9/proxy")
+
+
+@pytest.mark.parametrize(
+    ("at", "byte", "said"),
+    [
+        (3, b"3", "in a newer format of .rrd than RRF2: upgrade carom"),
+        (9, b"\x03", "in a newer format of .rrd"),
+        (5, b"\x2b", ""),
+    ],
+)
+def test_a_file_of_a_newer_rerun_opens_or_is_refused_in_a_sentence(
+    at: int, byte: int, said: str, run_file: Path
+) -> None:
+    content = bytearray(run_file.read_bytes())
+    content[at : at + 1] = (
+        byte  # of the format, the encoding of messages, or the version of Rerun, which changes nothing
+    )
+    run_file.write_bytes(content)
+    if said:
+        with pytest.raises(RecordingError, match=said):
+            Recording.open(run_file)
+    else:
+        assert Recording.open(run_file).frames > 0
+
+
+def test_a_recording_is_stamped_with_the_rerun_that_wrote_it(tmp_path: Path) -> None:
+    recording = carom.run(pair(time={"duration": 0.1, "max_dt": 0.05}), tmp_path / "run.rrd")
+    assert recording.versions["rerun-sdk"] == rr.__version__

@@ -8,6 +8,7 @@ Every reader refuses a file that ends inside a message; a file that ends between
 from __future__ import annotations
 
 import os
+import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -50,6 +51,15 @@ def is_rrd(file: BinaryIO) -> bool:
     file.seek(0)
     header = file.read(STREAM_HEADER)
     return len(header) == STREAM_HEADER and header.startswith(_MAGIC) and header[9] == _PROTOBUF
+
+
+def is_newer(file: BinaryIO) -> bool:
+    """Tell whether a file begins like an .rrd of a later format, or with messages in a later encoding."""
+    file.seek(0)
+    header = file.read(STREAM_HEADER)
+    if not re.match(rb"RRF[2-9]", header) or len(header) < STREAM_HEADER:
+        return False
+    return not header.startswith(_MAGIC) or header[9] > _PROTOBUF
 
 
 def looks_recorded(path: Path) -> bool:

@@ -60,6 +60,8 @@ class Container:
             if not framing.is_rrd(file):
                 file.seek(0)
                 packed = file.read(len(_ZIP)) == _ZIP
+                if framing.is_newer(file):
+                    raise DamageError("it is in a newer format of .rrd than RRF2: upgrade carom")
                 raise DamageError("it is a zip: unpack it" if packed else "it does not begin with an .rrd header")
             footer = framing.read_footer(file)
             return cls(

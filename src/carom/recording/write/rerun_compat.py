@@ -1,7 +1,8 @@
-"""Rerun's private interfaces, and the undocumented behaviour of Rerun 0.41 that carom relies on.
+"""Rerun's private interfaces, each with what carom does where a version of Rerun lacks it.
 
-Nothing else in carom uses them. test_rerun_compat.py has a test for each; run it before the upper bound of rerun-sdk in
-pyproject.toml is raised.
+Nothing else in carom uses them. Without them recordings are written, read, resumed and shown alike; what is lost is
+memory, or the layout of a clip. test_rerun_compat.py tries each, and each fallback: it is the canary
+for a new version of rerun-sdk. 0.41 is the first whose viewer makes pictures; 0.40 records and replays, too.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
 test of tests/show/test_web.py tries it in a browser.
@@ -11,29 +12,40 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun.chunk as rrc
-import rerun_bindings
 
-from carom.errors import DamageError
+from carom.errors import DamageError, RecordingError
 from carom.recording.layout.magnification import log_spaces
 from carom.recording.rrd.messages import Chunk
 
+bindings: Any
+try:
+    import rerun_bindings as bindings
+except ImportError:
+    bindings = None
+
 if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
     from rerun.notebook import Viewer
+
+_UNKNOWN = (AttributeError, TypeError)  # what a private interface raises that is not there, or takes something else
+_TESTED = "0.41.0"
+_DRIVEN_BY = ("connect", "open", "get_state", "set_time", "take_screenshot")  # methods of `ViewerClient`
 
 
 def end_earlier_streams() -> None:
     """Free the threads and megabytes that Rerun keeps of each closed stream until `rr.init` is called.
 
-    A forked child cannot end the streams of its parent, whose threads it does not have; Rerun raises RuntimeError.
+    Where Rerun has no such function they stay. A forked child cannot end the streams of its parent, whose threads it
+    does not have; Rerun raises RuntimeError.
     """
-    with contextlib.suppress(RuntimeError):
-        rerun_bindings.flush_and_cleanup_orphaned_recordings()
+    with contextlib.suppress(RuntimeError, *_UNKNOWN):
+        bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
@@ -41,22 +53,47 @@ def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Bluepr
 
     The recording gets the transforms of the magnified spaces that the layout has.
 
-    `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep.
+    `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep. It is the fallback.
     """
     log_spaces(stream, layout)
-    own = rr.RecordingStream._from_native(
-        rerun_bindings.new_blueprint(application, make_default=False, make_thread_default=False)
-    )
-    own.set_time("blueprint", sequence=0)
-    layout._log_to_stream(own)
-    stored = rr.memory_recording(own).storage
-    rerun_bindings.send_blueprint(stored, make_active=True, make_default=True, recording=stream.to_native())
-    own.disconnect()
+    if isinstance(layout, StoredLayout) and not hasattr(rrb.Blueprint, "_log_to_stream"):
+        return  # the viewer then lays the views out itself
+    try:
+        own = rr.RecordingStream._from_native(
+            bindings.new_blueprint(application, make_default=False, make_thread_default=False)
+        )
+        own.set_time("blueprint", sequence=0)
+        layout._log_to_stream(own)
+        stored = rr.memory_recording(own).storage
+        bindings.send_blueprint(stored, make_active=True, make_default=True, recording=stream.to_native())
+        own.disconnect()
+    except _UNKNOWN:
+        rr.send_blueprint(layout, make_active=True, make_default=True, recording=stream)
 
 
 def send_to_notebook(viewer: Viewer, rrd: bytes) -> None:
-    """Give a notebook's viewer a file; Rerun's own way is a stream that writes the recording a second time."""
-    viewer._flush_hook(rrd)
+    """Give a notebook's viewer a file; Rerun's public way is a stream that reads the file and writes it again."""
+    try:
+        viewer._flush_hook(rrd)
+    except _UNKNOWN:
+        stream = rr.RecordingStream("carom", send_properties=False)
+        viewer.add_recording(stream)
+        stream.log_file_from_contents("recording.rrd", rrd)
+        stream.flush()
+
+
+def connect_viewer(url: str) -> ViewerClient:
+    """Connect to a viewer, to drive it. RecordingError where Rerun no longer offers that under the name of 0.41."""
+    try:
+        from rerun.experimental import ViewerClient  # noqa: PLC0415 - experimental, and so may move
+    except ImportError:
+        ViewerClient = None  # type: ignore[assignment, misc]
+    if not all(hasattr(ViewerClient, name) for name in _DRIVEN_BY):
+        raise RecordingError(
+            f"rerun-sdk {rr.__version__} cannot be driven for pictures as {_TESTED} can: "
+            f'pip install "rerun-sdk=={_TESTED}"; recordings do not need it'
+        )
+    return ViewerClient.connect(url)
 
 
 class StoredLayout(rrb.Blueprint):
