@@ -53,7 +53,7 @@ def test_inspect_prints_the_keys_that_scripts_rely_on(tmp_path: Path) -> None:
     assert summary["momentum"]["max_error"] <= 1e-12 and summary["angular_momentum"]["max_error"] <= 1e-12
     assert (summary["contacts"]["impacts"], summary["contacts"]["impacts_counted"]) == (1, "each")
     assert summary["contacts"]["total"] == 1 and summary["contacts"]["max_overlap"] <= 1e-12
-    assert summary["versions"]["carom"] and summary["versions"]["rerun-sdk"].startswith("0.41")
+    assert summary["versions"]["carom"] and summary["versions"]["rerun-sdk"]
     assert summary["expect"]["max_overlap"]["met"] is True
     assert summary["profile"]["search"] > 0.0
     assert summary["moments"]["impact"]["bodies"] == [0, 1]

@@ -7,7 +7,7 @@ limit=$(command -v timeout || true) # not on macOS
 
 echo "CAROM_SEED=$seed"
 CAROM_SEED=$seed ${limit:+$limit -s INT -k 10 90} pytest -n 0 -q --tb=short -m "slow or not slow" \
-    tests/recording/test_corrupted.py tests/experiment/test_altered_chunks.py
+    tests/recording/read/test_corrupted.py tests/runs/test_altered_chunks.py
 scenes=$(${limit:+$limit -k 10 60} python tests/support/hostile_scenes.py "$seed" 0 1000)
 echo "$(grep -c '"faults"' <<<"$scenes") hostile scenes; repeat one with: python tests/support/hostile_scenes.py $seed INDEX 1"
 grep '"faults": \[[^]]' <<<"$scenes" || echo "none with a fault"

@@ -202,18 +202,17 @@ def test_a_rerun_whose_viewer_cannot_be_driven_is_refused_in_a_sentence(
 @pytest.mark.parametrize(
     ("at", "byte", "said"),
     [
-        (3, b"3", "in a newer format of .rrd than RRF2: upgrade carom"),
-        (9, b"\x03", "in a newer format of .rrd"),
-        (5, b"\x2b", ""),
+        (3, 0x33, "in a newer format of .rrd than RRF2: upgrade carom"),
+        (9, 3, "in a newer format of .rrd"),
+        (5, 43, ""),
     ],
+    ids=["format", "encoding of messages", "version of Rerun"],
 )
 def test_a_file_of_a_newer_rerun_opens_or_is_refused_in_a_sentence(
     at: int, byte: int, said: str, run_file: Path
 ) -> None:
     content = bytearray(run_file.read_bytes())
-    content[at : at + 1] = (
-        byte  # of the format, the encoding of messages, or the version of Rerun, which changes nothing
-    )
+    content[at] = byte
     run_file.write_bytes(content)
     if said:
         with pytest.raises(RecordingError, match=said):
