@@ -1,6 +1,8 @@
 """What authors of extensions and of the tools in `carom.lab` need, beside what `carom` itself exports.
 
-Names are imported at their first use, so that a command starts as fast as those of carom.
+An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
+``examples/extension`` has parts of most kinds. Names are imported at their first use, so that a command starts as fast
+as those of carom.
 """
 
 from __future__ import annotations
@@ -37,8 +39,11 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint as Checkpoint
     from carom.physics.contact.law import LAW as LAW
     from carom.physics.diagnostics.extremes import Extremes as Extremes
+    from carom.physics.forces.kernel_forces import KernelForce as KernelForce
+    from carom.physics.forces.kernel_forces import forces_of_packages as forces_of_packages
     from carom.physics.look_ahead.find_step import with_promise as with_promise
     from carom.physics.parallel.cores import cores as cores
+    from carom.physics.parallel.jit import kernel as kernel
     from carom.physics.periodic_box import minimum_images as minimum_images
     from carom.physics.placement import place as place
     from carom.physics.reference_api import BodyProxy as BodyProxy
@@ -79,7 +84,12 @@ if TYPE_CHECKING:
     from carom.recording.schema.header import Header as Header
     from carom.recording.schema.header import Scalar as Scalar
     from carom.recording.schema.header import SweepMember as SweepMember
+    from carom.recording.schema.palette import LINES as LINES
     from carom.recording.schema.paths import STEP as STEP
+    from carom.recording.schema.series import Past as Past
+    from carom.recording.schema.series import Plot as Plot
+    from carom.recording.schema.series import Sample as Sample
+    from carom.recording.schema.series import Series as Series
     from carom.recording.source.adapters.box3d import PACKAGE as PACKAGE
     from carom.recording.source.adapters.box3d import box3d as box3d
     from carom.recording.source.adapters.mujoco import mujoco as mujoco
@@ -146,6 +156,11 @@ if TYPE_CHECKING:
     from carom.scene.conversion import rescaled as rescaled
     from carom.scene.data.body_sources import DataFiles as DataFiles
     from carom.scene.data.body_sources import HeldBodies as HeldBodies
+    from carom.scene.data.formats import Arrays as Arrays
+    from carom.scene.data.formats import DataFormat as DataFormat
+    from carom.scene.data.formats import DataTable as DataTable
+    from carom.scene.forces import BodyForce as BodyForce
+    from carom.scene.forces import PairForce as PairForce
     from carom.scene.integrators import INTEGRATORS as INTEGRATORS
     from carom.scene.key_places import DEEPEST as DEEPEST
     from carom.scene.key_places import is_too_deep as is_too_deep
@@ -161,17 +176,27 @@ if TYPE_CHECKING:
     from carom.scene.schema import Coefficients as Coefficients
     from carom.scene.schema.contact import DEFAULT as DEFAULT
     from carom.scene.schema.promise import Expect as Expect
+    from carom.scene.schema.quantity import Count as Count
+    from carom.scene.schema.quantity import NonNegative as NonNegative
+    from carom.scene.schema.quantity import Positive as Positive
+    from carom.scene.schema.quantity import Real as Real
+    from carom.scene.schema.quantity import Section as Section
     from carom.scene.start import HalfSpaces as HalfSpaces
     from carom.scene.start import InitialBodies as InitialBodies
     from carom.scene.start import half_spaces as half_spaces
     from carom.scene.toml_text import toml_for as toml_for
     from carom.scene.toml_text import toml_text as toml_text
+    from carom.scene.units.dimension import ACCELERATION as ACCELERATION
+    from carom.scene.units.dimension import ANGULAR_VELOCITY as ANGULAR_VELOCITY
     from carom.scene.units.dimension import BASE as BASE
+    from carom.scene.units.dimension import DENSITY as DENSITY
     from carom.scene.units.dimension import ENERGY as ENERGY
     from carom.scene.units.dimension import IMPULSE as IMPULSE
     from carom.scene.units.dimension import LENGTH as LENGTH
+    from carom.scene.units.dimension import MASS as MASS
     from carom.scene.units.dimension import RATE as RATE
     from carom.scene.units.dimension import TIME as TIME
+    from carom.scene.units.dimension import TORQUE as TORQUE
     from carom.scene.units.dimension import VELOCITY as VELOCITY
     from carom.scene.units.dimension import Dimension as Dimension
     from carom.scene.units.system import SI as SI
@@ -214,6 +239,8 @@ _HOMES = {
     "carom.scene.data.body_sources": "DataFiles HeldBodies",
     "carom.scene.integrators": "INTEGRATORS",
     "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
+    "carom.scene.data.formats": "Arrays DataFormat DataTable",
+    "carom.scene.forces": "BodyForce PairForce",
     "carom.scene.load": "load_scene scene_from_dict scene_from_text",
     "carom.scene.matter": "body_materials pair_coefficients",
     "carom.scene.parts": "PARTS",
@@ -221,9 +248,12 @@ _HOMES = {
     "carom.scene.schema": "Coefficients",
     "carom.scene.schema.contact": "DEFAULT",
     "carom.scene.schema.promise": "Expect",
+    "carom.scene.schema.quantity": "Count NonNegative Positive Real Section",
     "carom.scene.start": "HalfSpaces InitialBodies half_spaces",
     "carom.scene.toml_text": "toml_for toml_text",
-    "carom.scene.units.dimension": "BASE Dimension ENERGY IMPULSE LENGTH RATE TIME VELOCITY",
+    "carom.scene.units.dimension": (
+        "ACCELERATION ANGULAR_VELOCITY BASE DENSITY Dimension ENERGY IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
+    ),
     "carom.scene.units.system": "SI UnitSystem",
     "carom.scene.units.unit": "Physical UnitError nearest_float physical",
     "carom.scene.variation": "MOST_RUNS TOO_MANY_RUNS Values combinations override texts_of values_of",
@@ -242,7 +272,9 @@ _HOMES = {
     "carom.physics.contact.law": "LAW",
     "carom.physics.diagnostics.extremes": "Extremes",
     "carom.physics.look_ahead.find_step": "with_promise",
+    "carom.physics.forces.kernel_forces": "KernelForce forces_of_packages",
     "carom.physics.parallel.cores": "cores",
+    "carom.physics.parallel.jit": "kernel",
     "carom.physics.periodic_box": "minimum_images",
     "carom.physics.placement": "place",
     "carom.physics.reference_api": "BodyProxy CollisionContext",
@@ -256,7 +288,9 @@ _HOMES = {
     "carom.recording.read.moment": "tolerance",
     "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
     "carom.recording.schema.header": "Header Scalar SweepMember",
+    "carom.recording.schema.palette": "LINES",
     "carom.recording.schema.paths": "STEP",
+    "carom.recording.schema.series": "Past Plot Sample Series",
     "carom.recording.source.adapters.box3d": "PACKAGE box3d",
     "carom.recording.source.adapters.mujoco": "mujoco",
     "carom.recording.source.adapters.newton": "newton",

@@ -7,10 +7,7 @@ from typing import Any
 
 import pytest
 
-from carom.errors import ExperimentError, SceneError
-from carom.lab.engines.rebound import _refuse as refuse_for_rebound
-from carom.lab.engines.stepped import problem_of
-from carom.lab.tradeoff.event_driven_reference import why_not
+from carom.errors import SceneError
 from carom.physics.space import Space
 from carom.plan import pulls
 from carom.plan.auto import (
@@ -324,7 +321,7 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
     scene = scene_of(RESTING, gravity={"constant": 0})
     assert not require(scene).contact.modelled
     trap = ForceKind("gravity-well", lambda scene: (True, "of this test"), differs=True)
-    monkeypatch.setattr(pulls, "FORCES", (*FORCES, trap))
+    monkeypatch.setattr(pulls, "kinds_of", lambda scene: (*FORCES, trap))
     needs = require(scene)
     assert needs.contact.modelled and needs.resting.modelled
     assert needs.resting.why.startswith("well presses")
@@ -333,31 +330,10 @@ def test_a_force_that_differs_between_bodies_at_rest_lets_them_meet_and_press(mo
 
 def test_a_second_force_that_depends_on_velocities_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     brake = ForceKind("brake", lambda scene: (True, "of this test"), loss="brake", damps=True)
-    monkeypatch.setattr(pulls, "FORCES", (*FORCES, brake))
+    monkeypatch.setattr(pulls, "kinds_of", lambda scene: (*FORCES, brake))
     refuse_impossible(pair())
     with pytest.raises(SceneError, match=r"^\[drag\] and \[brake\]: a scene has at most one force"):
         refuse_impossible(pair(drag={"relaxation_time": 2.0}))
-
-
-def test_an_added_force_is_never_left_out_silently(monkeypatch: pytest.MonkeyPatch) -> None:
-    def few(**time: Any) -> Scene:
-        return cloud(3, contact=POINTS, time={"max_dt": "auto", "cfl": "auto", **time})
-
-    assert integrator(few()).name == integrator(few(accuracy=1e-6)).name == "gauss-radau15"
-    assert integrator(earth_and_moon()).name == "gauss-radau15"
-    trap = ForceKind("trap", lambda scene: (True, "of this test"), differs=True)
-    monkeypatch.setattr(pulls, "FORCES", (*FORCES, trap))
-    assert integrator(few()).name == integrator(few(accuracy=1e-6)).name == "yoshida4"
-    assert integrator(earth_and_moon()).name == integrator(earth_and_moon(time={"accuracy": 1e-6})).name == "leapfrog"
-    for name in ("gauss-radau15", "wisdom-holman"):
-        with pytest.raises(SceneError, match=f'"{name}" with the force trap: it knows gravity and uniform fields only'):
-            refuse_impossible(few(integrator=name))
-    with pytest.raises(SceneError, match="the force trap in a periodic box"):
-        refuse_impossible(pair(domain={"boundary": "periodic", "size": [9, 9, 9]}))
-    assert why_not(pair()) == "no exact solution with the force trap"
-    for engine in ("rebound", "mujoco"):
-        with pytest.raises(ExperimentError, match=f"{engine} cannot represent this scene: .*the force trap"):
-            problem_of(engine, pair()) if engine == "mujoco" else refuse_for_rebound(pair())
 
 
 @pytest.mark.parametrize(

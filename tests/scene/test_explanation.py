@@ -59,7 +59,7 @@ def test_a_body_is_told_that_a_material_has_its_restitution() -> None:
 
 
 def test_a_key_like_no_other_is_answered_with_those_of_its_section() -> None:
-    assert hint(("record", "xyzzy")) == "; known here: every, colour_by, impacts, check_every, energy_tolerance"
+    assert hint(("record", "xyzzy")) == "; known here: every, colour_by, impacts, check_every, energy_tolerance, series"
 
 
 def test_an_override_of_a_section_that_does_not_exist_is_answered_like_a_key() -> None:

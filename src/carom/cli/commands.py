@@ -14,6 +14,9 @@ from typing import Any, cast
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from carom import registry
+
+EXTENSIONS = "Extensions"  # panel of the commands of installed packages
 COMMANDS: dict[str, dict[str, str]] = {  # module:function by panels of the help, in the order of a newcomer's needs
     "Simulate": {
         "run": "carom.cli.run:run",
@@ -75,9 +78,7 @@ class _Commands(Mapping[str, Any]):
         if name not in self._made:
             panel, home = self._places[name]
             module, _, function = home.partition(":")
-            app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
-            app.command(name, cls=Command, rich_help_panel=panel)(getattr(importlib.import_module(module), function))
-            self._made[name] = typer.main.get_command(app)
+            self._made[name] = _made(name, getattr(importlib.import_module(module), function), panel)
         return self._made[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -88,7 +89,7 @@ class _Commands(Mapping[str, Any]):
 
 
 class CommandGroup(TyperGroup):
-    """The command above the others."""
+    """The command above the others; it also has the commands of installed packages."""
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**keywords)
@@ -97,6 +98,42 @@ class CommandGroup(TyperGroup):
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, ``--help`` among them."""
         return _plain(super().get_params(ctx))
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of all commands: carom's own first."""
+        own = list(self.commands)
+        return [*own, *(name for name in registry.installed("commands") if name not in own)]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a command by its name; None if there is none."""
+        if cmd_name not in registry.installed("commands"):
+            return super().get_command(ctx, cmd_name)
+        if cmd_name in self.commands:
+            raise registry.ExtensionError(
+                f'a package that is installed defines a command "{cmd_name}", a name that carom has itself; rename it '
+                "there, or uninstall the package"
+            )
+        try:
+            return _made(cmd_name, registry.load("commands", cmd_name), EXTENSIONS)
+        except registry.ExtensionError as error:
+            return _made(cmd_name, _raising(error), EXTENSIONS)
+
+
+def _made(name: str, function: Any, panel: str) -> Any:
+    """Return a command that calls a function."""
+    app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode="rich")
+    app.command(name, cls=Command, rich_help_panel=panel)(function)
+    return typer.main.get_command(app)
+
+
+def _raising(error: registry.ExtensionError) -> Any:
+    """Return what a command that cannot be loaded does: its help has the error, and a call raises it."""
+
+    def broken() -> None:
+        raise error
+
+    broken.__doc__ = str(error)
+    return broken
 
 
 def _plain(parameters: list[Any]) -> list[Any]:

@@ -23,6 +23,7 @@ from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
+from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.parallel.jit import borrowing, entry_of, inline, unowned
@@ -66,6 +67,7 @@ class _Laws(NamedTuple):
     substeps: FloatArray  # (s, 3) parts of the step: first kick, drift, last kick
     uniform: FloatArray  # (3,) m/s², the uniform field
     rule: Records  # (1,) `RULE` of `step_rule`
+    forces: Parameters  # of installed packages
 
 
 class _Clock(NamedTuple):
@@ -133,22 +135,22 @@ class FreeFlight:
     """
 
     def __init__(self, world: World, timestep: Timestep) -> None:
-        pull, chosen = world.forces.few, integrator(world.scene)
-        assert pull is not None, "the forces are known"
+        forces, chosen = world.forces.laws, integrator(world.scene)
+        assert forces is not None, "a kernel can sum them"
         bodies, planes = world.bodies, world.planes
         self._timestep = timestep
         self._substeps = np.array(chosen.substeps)
         self._plan = np.zeros(1, PLAN)
         plan = self._plan[0]
         plan["fixed_dt"], plan["pulls"] = timestep.fixed_dt or 0.0, world.needs.pulls
-        plan["attracts"], plan["constant"] = pull.attracts, pull.constant
-        plan["softening_squared"] = pull.softening * pull.softening
-        plan["is_uniform"], plan["ends_with_forces"] = pull.is_uniform, chosen.ends_with_forces
+        plan["attracts"], plan["constant"] = forces.attracts, forces.constant
+        plan["softening_squared"] = forces.softening * forces.softening
+        plan["is_uniform"], plan["ends_with_forces"] = forces.is_uniform, chosen.ends_with_forces
         plan["touches"] = world.contact is not None
-        plan["field"] = np.sqrt((pull.uniform**2).sum())
+        plan["field"] = np.sqrt((forces.uniform**2).sum())
         turning = bodies.orientation, bodies.angular_velocity
         self._arguments = (
-            _Laws(self._plan, self._substeps, pull.uniform, timestep.rule),
+            _Laws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others),
             _Moved(bodies.position, bodies.velocity, bodies.acceleration, *turning),
             _Kept(
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field),
@@ -178,10 +180,10 @@ class FreeFlight:
 
 
 def can_fly(world: World) -> bool:
-    """Tell whether a world has few enough bodies and only forces that are known here."""
+    """Tell whether a world has few enough bodies, and forces that a kernel can sum."""
     is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
     loses_turns = world.is_periodic and world.contact is None  # which a step refuses; contacts are nearer
-    known = world.forces.few is not None
+    known = world.forces.laws is not None
     return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
 
 
@@ -262,6 +264,7 @@ def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, room: _Room) -> None:
             write(acceleration, i, 0.0, 0.0, 0.0)
     if P.is_uniform:
         add(0, n, acceleration, laws.uniform)
+    add_forces(laws.forces, 0, n, moved.position, kept.mass, kept.box, acceleration)
     for i in range(n):
         if kept.inverse_mass[i] == 0.0:
             write(acceleration, i, 0.0, 0.0, 0.0)

@@ -162,7 +162,7 @@ def integrator(scene: Scene) -> Integrator:
         return INTEGRATORS[promised or _accurate(scene)]
     if not _is_smooth(scene):
         return INTEGRATORS["gauss-radau15" if _meets_seldom(scene) else "leapfrog"]
-    if _leaves_step_free(scene) and orbits_often(scene) >= FEWEST_ORBITS:
+    if _leaves_step_free(scene) and not scene.forces.given and orbits_often(scene) >= FEWEST_ORBITS:
         return INTEGRATORS["wisdom-holman"]
     return INTEGRATORS["gauss-radau15" if _leaves_step_free(scene) else "yoshida4"]
 
@@ -184,15 +184,15 @@ def _accurate(scene: Scene) -> str:
     """Name the integrator that reaches an accuracy at the lowest cost, if no run ahead finds a cheaper one."""
     if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
-    if pulls.damping(scene) or not pulls.gravity(scene).modelled:
+    if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.boundary == "periodic":
         return "leapfrog"
-    by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM and not pulls.further(scene)
+    by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM
     return "gauss-radau15" if by_pairs else "yoshida4"
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Return whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
-    bent = contact_parts.load(scene) != "" and not (pulls.damping(scene) or pulls.further(scene))
+    bent = contact_parts.load(scene) != "" and not pulls.damping(scene)
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
@@ -205,16 +205,16 @@ def holding(scene: Scene) -> Scene:
 
 
 def _leaves_step_free(scene: Scene) -> bool:
-    """Return whether an integrator may choose the steps by their error: it knows the forces, and no key sets a step."""
+    """Return whether an integrator may choose the steps by their error: in open space, where no key sets a step."""
     rule = scene.time
-    if pulls.further(scene):
+    if scene.domain.boundary == "periodic":
         return False
     keys = (rule.target_dx, rule.cfl, rule.pull_fraction, rule.smoothing)
     return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method not in TREES
 
 
 def _is_smooth(scene: Scene) -> bool:
-    if not pulls.gravity(scene).modelled or contact_parts.contact(scene).modelled or pulls.damping(scene):
+    if not pulls.differing(scene) or contact_parts.contact(scene).modelled or pulls.damping(scene):
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
@@ -234,11 +234,11 @@ def target_dx(scene: Scene) -> float | None:
     """Return the largest distance that an acceleration may move a body from rest in a step, in m; None for no limit.
 
     A fall from rest through the smallest radius r takes √(2 r/a), and in a fraction s of that time a body falls s² r.
-    Where nothing can touch, radii do not matter.
+    Where nothing can touch, radii do not matter, and the shortest time of a pair limits the step if gravity acts.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
-    if not contact_parts.contact(scene).modelled:
+    if not contact_parts.contact(scene).modelled and (pulls.gravity(scene).modelled or not pulls.differing(scene)):
         return None
     return auto_step(scene) ** 2 * smallest_radius(scene)
 

@@ -10,7 +10,8 @@ from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
-from carom.plan.pulls import dampings, differing, further, pushing
+from carom.plan.pulls import dampings, differing, pushing
+from carom.scene.forces import BodyForce, PairForce, force_called
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
@@ -154,16 +155,21 @@ def _refuse_damping(scene: Scene) -> None:
 
 
 def _refuse_further_forces(scene: Scene) -> None:
-    """Refuse a force that was added to carom's own where it would be left out, or would take no nearest images."""
-    chosen, force = integrator(scene), further(scene)
-    if force and chosen.controls_error:
-        raise SceneError(
-            f'time.integrator = "{chosen.name}" with the force {force}: it knows gravity and uniform fields only; '
-            'take "leapfrog", "yoshida4" or "auto"',
-            INTEGRATOR,
-        )
-    if force and scene.domain.boundary == "periodic":
-        raise SceneError(f"the force {force} in a periodic box, where bodies would need their nearest images", BOUNDARY)
+    """Refuse forces of installed packages where they have no meaning."""
+    for name in scene.forces.given:
+        force = force_called(name)
+        if isinstance(force, BodyForce) and not force.periodic and scene.domain.boundary == "periodic":
+            raise SceneError(
+                f"[forces.{name}] in a periodic box: its potential differs on opposite faces; set domain.boundary = "
+                '"open" or "walls"',
+                BOUNDARY,
+            )
+        if isinstance(force, PairForce) and scene.test_particles:
+            raise SceneError(
+                f"[forces.{name}] with a body of mass 0: a force between bodies would accelerate it without bound; "
+                "give it a mass",
+                ("forces", name),
+            )
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
@@ -218,6 +224,12 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
     if uses_tree(scene):
         raise SceneError(
             f'{name} with gravity.method = "{gravity_method(scene)}": it sums all pairs; set "direct"', METHOD
+        )
+    if scene.forces.given:
+        raise SceneError(
+            f"{name} with [forces.{next(iter(scene.forces.given))}], under which orbits are not Kepler's; take "
+            '"gauss-radau15" or "auto"',
+            INTEGRATOR,
         )
     if why := why_no_hierarchy(scene):
         raise SceneError(f"{name} {why}", INTEGRATOR)

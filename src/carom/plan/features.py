@@ -30,9 +30,9 @@ from carom.plan.auto import (
 )
 from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import heaviest, orbits_often
-from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
+from carom.scene.forces import GRAVITY, UNIFORM_FIELD, kinds_of
 from carom.scene.integrators import AUTO
-from carom.scene.parts import PARTS, Part
+from carom.scene.parts import Part, in_order
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH, TIME
 
@@ -66,7 +66,7 @@ class Requirements:
     def parts(self) -> tuple[Part, ...]:
         """All parts, in the order in which a step uses them."""
         parts = _by_name(self)
-        return tuple(parts[name] for name in PARTS)
+        return tuple(parts[name] for name in in_order(parts))
 
     @property
     def gravity(self) -> Part:
@@ -126,7 +126,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
-    forces = {kind.name: decide(pulls.part(kind, scene)) for kind in FORCES}
+    forces = {kind.name: decide(pulls.part(kind, scene)) for kind in kinds_of(scene)}
     contact = decide(contact_parts.contact(scene))
     friction = decide(contact_parts.friction(scene, contact))
     torque = decide(contact_parts.torque(friction))
@@ -173,7 +173,7 @@ def _contradiction(scene: Scene, name: str) -> str:
             return "it has no value by itself; set time.accuracy"
         case "adaptive-step":
             return "time.fixed_dt sets the step; leave it out"
-    return next((kind.contradiction(scene) for kind in FORCES if kind.name == name), "")
+    return next((kind.contradiction(scene) for kind in kinds_of(scene) if kind.name == name), "")
 
 
 def _tree(scene: Scene) -> Part:
@@ -283,15 +283,11 @@ def _not_by_pairs(scene: Scene) -> str:
     """Return the reason why bodies that pull each other and never touch are too much for Gauss–Radau integration."""
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
-    if force := pulls.further(scene):
-        return f"the force {force}, which gauss-radau15 does not know"
     return f"{scene.count} bodies, of which gauss-radau15 would sum all pairs several times a step"
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:
     """Name the first part of a scene that Gauss–Radau integration with impacts does not know."""
-    if force := pulls.further(scene):
-        return f"the force {force}"
     return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 

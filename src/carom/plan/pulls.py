@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.scene.forces import DRAG, FORCES, GRAVITY, UNIFORM_FIELD, ForceKind
+from carom.scene.forces import GRAVITY, ForceKind, kinds_of
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
 
@@ -19,13 +19,13 @@ def gravity(scene: Scene) -> Part:
 
 def differing(scene: Scene) -> str:
     """Name the first force that accelerates bodies at rest differently, so they may meet; empty if none does."""
-    found = (kind.short_name for kind in FORCES if kind.differs and part(kind, scene).modelled)
+    found = (kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled)
     return next(found, "")
 
 
 def pushing(scene: Scene) -> str:
     """Name the first force that accelerates all bodies at rest alike; empty if none does."""
-    return next((kind.short_name for kind in FORCES if kind.pushes(scene)), "")
+    return next((kind.short_name for kind in kinds_of(scene) if kind.pushes(scene)), "")
 
 
 def damping(scene: Scene) -> Part | None:
@@ -35,14 +35,10 @@ def damping(scene: Scene) -> Part | None:
 
 def dampings(scene: Scene) -> list[Part]:
     """Return all forces that depend on velocities; `carom.plan.checks` refuses more than one."""
-    found = (part(kind, scene) for kind in FORCES if kind.damps)
+    found = (part(kind, scene) for kind in kinds_of(scene) if kind.damps)
     return [force for force in found if force.modelled]
 
 
 def further(scene: Scene) -> str:
-    """Name the first modelled force besides gravity, uniform fields and drag; empty if there is none.
-
-    Gauss–Radau, Wisdom–Holman, exact solutions, other engines and periodic boxes refuse any other force.
-    """
-    known = (GRAVITY, UNIFORM_FIELD, DRAG)
-    return next((kind.name for kind in FORCES if kind not in known and part(kind, scene).modelled), "")
+    """Name the first force of an installed package; empty if there is none. Other engines do not know them."""
+    return next(iter(scene.forces.given), "")

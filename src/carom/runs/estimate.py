@@ -207,7 +207,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     modelled = {part.name for part in needs.parts if part.modelled}
     seconds = dict.fromkeys(modelled, 0.0)  # a step
     for mark, spent in space.profile.seconds().items():
-        part, otherwise = MARKS[mark]
+        part, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of a package marks its name
         seconds[part if part in modelled else otherwise] += spent / space.step
     checks = 1.0 / space.scene.record.check_every
     if needs.potential.modelled:

@@ -20,7 +20,7 @@ from carom.recording.schema import paths
 from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
-from carom.recording.schema.series import SERIES, Past
+from carom.recording.schema.series import Past, all_series
 from carom.recording.write.checkpoint_plan import CheckpointPlan
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
@@ -42,19 +42,14 @@ _WORDS = "the words of events (another version recorded them)"
 WORDS_OF_EXTREMES = "the words of the extremes in /events, which are others"
 
 # a checkpoint does not contain the step that led to it
-_BEFORE = {
-    *(paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION),
-    *(series.path for series in SERIES if series.past in (Past.STEP, Past.INTERVAL)),
-}
+_BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
 _DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
-_ADDED = {series.path for series in SERIES}  # some of which a recording of an earlier version may lack
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
 _ARROWS = "Arrows3D:vectors"
 _BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # a row where it changes
 
 # values that depend on earlier frames, such as errors relative to the largest energy so far
 _RELATIVE = {
-    **{series.path: None for series in SERIES if series.past in (Past.INTERVAL, Past.RUN)},
     paths.MOMENTUM: ("momentum_error", "angular_momentum_error"),
     paths.CHECKPOINT: ("books", "energy_scale", "digest"),
 }
@@ -83,6 +78,10 @@ class FrameCheck:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared, in order
         self._path = recording.path
         self._rows = RecordedRows(recording)
+        known = {each.path: each.past for each in all_series(header.extensions)}
+        self._series = set(known)  # some of which a recording of an earlier version may lack
+        self._before = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
+        self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
         header = header if recording.records_contacts else replace(header, record_impacts="none")
@@ -187,7 +186,7 @@ class FrameCheck:
             path = replayed.entity_path
             seen.add(path)
             chunk = replayed if few is None else few.of(replayed)
-            if first and path in _BEFORE:
+            if first and path in self._before:
                 self.skipped[_LED] = None
             elif path in (paths.TORQUE, paths.ANGULAR_ACCELERATION) and path not in self._arrows and self._begin > 0:
                 self.skipped[f"/{path}"] = None
@@ -226,7 +225,7 @@ class FrameCheck:
         """Tell whether a component cannot be compared, and remember that it was not."""
         if name == "impact_count":  # `ImpactCheck` looks at it
             return True
-        if path in _RELATIVE and not self.all_frames and name in (_RELATIVE[path] or (name,)):
+        if path in self._relative and not self.all_frames and name in (self._relative[path] or (name,)):
             self.skipped[_LARGEST] = None
             return True
         if first and self._colours_bodies and path == paths.BODIES and name.endswith("colors"):
@@ -238,7 +237,7 @@ class FrameCheck:
         found = self._rows.at(path, step)
         if not found:
             is_there = path in self._rows.entities or path in self._styled
-            if self._complete and (is_there or path not in _ADDED):
+            if self._complete and (is_there or path not in self._series):
                 return Mismatch(step, f"rows of /{path}", 0, 1)
             self.skipped[f"/{path}, {'rows of which are missing' if is_there else 'which the recording lacks'}"] = None
             return None

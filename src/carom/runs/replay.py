@@ -355,7 +355,8 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
     energy = recording.energy()
     rows = np.flatnonzero(energy["step"].to_numpy() == frame.step)
     row = int(rows[0]) if len(rows) else 0
-    for name in ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential)):
+    terms = ("translational", "rotational", *(kind.potential for kind in FORCES if kind.potential))
+    for name in (*terms, *dict(frame.energy.others)):
         if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
             return Difference(frame.step, time, f"{name} energy", None, value, frame.energy.term(name), unit="J")

@@ -32,6 +32,7 @@ from carom.runs.interrupts import Interrupts
 from carom.runs.memory import garbage_sought_seldom
 from carom.runs.output import claimed_output, default_output, refuse_name
 from carom.runs.progress_bar import progress_bar
+from carom.scene.extensions import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import planes_of
@@ -361,6 +362,7 @@ def header_of(space: Space) -> Header:
         walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
         planes=planes_of(scene) if scene.plane else None,
         colour_by=scene.record.colour_by,
+        extensions=extensions_of(scene),
         data=scene.data,
         data_notes=scene.notes,
         materials=ShownMaterials.of(scene),

@@ -50,6 +50,9 @@ def hint(path: KeyPath) -> str:
     if model is None:
         return ""
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
+    if path[:-1] == ("forces",):
+        near = _near(key, here, ALIKE)
+        return _meant([near]) if near else "; no installed package has a force of that name"
     if path[0] in ("body", "group") and key in Coefficients._fields:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):

@@ -1,16 +1,18 @@
-"""The table of forces. It decides when each force is modelled, and names its recorded energies.
+"""The forces: when each is modelled, and the names of its recorded energies.
 
-To add a force, write a section of the scene (`schema`), a row here, and ``carom/physics/forces/NAME.py`` with a
-function ``make`` (see `carom.physics.forces.force`). The parts of the model, `carom explain`, the energy terms and
-ledger entries of a recording, and the reports follow from the row.
+`FORCES` is the table of carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts
+where a scene has the section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger
+entries of a recording, and the reports follow from the `ForceKind` of either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cache
+from typing import TYPE_CHECKING, Any
 
+from carom import registry
 from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, TIME, VELOCITY
 
 if TYPE_CHECKING:
@@ -118,3 +120,83 @@ DRAG = ForceKind(
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
 )
 FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are summed
+
+
+def numbers_of(section: Any) -> Mapping[str, float]:
+    """Return the numbers of a section, which are the parameters of a force by default."""
+    values = dict(section)
+    return {name: float(value) for name, value in values.items() if type(value) in (int, float)}
+
+
+@dataclass(frozen=True, slots=True)
+class BodyForce:
+    """A force on each body that depends on its position.
+
+    carom compiles both functions with Numba: they use sums, products, quotients and `math.sqrt` of numbers only, and
+    call nothing but functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
+    """
+
+    section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
+    acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
+    potential: Callable[..., float]  # (x, y, z, p) → J/kg, of a body of 1 kg
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units: the fields of p
+    legend: str = ""  # of its energy; by default its name
+    meaning: str = ""  # of its energy, for `carom inspect`
+    colour: str = "orange"  # of its energy: one of `carom.recording.schema.palette.LINES`
+    periodic: bool = False  # whether it may act in a periodic box: its potential is the same on opposite faces
+
+
+@dataclass(frozen=True, slots=True)
+class PairForce:
+    """A central force between each two bodies that depends on their distance.
+
+    The functions are compiled as those of `BodyForce` are. In a periodic box, they act between nearest images.
+    """
+
+    section: type[Any]  # of the scene, as for `BodyForce`
+    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d; d2 is the squared distance; negative if it repels
+    potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, of the pair
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of
+    legend: str = ""
+    meaning: str = ""
+    colour: str = "orange"
+
+
+def force_called(name: str) -> BodyForce | PairForce:
+    """Return a force of an installed package by its name; raises `ExtensionError` if it cannot be loaded."""
+    force: BodyForce | PairForce = registry.load("forces", name)
+    return force
+
+
+@cache
+def kind_called(name: str) -> ForceKind:
+    """Return the kind of a force by its name: one of carom's own, or of an installed package."""
+    own = next((kind for kind in FORCES if kind.name == name), None)
+    if own is not None:
+        return own
+    force = force_called(name)
+
+    def decide(scene: Scene) -> tuple[bool, str]:
+        given = scene.forces.given
+        return (True, f"[forces.{name}]") if name in given else (False, f"no [forces.{name}]")
+
+    return ForceKind(
+        name,
+        decide,
+        potential=name,
+        legend=force.legend or name,
+        meaning=force.meaning or f"potential energy of the force {name}",
+        colour=force.colour,
+        differs=True,
+        contradiction=lambda scene: f"there is none; add [forces.{name}]",
+    )
+
+
+def acts_from_outside(scene: Scene) -> bool:
+    """Tell whether a force of an installed package acts on single bodies, and so changes the momentum of all."""
+    return any(isinstance(force_called(name), BodyForce) for name in scene.forces.given)
+
+
+def kinds_of(scene: Scene) -> tuple[ForceKind, ...]:
+    """Return carom's own forces, and those of installed packages that a scene has sections for, in order of the sum."""
+    return (*FORCES, *(kind_called(name) for name in scene.forces.given))

@@ -17,6 +17,7 @@ from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
+from carom.scene.schema.forces import know_installed_forces
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
 
@@ -30,7 +31,8 @@ def schema_text() -> str:
 
 
 def schema() -> dict[str, Any]:
-    """Return the schema; it accepts plain numbers and texts with units wherever a quantity may stand."""
+    """Return the schema, with forces of installed packages; a quantity is a plain number or a text with a unit."""
+    know_installed_forces(Scene)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
 
 

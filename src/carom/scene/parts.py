@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from carom.scene.forces import FORCES, GRAVITY
@@ -39,6 +40,13 @@ class Part:
     name: str  # as in `PARTS`
     modelled: bool
     why: str
+
+
+def in_order(names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names of parts as `PARTS` orders them; those of other forces follow carom's own."""
+    others = [name for name in names if name not in PARTS]
+    last = PARTS.index(FORCES[-1].name) + 1
+    return (*PARTS[:last], *others, *PARTS[last:])
 
 
 def unknown(name: str) -> str:

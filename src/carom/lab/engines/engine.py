@@ -6,16 +6,11 @@ import math
 from collections.abc import Iterable
 from typing import Protocol
 
-from carom import Scene
+from carom import Scene, registry
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError
 from carom.extend import suggestion
 from carom.lab.compared_run import Trajectory
-from carom.lab.engines.box3d import Box3D
-from carom.lab.engines.mujoco import MuJoCo
-from carom.lab.engines.newton import Newton
-from carom.lab.engines.pybullet import PyBullet
-from carom.lab.engines.rebound import Rebound
 from carom.lab.engines.stepped import Simulation
 from carom.lab.tradeoff.settings_grid import Setting
 
@@ -72,20 +67,19 @@ class Engine(Protocol):
         """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""
 
 
-ENGINES: dict[str, Engine] = {engine.name: engine for engine in (Rebound(), MuJoCo(), Box3D(), PyBullet(), Newton())}
-
-
 def engine_called(name: str) -> Engine:
-    """Return an engine by its name.
+    """Return an engine of `carom.registry` by its name.
 
     Raises
     ------
     ExperimentError
         If there is none of that name.
     """
-    if name not in ENGINES:
-        raise ExperimentError(f"--engine {name}: unknown; {suggestion(name, ENGINES)}")
-    return ENGINES[name]
+    known = registry.names("engines")
+    if name not in known:
+        raise ExperimentError(f"--engine {name}: unknown; {suggestion(name, known)}")
+    engine: Engine = registry.load("engines", name)()
+    return engine
 
 
 def engines_called(names: Iterable[str]) -> list[Engine]:
@@ -99,5 +93,5 @@ def engines_called(names: Iterable[str]) -> list[Engine]:
     given = list(names)
     each = [name.strip() for text in given for name in text.split(",") if name.strip()]
     if not each and given:
-        raise ExperimentError(f"--engine: names no engine; expected some of {', '.join(ENGINES)}")
+        raise ExperimentError(f"--engine: names no engine; expected some of {', '.join(registry.names('engines'))}")
     return [engine_called(name) for name in dict.fromkeys(each)]

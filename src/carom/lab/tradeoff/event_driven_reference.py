@@ -1,10 +1,10 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
-SciPy's DOP853 integrates gravity and the uniform field with tolerances near round-off, from contact to contact. If two
-bodies may meet in a step, conservative advancement finds the first time at which they touch: the gap divided by a bound
-of the closing speed is a time in which they cannot meet, so no contact is missed. The time is then refined on steps
-from the same beginning, and `physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample
-is a separate, shorter step, which is more accurate than DOP853's interpolation.
+SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
+a step, conservative advancement finds the first time at which they touch: the gap divided by a bound of the closing
+speed is a time in which they cannot meet, so no contact is missed. The time is then refined on steps from the same
+beginning, and `physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample is a separate,
+shorter step, which is more accurate than DOP853's interpolation.
 
 Bodies may stay in touch without pressing on each other, as after a plastic impact without forces; the next impact of
 one of them is then an impact of all. The solution ends where a force presses touching bodies together, or where
@@ -25,7 +25,16 @@ from scipy.integrate import DOP853, OdeSolution
 
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import LAW, TIME, Bodies, BodyProxy, CollisionContext, bodies_called, further, pair_coefficients
+from carom.extend import (
+    LAW,
+    TIME,
+    Bodies,
+    BodyProxy,
+    CollisionContext,
+    bodies_called,
+    forces_of_packages,
+    pair_coefficients,
+)
 from carom.lab.compared_run import Trajectory
 
 MOST_BODIES = 20  # the pairs are examined one by one, in Python
@@ -61,8 +70,6 @@ def why_not(scene: Scene) -> str:
         return "no exact solution with fixed bodies"
     if scene.contact.allow_overlap:
         return "bodies may overlap at the start"
-    if force := further(scene):
-        return f"no exact solution with the force {force}"
     return ""
 
 
@@ -98,6 +105,7 @@ class _Solver:
         self._n, self._names, self._units = len(start), space.names, scene.unit_system
         self._constant = scene.gravity.constant if space.requirements.gravity.modelled else 0.0
         self._field = np.array(scene.gravity.uniform)
+        self._forces = forces_of_packages(scene, self._bodies)
         self._contacts = space.requirements.contact.modelled
         self._i, self._j = np.triu_indices(self._n, 1)
         if twin:
@@ -232,6 +240,8 @@ class _Solver:
         if drag := self._scene.drag:
             slip = y[3 * self._n :].reshape(-1, 3) - drag.medium_velocity
             acceleration -= slip / drag.relaxation_time
+        for force in self._forces:
+            force.accelerate(x, acceleration, first=False, potential=False)
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
     def _widen(self, y: FloatArray, solver: DOP853) -> None:

@@ -27,6 +27,7 @@ from carom.physics.diagnostics.run_monitor import Activity, PaceMonitor, PaceTal
 from carom.physics.forces.force import Exchange, Potentials
 from carom.physics.world import World
 from carom.plan.auto import integrator
+from carom.scene.forces import acts_from_outside
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names
@@ -69,9 +70,10 @@ class BalanceAudit:
         self.step = -1  # of the last check
         self._bodies = bodies
         self._units = scene.unit_system
-        self._energy = EnergyAccount(bodies, uniform, scene.anchored, constant)
+        held = scene.anchored or acts_from_outside(scene)
+        self._energy = EnergyAccount(bodies, uniform, held, constant)
         booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
-        self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, scene.anchored)
+        self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
         self._spent: Suspects | None = None  # those of the last check; their arrays are used again

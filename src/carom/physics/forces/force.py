@@ -1,8 +1,8 @@
 """The protocols of forces, and the forces of a scene.
 
-A force that depends on positions only adds an acceleration and may have a potential. Its kind, a row of
-`carom.scene.forces.FORCES`, states when a scene requires it and what it records. The module of that name defines
-``make(scene, bodies, team)``.
+A force that depends on positions only adds an acceleration and may have a potential. Its kind states when a scene
+requires it and what it records (`carom.scene.forces`). The module of one of carom's own forces has its name and defines
+``make(scene, bodies, team)``; those of installed packages are made by `carom.physics.forces.kernel_forces`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.continuous.drift import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
+from carom.physics.forces import kernel_forces
 from carom.physics.parallel.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind
@@ -32,7 +33,7 @@ class Force(Protocol):
     Attributes
     ----------
     kind
-        Its row in `carom.scene.forces.FORCES`.
+        When it is modelled, and the name of its energy.
     uniform
         (3,) m/s², the part of the acceleration that is the same for every body.
     """
@@ -112,8 +113,9 @@ class Damping(Force, Protocol):
 
 
 def forces_of(scene: Scene, needs: Requirements, bodies: Bodies, team: Team) -> list[Force]:
-    """Make the forces that a scene requires, in the order of the table."""
-    return [_make(kind, scene, bodies, team) for kind in FORCES if needs.forces[kind.name].modelled]
+    """Make the forces that a scene requires, in the order in which accelerations are summed."""
+    own = [_make(kind, scene, bodies, team) for kind in FORCES if needs.forces[kind.name].modelled]
+    return [*own, *(kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given)]
 
 
 def _make(kind: ForceKind, scene: Scene, bodies: Bodies, team: Team) -> Force:

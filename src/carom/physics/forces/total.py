@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces.force import Damping, Potentials, accelerate, forces_of
-from carom.physics.forces.gravity import Gravity, gravity_of
-from carom.physics.forces.uniform_field import UniformField
+from carom.physics.forces.gravity import gravity_of
+from carom.physics.forces.kernel_forces import KernelForce, Parameters
 from carom.physics.parallel.thread_team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
@@ -20,14 +20,15 @@ from carom.scene.schema import Scene
 FloatArray = NDArray[np.float64]
 
 
-class FewForces(NamedTuple):
-    """The forces on few bodies: gravity of each pair, and a uniform field."""
+class ForceLaws(NamedTuple):
+    """The forces of a scene for kernels that sum them over all pairs."""
 
     attracts: bool  # whether bodies pull each other
     constant: float  # m³/(kg s²), G
     softening: float  # m
     is_uniform: bool  # whether there is a field
     uniform: FloatArray  # (3,) m/s²
+    others: Parameters  # those of installed packages, for `add_forces`
 
 
 class TotalForce:
@@ -44,7 +45,7 @@ class TotalForce:
     """
 
     def __init__(self, scene: Scene, needs: Requirements, bodies: Bodies, team: Team, profile: Profile) -> None:
-        self._scene = scene
+        self._scene, self._needs = scene, needs
         self._bodies = bodies
         self._team = team
         self._profile = profile
@@ -55,13 +56,14 @@ class TotalForce:
         self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
 
     @property
-    def few(self) -> FewForces | None:
-        """The forces for a kernel that takes many steps of few bodies; None if there are others."""
-        kinds, scene = {type(force) for force in self._forces}, self._scene
-        if not kinds <= {Gravity, UniformField} or uses_tree(scene):
+    def laws(self) -> ForceLaws | None:
+        """The forces for a kernel that takes many steps; None with drag, or with gravity by a tree."""
+        needs, gravity = self._needs, self._scene.gravity
+        if self.damping or uses_tree(self._scene):
             return None
-        law = scene.gravity.constant, scene.gravity.softening
-        return FewForces(Gravity in kinds, *law, UniformField in kinds, self.uniform)
+        others = tuple(force.parameters for force in self._forces if isinstance(force, KernelForce))
+        pulls = needs.gravity.modelled, gravity.constant, gravity.softening
+        return ForceLaws(*pulls, needs.field.modelled, self.uniform, others)
 
     def accelerate(self, potential: bool) -> Potentials:
         """Update the accelerations of the bodies; return the potential energies if requested."""

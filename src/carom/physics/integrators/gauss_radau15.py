@@ -1,4 +1,4 @@
-"""Gauss–Radau integration of order 15 with steps from its error estimate, for bodies that only pull each other.
+"""Gauss–Radau integration of order 15 with steps from its error estimate, for forces that depend on positions.
 
 Within a step of length T the acceleration of a coordinate is a polynomial in h = t/T, 0 ≤ h ≤ 1 (Everhart 1985):
 
@@ -35,6 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
+from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
 from carom.physics.integrators.batch import Batch, Meeting
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first_impact, reach_of, time_to_touch
@@ -107,6 +108,8 @@ class GaussRadau15:
         What may touch; None where nothing can.
     tolerance
         Residual at a node, over the largest acceleration, at which the iterations of a step end.
+    mass, forces
+        (n,) kg, and the forces of installed packages, which need it.
     """
 
     def __init__(
@@ -122,8 +125,10 @@ class GaussRadau15:
         fraction: float = STEP_FRACTION,
         solids: Solids | None = None,
         tolerance: float = CONVERGED,
+        mass: FloatArray | None = None,
+        forces: Parameters = (),
     ) -> None:
-        self._motion = motion_of(position, velocity, pull, fixed, field)
+        self._motion = motion_of(position, velocity, pull, fixed, field, mass, forces)
         self._softening_squared = float(softening * softening)
         self._max_dt = float(max_dt if fixed_dt is None else fixed_dt)
         self._adapts = fixed_dt is None
@@ -215,9 +220,9 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     steps = (largest_step(scene), scene.time.fixed_dt, STEP_FRACTION / refinement)
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
-    return GaussRadau15(
-        bodies.position, bodies.velocity, pull, fixed, uniform, gravity.softening, *steps, solids, tolerance(refinement)
-    )
+    tuned = solids, tolerance(refinement), bodies.mass, parameters_of_all(scene)
+    state = bodies.position, bodies.velocity
+    return GaussRadau15(*state, pull, fixed, uniform, gravity.softening, *steps, *tuned)
 
 
 @borrowing
@@ -242,7 +247,7 @@ def advance(
             dt, limit = max_dt, CAP if adapts else FIXED
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt, limit = end - run.time, END
-        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start, motion.lanes)
+        accelerate(motion, motion.position, eps2, motion.start)
         wanted = attempt(motion, eps2, run, dt)
         while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.struck else LARGEST_CHANGE) < dt:
             share = wanted / dt

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import inverse_cube
+from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.radau_nodes import (
     NODE,
     ON_ACCELERATION,
@@ -48,18 +49,28 @@ class Motion(NamedTuple):
     pull_of: FloatArray  # (n,) m³/s², G m
     moves: FloatArray  # (n,) 1, or 0 if it is fixed
     field: FloatArray  # (3,) m/s², uniform
-    lanes: FloatArray  # (4, n), room for `accelerate`
+    lanes: FloatArray  # (4, n), workspace of `accelerate`
+    mass: FloatArray  # (n,) kg
+    box: FloatArray  # (3,) zeros: space is open
+    forces: Parameters  # of installed packages
 
 
 def motion_of(
-    position: FloatArray, velocity: FloatArray, pull: FloatArray, fixed: NDArray[np.int64], field: FloatArray
+    position: FloatArray,
+    velocity: FloatArray,
+    pull: FloatArray,
+    fixed: NDArray[np.int64],
+    field: FloatArray,
+    mass: FloatArray | None = None,
+    forces: Parameters = (),
 ) -> Motion:
     """Return the arrays of an integration that moves the bodies in place; see `GaussRadau15`."""
     n = len(position)
     moves = np.ones(n)
     moves[fixed] = 0.0
     vectors, rows = [np.zeros((n, 3)) for _ in range(6)], [np.zeros((3 * n, WIDTH)) for _ in range(4)]
-    return Motion(position, velocity, *vectors, *rows, pull, moves, field, np.empty((4, n)))  # type: ignore[call-arg]
+    more = np.zeros(n) if mass is None else mass, np.zeros(3), forces
+    return Motion(position, velocity, *vectors, *rows, pull, moves, field, np.empty((4, n)), *more)  # type: ignore[arg-type,call-arg]
 
 
 @inline
@@ -132,7 +143,7 @@ def iterate(motion: Motion, eps2: float, dt: float) -> float:
     most, largest = 0.0, 0.0
     for s in range(1, len(NODE)):
         _evaluate(motion, s, dt)
-        accelerate(motion.at, motion.pull_of, motion.moves, eps2, pull, motion.lanes)
+        accelerate(motion, motion.at, eps2, pull)
         for i in range(len(start)):
             for k in range(3):
                 c = 3 * i + k
@@ -215,15 +226,17 @@ def _add(total: FloatArray, rest: FloatArray, i: int, k: int, term: float) -> No
 
 
 @unowned
-def accelerate(
-    x: FloatArray, pull_of: FloatArray, moves: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray
-) -> None:
-    """Write the accelerations by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}."""
-    n = len(x)
+def accelerate(motion: Motion, x: FloatArray, eps2: float, a: FloatArray) -> None:
+    """Write the accelerations at some positions, by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}, and by others.
+
+    Those of the uniform field are added later, without rounding.
+    """
+    n, moves = len(x), motion.moves
     if n < LANES_FROM:
-        _accelerate_few(x, pull_of, eps2, a)
+        _accelerate_few(x, motion.pull_of, eps2, a)
     else:
-        _accelerate_many(x, pull_of, eps2, a, lanes)
+        _accelerate_many(x, motion.pull_of, eps2, a, motion.lanes)
+    add_forces(motion.forces, 0, n, x, motion.mass, motion.box, a)
     for i in range(n):
         a[i, 0], a[i, 1], a[i, 2] = moves[i] * a[i, 0], moves[i] * a[i, 1], moves[i] * a[i, 2]
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.forces.kernel_forces import parameters_of_all
 from carom.physics.integrators.gauss_radau15 import LARGEST_CHANGE, PROGRESS, SHRINKING, STEP_FRACTION
 from carom.physics.integrators.radau_nodes import TERMS
 from carom.physics.integrators.radau_step import (
@@ -137,7 +138,8 @@ def _follow(
 
 def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:
     pull, field = scene.gravity.constant * start.mass, np.array(scene.gravity.uniform)
-    return motion_of(position.copy(), start.velocity.copy(), pull, np.flatnonzero(start.fixed), field)
+    forces = start.mass, parameters_of_all(scene)
+    return motion_of(position.copy(), start.velocity.copy(), pull, np.flatnonzero(start.fixed), field, *forces)
 
 
 @borrowing
@@ -164,9 +166,9 @@ def follow(
         dt = min(run.next_dt, max_dt)
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt = end - run.time
-        accelerate(motion.position, motion.pull_of, motion.moves, eps2, motion.start, motion.lanes)
+        accelerate(motion, motion.position, eps2, motion.start)
         if twin is not None:
-            accelerate(twin.position, twin.pull_of, twin.moves, eps2, twin.start, twin.lanes)
+            accelerate(twin, twin.position, eps2, twin.start)
         wanted = _attempt(motion, twin, eps2, run, dt)
         while wanted * LARGEST_CHANGE < dt:
             share = wanted / dt

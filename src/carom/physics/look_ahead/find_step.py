@@ -168,7 +168,7 @@ class _LookAhead:
     def _is_exact(self) -> bool:
         """Whether steps of any length are exact: nothing can touch, and uniform fields and drag are all the forces."""
         needs = require(self._scene)
-        return not (needs.contact.modelled or needs.gravity.modelled or pulls.further(self._scene))
+        return not (needs.contact.modelled or pulls.differing(self._scene))
 
     @property
     def _is_rough(self) -> bool:

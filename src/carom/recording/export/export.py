@@ -1,4 +1,4 @@
-"""Writes bodies of a recording into a file whose ending names the format."""
+"""Writes bodies of a recording into a file whose ending names the format, one of `carom.registry`."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from carom import registry
 from carom.errors import ExistsError, RecordingError
-from carom.recording.export.arrays import write_npz
-from carom.recording.export.extended_xyz import write_extended_xyz
 from carom.recording.export.snapshot import Snapshot
-from carom.recording.export.tables import write_csv, write_parquet
 from carom.recording.export.vtk import write_vtk, write_vtk_series
 
-WRITERS = {".parquet": write_parquet, ".csv": write_csv, ".npz": write_npz, ".extxyz": write_extended_xyz}
-VTK = ".vtk"
+VTK = ".vtk"  # the one format whose files hold a single step
 SERIES = ".series"  # appended to the name of a .vtk of many steps
-FORMATS = (*WRITERS, VTK)
 
 
-def refuse_format(path: Path, formats: Sequence[str] = FORMATS) -> None:
-    """Raise RecordingError if the ending of a file names no format."""
+def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
+    """Raise RecordingError if the ending of a file names no format; by default one of `carom.registry`."""
+    if formats is None:
+        formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:
         known = ", ".join(formats)
         raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known endings: {known}')
@@ -53,7 +51,7 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
             if path.suffix == VTK:
                 write_vtk(part, first)
             else:
-                WRITERS[path.suffix](part, first, counted)
+                registry.load("export_formats", path.suffix[1:])(part, first, counted)
             part.replace(path)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error

@@ -12,7 +12,7 @@ from carom.recording.layout.canvas import Area
 from carom.recording.layout.curve import Curve
 from carom.recording.layout.legend import place_legend
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import PLOTS, Plot, Series, recorded
+from carom.recording.schema.series import PLOTS, Plot, Series, all_plots, recorded
 
 Curves = Mapping[str, Curve]  # by the paths of the series
 
@@ -33,7 +33,8 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     row
         The area of all columns together.
     """
-    columns = [[plot for plot in column if shown_series(header, plot, curves)] for column in PLOTS]
+    plots = all_plots(recorded(header))
+    columns = [[plot for plot in column if shown_series(header, plot, curves)] for column in plots]
     columns = [column for column in columns if column]
     area = Area(row.width / max(1, len(columns)), row.height)
     tabs = [[_plot(header, plot, curves, area) for plot in column] for column in columns]

@@ -12,7 +12,8 @@ from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header
 from carom.recording.schema.paths import ENERGY, STEP, STEPS
-from carom.recording.schema.series import SERIES
+from carom.recording.schema.series import all_series
+from carom.scene.extensions import names_of, stamped
 from carom.scene.forces import FORCES
 
 if TYPE_CHECKING:
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 def header_of_recording(recording: Recording) -> Header:
     """Return the header of a recorded run, as far as the file has it."""
     info, bodies = recording.info, recording.bodies
+    extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
     return Header(
         title=recording.title,
@@ -38,7 +40,8 @@ def header_of_recording(recording: Recording) -> Header:
         has_orientation=bool(info.get("has_orientation", info["spins"])),  # older recordings have one flag
         has_torque=bool(info.get("has_torque", info["spins"])),
         has_friction=bool(info.get("has_friction", info["spins"])),
-        forces=frozenset(kind.name for kind in FORCES if info.get(kind.present)),
+        forces=frozenset((*(kind.name for kind in FORCES if info.get(kind.present)), *names_of("forces", extensions))),
+        extensions=extensions,
         collides=bool(info["collides"]),
         stabilises=bool(info.get("stabilises", info["collides"])),
         body_colouring=bool(info["body_colouring"]),
@@ -66,7 +69,7 @@ def recorded_curves(recording: Recording, until: int | None = None) -> dict[str,
     """Return the outlines of all recorded and plotted series, by their paths; up to a step if one is given."""
     curves: dict[str, Curve] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
-    for series in SERIES:
+    for series in all_series(stamped(recording.info)):
         table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
         if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEP].to_numpy() <= until

@@ -23,15 +23,12 @@ from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitChec
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.properties import LARGEST
-from carom.scene.forces import FORCES
 
 Values = NDArray[Any] | list[str]
 Column = tuple[Values, list[int]]  # values of all rows, and how many each row has
 
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
-_LOSSES = tuple(kind.loss for kind in FORCES if kind.loss)
-_POTENTIALS = tuple(kind.potential for kind in FORCES if kind.potential and kind.potential not in _ENERGIES)
 _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
 _BOOKS = TypeAdapter(Books)
@@ -206,10 +203,10 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             angular_velocity=row.vectors("angular_velocity", 3) if "angular_velocity" in stored else None,
             energy=Energy(
                 ledger=Ledger(
-                    **{name: row.number(f"ledger_{name}") for name in _LEDGER}, forces=row.further("ledger_", _LOSSES)
+                    **{name: row.number(f"ledger_{name}") for name in _LEDGER}, forces=row.further("ledger_", _LEDGER)
                 ),
                 **{name: row.number(f"energy_{name}") for name in _ENERGIES},
-                others=row.further("energy_", _POTENTIALS),
+                others=row.further("energy_", _ENERGIES),
             ),
             contacts=row.contacts() if "contact_pairs" in stored else None,
             books=_books_of(row.text("books")),
@@ -235,8 +232,10 @@ class _Row:
     def number(self, name: str) -> float:
         return float(self._finite(name, 1)[0])
 
-    def further(self, prefix: str, names: Sequence[str]) -> NamedEnergies:
-        return tuple((name, self.number(prefix + name)) for name in names if prefix + name in self._stored)
+    def further(self, prefix: str, known: Sequence[str]) -> NamedEnergies:
+        """Return the numbers with a prefix besides those that every checkpoint has, in alphabetical order."""
+        names = sorted(name.removeprefix(prefix) for name in self._stored if name.startswith(prefix))
+        return tuple((name, self.number(prefix + name)) for name in names if name not in known)
 
     def text(self, name: str) -> str:
         if name not in self._stored:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from carom.recording.schema import palette
 from carom.recording.schema.paths import SCHEMA_VERSION
 from carom.scene.data.body_columns import BodyColumns
+from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.schema import Scene
@@ -85,7 +86,9 @@ RECORDED_PARTS = (*_FLAGS, *_FORCES)  # of the model, that series depend on
 
 def flag_of(part: str) -> str:
     """Return the property of a recording that tells whether its scene requires a part of the model."""
-    return _FORCES[part].present if part in _FORCES else _FLAGS[part]
+    if part in _FLAGS:
+        return _FLAGS[part]
+    return _FORCES[part].present if part in _FORCES else f"{PROPERTY}forces.{part}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +121,7 @@ class Header:
     has_orientation: bool
     has_torque: bool  # and angular accelerations
     has_friction: bool
-    forces: frozenset[str]  # by their names in `scene.forces`
+    forces: frozenset[str]  # by their names in `scene.forces`, or as parts of extensions
     collides: bool
     stabilises: bool  # overlaps are undone, which puts energy in
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
@@ -138,10 +141,13 @@ class Header:
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the other engine that it was recorded from; empty for carom's own runs
     exact: bool = False  # whether every frame has a checkpoint
+    extensions: Mapping[str, str] = field(default_factory=dict)  # that the scene uses, see `extensions_of`
 
     def models(self, part: str) -> bool:
         """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
-        return _FORCES[part].name in self.forces if part in _FORCES else bool(getattr(self, _FLAGS[part]))
+        if part in _FLAGS:
+            return bool(getattr(self, _FLAGS[part]))
+        return (_FORCES[part].name if part in _FORCES else part) in self.forces
 
     @property
     def coloured_by(self) -> str:

@@ -1,22 +1,25 @@
 """The scalars of every frame: the one table that encoder, plots, inventory and docs/recording.md are made from.
 
-A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md. The inventory at the end
+A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md. Scenes add the series of
+installed packages by ``record.series``, and those of their forces by ``[forces]``. The inventory at the end
 lists all entities that a recording of a scene has.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from carom import registry
 from carom.plan.features import Requirements
 from carom.recording.schema import paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY, STEPS
-from carom.scene.forces import FORCES, ForceKind
+from carom.scene.extensions import names_of
+from carom.scene.forces import FORCES, ForceKind, kind_called
 from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
@@ -93,7 +96,7 @@ class Series:
     def __post_init__(self) -> None:
         if self.path.partition("/")[0] not in (ENERGY, STEPS):
             raise ValueError(f"the series {self.path}: a path begins with {ENERGY}/ or {STEPS}/, whose tables have it")
-        if self.part is not None and self.part not in RECORDED_PARTS:
+        if self.part is not None and self.part not in RECORDED_PARTS and self.part not in registry.installed("forces"):
             raise ValueError(f"the series {self.path}: no part {self.part}; take one of {', '.join(RECORDED_PARTS)}")
 
 
@@ -195,9 +198,24 @@ OF_ENGINES = {
 }
 
 
+def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
+    """Return carom's own series, and those of the installed extensions that a scene uses; see `extensions_of`."""
+    forces = [name for name in names_of("forces", extensions) if name in registry.installed("forces")]
+    others = [name for name in names_of("series", extensions) if name in registry.installed("series")]
+    potentials = (_potential(kind_called(name)) for name in forces if kind_called(name).potential)
+    return (*SERIES, *potentials, *(registry.load("series", name) for name in others))
+
+
+def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
+    """Return the plots of some series, from left to right; those of extensions are the last tabs."""
+    known = {plot for column in PLOTS for plot in column}
+    others = dict.fromkeys(each.plot for each in series if each.plot is not None and each.plot not in known)
+    return (*PLOTS[:-1], (*PLOTS[-1], *others))
+
+
 def recorded(header: Header) -> Iterator[Series]:
     """Return the series that a recording of this scene has."""
-    seen: Iterator[Series] = iter(SERIES)
+    seen: Iterator[Series] = iter(all_series(header.extensions))
     if header.engine:
         seen = (_of_engine(series) for series in SERIES if not series.inside)
     return (series for series in seen if series.part is None or header.models(series.part))
@@ -274,7 +292,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     """Return every entity that a recording may have."""
     parts = {part.name: part.modelled for part in needs.parts}
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
-    needed = [*_PARTS.items(), *((series.path, series.part) for series in SERIES)]
+    needed = [*_PARTS.items(), *((series.path, series.part) for series in all_series(header.extensions))]
     for path, name in needed:
         there = name is None or parts[name]
         yield Content(path, there, (name or "always") if there else f"no {name}")

@@ -20,6 +20,7 @@ from carom.recording.style.curve_style import curve_style
 from carom.recording.style.line_radii import line_radii
 from carom.recording.style.single_precision import single
 from carom.recording.write.scene_text import scene_document
+from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 
 Static = tuple[str, rr.AsComponents]
@@ -99,6 +100,7 @@ def identity(header: Header, clock: Clock, origin: NDArray[np.float64]) -> dict[
     if header.promises:
         properties["promises"] = True
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
+    properties |= {f"{PROPERTY}{part}": package for part, package in header.extensions.items()}
     if header.has_torque:
         for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)

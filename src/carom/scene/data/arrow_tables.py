@@ -14,7 +14,17 @@ import pyarrow.parquet as pq
 
 from carom.arrow_claims import claims, unpacked_bytes
 from carom.errors import SceneError
-from carom.scene.data.formats import BODY, NUMBER, STEP, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import (
+    BODY,
+    NUMBER,
+    STEP,
+    DataFormat,
+    DataTable,
+    Raw,
+    refuse_bomb,
+    refuse_large,
+    refuse_many_rows,
+)
 from carom.scene.data.mapping import printable
 
 _STREAM_IN_FILE = 8  # bytes, after which an Arrow file goes on as a stream
@@ -157,3 +167,8 @@ class _ArrowTable(DataTable):
         if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
             column = column.cast(pa.float64(), safe=False)
         return np.asarray(column.to_numpy())
+
+
+CSV = DataFormat("a table of values", open_csv)
+PARQUET = DataFormat("a Parquet file", open_parquet)
+ARROW = DataFormat("an Arrow file", open_arrow)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom import registry
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.wording import suggestion
@@ -51,6 +51,13 @@ class DataTable:
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
         raise NotImplementedError
+
+
+class DataFormat(NamedTuple):
+    """A format of data files; its name in `carom.registry` is the ending of its files."""
+
+    called: str  # what a message calls a file of it, such as "an Arrow file"
+    open: Callable[[Path, str, int], DataTable]  # of a file, its name in messages, and which step of a file of several
 
 
 class Arrays(DataTable):
@@ -140,31 +147,6 @@ def _shown(value: Any) -> str:
 _LONGEST_REASON = 200  # characters of the message of a library
 
 
-class _Format(NamedTuple):
-    called: str
-    module: str  # imported when a file of the format is opened
-    opener: str
-
-
-# a new format is a module with an opener, and a row here
-_TEXT = _Format("a table of values", "arrow_tables", "open_csv")
-_ARROW = _Format("an Arrow file", "arrow_tables", "open_arrow")
-_HDF5 = _Format("an HDF5 file", "hdf5_tables", "open_hdf5")
-_REBOUND = _Format("a Simulationarchive of REBOUND", "rebound_tables", "open_rebound")
-_FORMATS = {
-    ".csv": _TEXT,
-    ".tsv": _TEXT,
-    ".parquet": _Format("a Parquet file", "arrow_tables", "open_parquet"),
-    ".arrow": _ARROW,
-    ".feather": _ARROW,
-    ".npz": _Format("an .npz file", "numpy_tables", "open_npz"),
-    ".h5": _HDF5,
-    ".hdf5": _HDF5,
-    ".bin": _REBOUND,
-    ".rebound": _REBOUND,
-}
-
-
 def open_table(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a data file.
 
@@ -182,18 +164,19 @@ def open_table(path: Path, called: str, snapshot: int) -> DataTable:
     SceneError
         If the format is unknown, a package for it is missing, or the file is not of this format.
     """
-    if path.suffix.lower() not in _FORMATS:
-        raise SceneError(f'{called}: no format has the ending "{path.suffix}"; {suggestion(path.suffix, _FORMATS)}')
-    form = _FORMATS[path.suffix.lower()]
-    opener: Callable[[Path, str, int], DataTable] = getattr(import_module(f"{__package__}.{form.module}"), form.opener)
+    ending = path.suffix.lower()
+    known = [f".{name}" for name in registry.names("data_formats")]
+    if ending not in known:
+        raise SceneError(f'{called}: no format has the ending "{path.suffix}"; {suggestion(path.suffix, known)}')
+    form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        return _Guarded(opener(path, called, snapshot), form)
+        return _Guarded(form.open(path, called, snapshot), form)
 
 
 class _Guarded(DataTable):
     """A table whose errors are all `SceneError`."""
 
-    def __init__(self, table: DataTable, form: _Format) -> None:
+    def __init__(self, table: DataTable, form: DataFormat) -> None:
         self._table = table
         self._form = form
         self.called, self.names, self.units = table.called, table.names, table.units
@@ -206,7 +189,7 @@ class _Guarded(DataTable):
 
 
 @contextlib.contextmanager
-def _reading(called: str, form: _Format) -> Iterator[None]:
+def _reading(called: str, form: DataFormat) -> Iterator[None]:
     """Turn whatever a library raises on a damaged file into one sentence."""
     try:
         yield

@@ -11,7 +11,7 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import NUMBER, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import NUMBER, DataFormat, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
 
 _MOST_DATASETS = 10_000
 
@@ -56,3 +56,6 @@ class _Datasets(DataTable):
         refuse_many_rows(self.called, max(dataset.shape, default=0))
         refuse_large(self.called, name, math.prod(dataset.shape) * dataset.dtype.itemsize)
         return np.asarray(dataset[()])
+
+
+HDF5 = DataFormat("an HDF5 file", open_hdf5)

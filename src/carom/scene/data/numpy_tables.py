@@ -12,7 +12,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from carom.errors import SceneError
-from carom.scene.data.formats import DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import DataFormat, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
 
 _SUFFIX = ".npy"
 _LARGEST_HEADER = 10_000  # characters
@@ -61,3 +61,6 @@ def _header(member: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
     shape, _, kind = read(member, max_header_size=_LARGEST_HEADER)
     return shape, kind
+
+
+NPZ = DataFormat("an .npz file", open_npz)

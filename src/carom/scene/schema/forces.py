@@ -1,11 +1,14 @@
-"""[gravity] and [drag]: the forces on the bodies."""
+"""[gravity], [drag] and [forces]: the forces on the bodies."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from functools import cache
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
+from pydantic.fields import FieldInfo
 
+from carom import registry
 from carom.scene.schema.quantity import LARGEST, ORIGIN, NonNegative, Positive, Section, Vector
 from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, LENGTH, TIME, VELOCITY
 
@@ -55,8 +58,49 @@ class Drag(Section):
         return self
 
 
+class InstalledForces(Section):
+    """[forces]: a section for each force of an installed package that acts."""
+
+    @property
+    def given(self) -> dict[str, Any]:
+        """The sections that the scene has, by the names of their forces, in alphabetical order."""
+        return {name: section for name, section in sorted(self) if section is not None}
+
+
+class _NotLoaded(Section):
+    """A section of a force that cannot be loaded."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _say_why(cls, given: Any) -> Any:
+        raise ValueError(cls.__doc__)
+
+
 class Forces(Section):
     """The keys of the forces in a scene."""
 
     gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
     drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
+    forces: InstalledForces = Field(InstalledForces(), description="forces of installed packages, a section each")
+
+
+@cache
+def know_installed_forces(*holders: type[Section]) -> None:
+    """Let `InstalledForces`, and the models that hold it, have a field for each force of an installed package.
+
+    This is done at the first use of a scene, not when this module is imported: a package that defines a force imports
+    this module.
+    """
+    names = registry.installed("forces")
+    for name in names:
+        section: Any
+        try:
+            section = registry.load("forces", name).section
+        except registry.ExtensionError as error:
+            section = type("NotLoaded", (_NotLoaded,), {"__doc__": str(error), "__module__": __name__})
+        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
+        InstalledForces.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
+    if names:
+        InstalledForces.model_rebuild(force=True)
+        for model in holders:
+            model.model_rebuild(force=True)

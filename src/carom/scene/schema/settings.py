@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, field_validator, model_validator
 
+from carom import registry
 from carom.scene.integrators import AUTO, INTEGRATORS, described
 from carom.scene.parts import PARTS, unknown
 from carom.scene.schema.quantity import Count, Positive, Section
@@ -178,6 +179,16 @@ class Record(Section):
     energy_tolerance: Positive = Field(
         1e-3, description="rise of the energy, relative to the energy scale, that causes a warning"
     )
+    series: tuple[Annotated[str, Field(strict=True)], ...] = Field(
+        (), description="recorded series of installed packages, by their names; none by default"
+    )
+
+    @field_validator("series")
+    @classmethod
+    def _series_are_installed(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            registry.load("series", name)
+        return tuple(dict.fromkeys(names))
 
     @model_validator(mode="before")
     @classmethod

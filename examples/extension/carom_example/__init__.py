@@ -1,0 +1,1 @@
+"""An extension of carom: each module is one part of it."""

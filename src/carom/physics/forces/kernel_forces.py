@@ -1,0 +1,209 @@
+"""Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.forces`, in kernels.
+
+Every kernel that sums accelerations calls `add_forces` with a tuple of records, one for each force, which hold the
+parameters. The type of a record names the force and a hash of its sources. Numba compiles a kernel anew for each tuple
+of types, with the functions of these forces in it, and keeps it on disk under these types. Without such forces the
+tuple is empty and the call compiles to nothing.
+
+A body's terms are added in the order of their sources, whoever computes them, so that all integrators and any number of
+threads have the same bits. A pair is computed twice, once for each body.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from carom.physics.bodies import Bodies
+from carom.physics.parallel.foreign import chosen_by_type, identity_of, leaf
+from carom.physics.parallel.jit import kernel, long_kernel
+from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.periodic_box import minimum_image
+from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
+from carom.scene.schema import Scene
+
+FloatArray = NDArray[np.float64]
+Records = NDArray[np.void]
+Parameters = tuple[Records, ...]  # (1,) records, one for each force
+
+BODIES_PER_TASK = 2000  # about 10 µs of work, for one body each
+PAIRS_PER_TASK = 4000
+
+_BODY, _PAIR = "body_force_", "pair_force_"  # how the first field of a record begins, which names the force
+
+
+class _Compiled(NamedTuple):
+    """The functions of a force, which kernels inline."""
+
+    acceleration: Any  # or attraction
+    potential: Any
+
+
+_compiled: dict[str, _Compiled] = {}  # by the name of the first field of their records
+
+
+class KernelForce:
+    """A force of an installed package; see `carom.physics.forces.force.Force`.
+
+    Attributes
+    ----------
+    parameters
+        (1,) record of its parameters, for `add_forces`.
+    """
+
+    def __init__(self, kind: ForceKind, parameters: Records, bodies: Bodies, box: FloatArray, team: Team) -> None:
+        self.kind = kind
+        self.uniform = np.zeros(3)
+        self.parameters = parameters
+        self._mass = bodies.mass
+        self._box = box
+        self._team = team
+        names = parameters.dtype.names or ("",)
+        pairs = len(bodies) if names[0].startswith(_PAIR) else 1
+        self._bodies_per_task = max(1, PAIRS_PER_TASK // pairs) if pairs > 1 else BODIES_PER_TASK
+
+    def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
+        """Add its acceleration; see `Force`."""
+        if first:
+            acceleration[:] = 0.0
+        state = (self.parameters,), position, self._mass, self._box
+        self._team.divide(len(position), self._bodies_per_task, _add, *state, acceleration)
+        return _energy(*state) if potential else 0.0
+
+
+def make(name: str, scene: Scene, bodies: Bodies, team: Team) -> KernelForce:
+    """Make a force that a scene has a section of."""
+    size = scene.domain.size if scene.domain.boundary == "periodic" else None
+    box = np.array(size or (0.0, 0.0, 0.0))
+    return KernelForce(kind_called(name), parameters_of(name, scene), bodies, box, team)
+
+
+def forces_of_packages(scene: Scene, bodies: Bodies) -> list[KernelForce]:
+    """Make all forces of installed packages that a scene has, for few bodies."""
+    return [make(name, scene, bodies, SOLO) for name in scene.forces.given]
+
+
+def parameters_of(name: str, scene: Scene) -> Records:
+    """Return the record of a force with the parameters that a scene gives it, (1,)."""
+    force = force_called(name)
+    is_pair = isinstance(force, PairForce)
+    first = force.attraction if isinstance(force, PairForce) else force.acceleration
+    marker = f"{_PAIR if is_pair else _BODY}{name}_{identity_of(first, force.potential)}"
+    if marker not in _compiled:
+        _compiled[marker] = _Compiled(leaf(first), leaf(force.potential))
+    values = force.parameters(scene.forces.given[name])
+    record = np.zeros(1, np.dtype([(marker, np.float64), *((key, np.float64) for key in values)], align=True))
+    for key, value in values.items():
+        record[key] = value
+    return record
+
+
+def parameters_of_all(scene: Scene) -> Parameters:
+    """Return the records of all forces of installed packages that a scene has."""
+    return tuple(parameters_of(name, scene) for name in scene.forces.given)
+
+
+def add_forces(
+    forces: Parameters, lo: int, hi: int, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray
+) -> None:
+    """Add accelerations of the bodies in [lo, hi); for kernels.
+
+    Parameters
+    ----------
+    forces
+        Records of `parameters_of`.
+    x, m, box
+        (n, 3) m, (n,) kg, and (3,) m, the size of a periodic box, or zeros.
+    a
+        (n, 3) m/s².
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def energy_of(forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray) -> float:
+    """Return the potential energy in joules; for kernels, as `add_forces`."""
+    raise NotImplementedError("only kernels call it")
+
+
+def _functions(record: Any) -> tuple[bool, _Compiled]:
+    """Tell whether a record, given as a type, is of a force between bodies; and return its functions."""
+    marker = next(iter(record.dtype.fields))
+    return marker.startswith(_PAIR), _compiled[marker]
+
+
+@chosen_by_type(add_forces)
+def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> Any:
+    """Return what Numba compiles for a call of `add_forces`: the first force, and a call for the others."""
+    if len(forces) == 0:
+        return lambda forces, lo, hi, x, m, box, a: None
+    is_pair, functions = _functions(forces[0])
+    function = functions.acceleration
+
+    def of_bodies(forces: Any, lo: int, hi: int, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray) -> None:
+        p = forces[0][0]
+        for i in range(lo, hi):
+            ax, ay, az = function(x[i, 0], x[i, 1], x[i, 2], p)
+            a[i, 0] += ax
+            a[i, 1] += ay
+            a[i, 2] += az
+        add_forces(forces[1:], lo, hi, x, m, box, a)
+
+    def of_pairs(forces: Any, lo: int, hi: int, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray) -> None:
+        p = forces[0][0]
+        for i in range(lo, hi):
+            fx, fy, fz = 0.0, 0.0, 0.0
+            for j in range(len(x)):
+                if j == i:
+                    continue
+                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+                if box[0] > 0.0:
+                    dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+                f = function(dx * dx + dy * dy + dz * dz, m[i], m[j], p)
+                fx += f * dx
+                fy += f * dy
+                fz += f * dz
+            a[i, 0] += fx / m[i]
+            a[i, 1] += fy / m[i]
+            a[i, 2] += fz / m[i]
+        add_forces(forces[1:], lo, hi, x, m, box, a)
+
+    return of_pairs if is_pair else of_bodies
+
+
+@chosen_by_type(energy_of)
+def _summing(forces: Any, x: Any, m: Any, box: Any) -> Any:
+    """Return what Numba compiles for a call of `energy_of`."""
+    if len(forces) == 0:
+        return lambda forces, x, m, box: 0.0
+    is_pair, functions = _functions(forces[0])
+    function = functions.potential
+
+    def of_bodies(forces: Any, x: FloatArray, m: FloatArray, box: FloatArray) -> float:
+        p, energy = forces[0][0], 0.0
+        for i in range(len(x)):
+            energy += m[i] * function(x[i, 0], x[i, 1], x[i, 2], p)
+        return energy + energy_of(forces[1:], x, m, box)
+
+    def of_pairs(forces: Any, x: FloatArray, m: FloatArray, box: FloatArray) -> float:
+        p, energy = forces[0][0], 0.0
+        for i in range(len(x)):
+            for j in range(i + 1, len(x)):
+                dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
+                if box[0] > 0.0:
+                    dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+                energy += function(dx * dx + dy * dy + dz * dz, m[i], m[j], p)
+        return energy + energy_of(forces[1:], x, m, box)
+
+    return of_pairs if is_pair else of_bodies
+
+
+@long_kernel
+def _add(lo: int, hi: int, forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray, a: FloatArray) -> None:
+    add_forces(forces, lo, hi, x, m, box, a)
+
+
+@kernel
+def _energy(forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray) -> float:
+    return energy_of(forces, x, m, box)

@@ -1,0 +1,164 @@
+"""The parts that carom is made of, by kind and name: its own, and those of installed packages.
+
+An installed package adds a part through an entry point, whose group is the kind with ``carom.`` before it:
+
+    [project.entry-points."carom.forces"]
+    harmonic-trap = "carom_example.trap:TRAP"
+
+`carom.extend` has what such a part is made of. A part is imported when it is used for the first time. A name that two
+packages define, or carom and a package, is refused where it is used.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NamedTuple
+
+from carom.errors import SceneError
+from carom.scene.wording import suggestion
+
+PREFIX = "carom."  # of the groups of entry points
+KINDS = {  # kind → what a message calls one of them
+    "forces": "force",
+    "contact_laws": "contact law",
+    "integrators": "integrator",
+    "series": "recorded series",
+    "data_formats": "data format",
+    "export_formats": "export format",
+    "engines": "engine",
+    "commands": "command",
+}
+HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name → module:attribute
+    "data_formats": {
+        "csv": "carom.scene.data.arrow_tables:CSV",
+        "tsv": "carom.scene.data.arrow_tables:CSV",
+        "parquet": "carom.scene.data.arrow_tables:PARQUET",
+        "arrow": "carom.scene.data.arrow_tables:ARROW",
+        "feather": "carom.scene.data.arrow_tables:ARROW",
+        "npz": "carom.scene.data.numpy_tables:NPZ",
+        "h5": "carom.scene.data.hdf5_tables:HDF5",
+        "hdf5": "carom.scene.data.hdf5_tables:HDF5",
+        "bin": "carom.scene.data.rebound_tables:REBOUND",
+        "rebound": "carom.scene.data.rebound_tables:REBOUND",
+    },
+    "export_formats": {
+        "parquet": "carom.recording.export.tables:write_parquet",
+        "csv": "carom.recording.export.tables:write_csv",
+        "npz": "carom.recording.export.arrays:write_npz",
+        "extxyz": "carom.recording.export.extended_xyz:write_extended_xyz",
+        "vtk": "carom.recording.export.vtk:write_vtk",
+    },
+    "engines": {
+        "rebound": "carom.lab.engines.rebound:Rebound",
+        "mujoco": "carom.lab.engines.mujoco:MuJoCo",
+        "box3d": "carom.lab.engines.box3d:Box3D",
+        "pybullet": "carom.lab.engines.pybullet:PyBullet",
+        "newton": "carom.lab.engines.newton:Newton",
+    },
+}
+
+
+class ExtensionError(SceneError):
+    """A part that is not installed, cannot be imported, or is defined twice."""
+
+
+class Origin(NamedTuple):
+    """Where a part comes from."""
+
+    target: str  # module:attribute
+    package: str  # the distribution that has it; empty if it is carom's own
+    version: str  # of the distribution
+
+
+def names(kind: str) -> tuple[str, ...]:
+    """Return the names of all parts of a kind: carom's own first, then those of installed packages by name."""
+    own = HOUSE.get(kind, {})
+    return (*own, *sorted(name for name in _installed(kind) if name not in own))
+
+
+def installed(kind: str) -> tuple[str, ...]:
+    """Return the names of the parts of a kind that installed packages have, in alphabetical order."""
+    return tuple(sorted(_installed(kind)))
+
+
+def origin(kind: str, name: str) -> Origin | None:
+    """Return where a part of an installed package comes from; None if no package has one of that name.
+
+    Raises
+    ------
+    ExtensionError
+        If two packages define the name, or carom and a package do.
+    """
+    origins = _installed(kind).get(name, ())
+    own = HOUSE.get(kind, {}).get(name)
+    if origins and own:
+        raise ExtensionError(
+            f'the package {origins[0].package} defines a {KINDS[kind]} "{name}", a name that carom has itself; '
+            "rename it there, or uninstall the package"
+        )
+    if len(origins) > 1:
+        both = " and ".join(each.package for each in origins)
+        raise ExtensionError(f'the packages {both} both define a {KINDS[kind]} "{name}"; uninstall one of them')
+    return origins[0] if origins else None
+
+
+def load(kind: str, name: str) -> Any:
+    """Return a part.
+
+    Raises
+    ------
+    ExtensionError
+        If there is none of that name, it cannot be imported, or its name is defined twice.
+    """
+    found = origin(kind, name)
+    target = found.target if found else HOUSE.get(kind, {}).get(name)
+    if target is None:
+        known = names(kind)
+        near = suggestion(name, known) if known else f"no installed package has a {KINDS[kind]}"
+        raise ExtensionError(f'no {KINDS[kind]} "{name}"; {near}')
+    if found is None:
+        return _imported(target)
+    try:
+        return _imported(target)
+    except Exception as error:
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+        raise ExtensionError(
+            f'the {KINDS[kind]} "{name}" of the package {found.package} {found.version} cannot be loaded: '
+            f"{type(error).__name__}: {reason}"
+        ) from error
+
+
+def _imported(target: str) -> Any:
+    module, _, attribute = target.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in filter(None, attribute.split(".")):
+        found = getattr(found, part)
+    return found
+
+
+@cache
+def _installed(kind: str) -> Mapping[str, tuple[Origin, ...]]:
+    """Return the parts of installed packages, by name; a package that is found twice counts once."""
+    return _all_installed().get(kind, {})
+
+
+@cache
+def _all_installed() -> Mapping[str, Mapping[str, tuple[Origin, ...]]]:
+    from importlib.metadata import distributions  # noqa: PLC0415 - takes 20 ms, which `carom --version` need not wait for
+
+    found: dict[str, dict[str, dict[str, Origin]]] = {}
+    for distribution in distributions():
+        text = distribution.read_text("entry_points.txt") or ""
+        if f"[{PREFIX}" not in text:
+            continue
+        package = distribution.metadata["Name"] or "?"
+        for entry in distribution.entry_points:
+            if entry.group.startswith(PREFIX) and entry.group[len(PREFIX) :] in KINDS:
+                by_name = found.setdefault(entry.group[len(PREFIX) :], {}).setdefault(entry.name, {})
+                by_name.setdefault(package, Origin(entry.value, package, distribution.version))
+    return {
+        kind: {name: tuple(origins.values()) for name, origins in by_name.items()} for kind, by_name in found.items()
+    }

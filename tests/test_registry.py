@@ -1,0 +1,80 @@
+"""Parts of installed packages: found by their entry points, and refused in one sentence where they are not right."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from carom import registry
+from carom.errors import SceneError
+from carom.scene.extensions import extensions_of, missing
+from carom.scene.schema import Scene
+
+PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]}
+
+
+@pytest.fixture
+def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Two packages: a module that cannot be imported, one that can, and a name that both define."""
+    (tmp_path / "right_part.py").write_text("PART = 7\n")
+    (tmp_path / "broken_part.py").write_text("import a_package_that_is_not_there\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    one, other = ("one", "1.0"), ("other", "2.0")
+    parts = {
+        "series": {
+            "right": (registry.Origin("right_part:PART", *one),),
+            "broken": (registry.Origin("broken_part:PART", *one),),
+            "twice": (registry.Origin("right_part:PART", *one), registry.Origin("right_part:PART", *other)),
+        },
+        "data_formats": {"csv": (registry.Origin("right_part:PART", *one),)},
+        "forces": {"pull": (registry.Origin("broken_part:PART", *one),)},
+    }
+    registry._installed.cache_clear()
+    monkeypatch.setattr(registry, "_all_installed", lambda: parts)
+    yield  # type: ignore[misc]
+    registry._installed.cache_clear()
+
+
+@pytest.mark.usefixtures("install")
+def test_a_part_of_an_installed_package_is_found_by_its_name() -> None:
+    assert registry.load("series", "right") == 7
+    assert registry.installed("series") == ("broken", "right", "twice")
+
+
+@pytest.mark.usefixtures("install")
+@pytest.mark.parametrize(
+    ("kind", "name", "sentence"),
+    [
+        ("series", "rihgt", 'no recorded series "rihgt"; did you mean "right"?'),
+        ("engines", "unity", 'no engine "unity"'),
+        ("commands", "dance", 'no command "dance"; no installed package has a command'),
+        ("series", "twice", 'the packages one and other both define a recorded series "twice"; uninstall one of them'),
+        ("data_formats", "csv", 'the package one defines a data format "csv", a name that carom has itself'),
+        ("series", "broken", 'the recorded series "broken" of the package one 1.0 cannot be loaded: ModuleNotFound'),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_sentence(kind: str, name: str, sentence: str) -> None:
+    with pytest.raises(SceneError) as refused:
+        registry.load(kind, name)
+    assert str(refused.value).startswith(sentence) and "\n" not in str(refused.value)
+
+
+def test_a_scene_that_names_no_installed_part_says_so() -> None:
+    with pytest.raises(SceneError, match=r"unknown key forces\.trap; no installed package has a force of that name"):
+        Scene.from_dict(PAIR | {"forces": {"trap": {"frequency": 1.0}}})
+    with pytest.raises(SceneError, match=r'record\.series: no recorded series "fastest"; no installed package has'):
+        Scene.from_dict(PAIR | {"record": {"series": ["fastest"]}})
+
+
+def test_a_scene_without_parts_of_packages_uses_none() -> None:
+    assert extensions_of(Scene.from_dict(PAIR)) == {}
+
+
+def test_a_recording_says_what_to_install() -> None:
+    used = {"forces.trap": "carom-example 0.1.0", "series.fastest": "carom-example 0.1.0"}
+    assert missing(used) == (
+        'it uses the force "trap" and the recorded series "fastest" of the package carom-example 0.1.0, which is not '
+        "installed: pip install carom-example==0.1.0"
+    )
+    assert missing({}) == ""
