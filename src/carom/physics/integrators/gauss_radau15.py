@@ -220,9 +220,19 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     steps = (largest_step(scene), scene.time.fixed_dt, STEP_FRACTION / refinement)
     planes = half_spaces(scene)
     solids = Solids.of(bodies.radius, planes.normal, planes.offset) if needs.contact.modelled else None
-    tuned = solids, tolerance(refinement), bodies.mass, parameters_of_all(scene)
-    state = bodies.position, bodies.velocity
-    return GaussRadau15(*state, pull, fixed, uniform, gravity.softening, *steps, *tuned)
+    return GaussRadau15(
+        bodies.position,
+        bodies.velocity,
+        pull,
+        fixed,
+        uniform,
+        gravity.softening,
+        *steps,
+        solids=solids,
+        tolerance=tolerance(refinement),
+        mass=bodies.mass,
+        forces=parameters_of_all(scene),
+    )
 
 
 @borrowing
