@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,7 @@ PAIR = {"body": [{"radius": 1.0, "position": [3.0 * k, 0, 0]} for k in range(2)]
 
 
 @pytest.fixture
-def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     """Two packages: a module that cannot be imported, one that can, and a name that both define."""
     (tmp_path / "right_part.py").write_text("PART = 7\n")
     (tmp_path / "broken_part.py").write_text("import a_package_that_is_not_there\n")
@@ -32,7 +33,7 @@ def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     }
     registry._installed.cache_clear()
     monkeypatch.setattr(registry, "_all_installed", lambda: parts)
-    yield  # type: ignore[misc]
+    yield
     registry._installed.cache_clear()
 
 

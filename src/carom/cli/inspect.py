@@ -34,6 +34,7 @@ def inspect(
     Of a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
     """
     from carom.recording.edit.bundle import opened
+    from carom.recording.read.recorded_scene import refuse_missing_extensions
     from carom.recording.read.recording import Recording
 
     with opened(file) as path:
@@ -41,6 +42,7 @@ def inspect(
         if recording.is_overlay:
             _print_comparison(recording, file, as_json)
             return
+        refuse_missing_extensions(recording)
         summary, units = recording.summary(), recording.units
     if as_json:
         say_json(summary)

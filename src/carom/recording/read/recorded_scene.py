@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from carom.errors import RecordingError, SceneError
 from carom.recording.schema.header import ShownMaterials, scene_digest
 from carom.scene.data.body_sources import SourcedBodies, Wanted
+from carom.scene.extensions import missing, stamped
 from carom.scene.load import longest_text, scene_from_text
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
@@ -52,6 +53,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
             f"{recording.path}: its scene is not the one that was recorded, since the SHA-256 differs; "
             "the file was altered and cannot be run again"
         )
+    refuse_missing_extensions(recording)
     source = f"the scene in {recording.path}"
     scene = scene_from_text(text, source, bodies=RecordedBodies(recording))
     if overrides:
@@ -71,6 +73,12 @@ def materials_of(recording: Recording) -> ShownMaterials | None:
         return ShownMaterials.of(recorded_scene(recording))
     except (RecordingError, SceneError):
         return None
+
+
+def refuse_missing_extensions(recording: Recording) -> None:
+    """Raise RecordingError, with what to install, if the scene of a recording uses packages that are not there."""
+    if lack := missing(stamped(recording.info)):
+        raise RecordingError(f"{recording.path}: {lack}")
 
 
 class RecordedBodies:

@@ -1,0 +1,150 @@
+"""examples/extension: a package outside of carom, installed into a folder of its own, whose parts are first class."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "examples" / "extension"
+
+pytestmark = pytest.mark.slow  # installs a package, and compiles kernels with its forces
+
+FORCES = """
+[gravity]
+constant = 0
+[forces.trap]
+frequency = "1 rad/s"
+[forces.repulsion]
+strength = "1e-3 N m^4"
+"""
+BODIES = """
+[contact]
+restitution = 1.0
+static_friction = 0.0
+[[body]]
+position = [1.0, 0.02, 0.0]
+radius = 0.1
+mass = 1.0
+[[body]]
+position = [-1.0, 0.0, 0.0]
+radius = 0.1
+mass = 2.0
+"""
+SCENE = f'title = "Two bodies bounce in a trap"\ntime.duration = 3.0\nrecord.series = ["fastest"]\n{FORCES}{BODIES}'
+PERIODIC = ("domain.boundary=periodic", "domain.size=[4,4,4]", "time.fixed_dt=0.002")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the installed package: nothing of it is in the sources or the environment of carom."""
+    folder = tmp_path_factory.mktemp("extension")
+    shutil.copytree(PACKAGE, folder / "source", ignore=shutil.ignore_patterns("__pycache__"))
+    offline = ["--no-build-isolation", "--no-index"] if importlib.util.find_spec("hatchling") else []
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", *offline]
+    subprocess.run([*pip, "--target", folder / "site", folder / "source"], check=True, capture_output=True)
+    return folder / "site"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    (folder / "scene.toml").write_text(SCENE, encoding="utf-8")
+    return folder
+
+
+def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.CompletedProcess[str]:
+    paths = [str(site)] if site else []
+    paths += [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    command = [sys.executable, "-m", "carom", *arguments]
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+
+
+def said(folder: Path, site: Path, *arguments: str) -> str:
+    done = carom(folder, site, *arguments)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
+
+
+def run(folder: Path, site: Path, name: str, *overrides: str) -> dict[str, Any]:
+    """Record the scene; return the summary of the recording."""
+    sets = [word for override in overrides for word in ("--set", override)]
+    said(folder, site, "run", "scene.toml", "-o", name, "--force", *sets)
+    summary: dict[str, Any] = json.loads(said(folder, site, "inspect", name, "--json"))
+    return summary
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "error"),
+    [
+        ("leapfrog.rrd", ("time.integrator=leapfrog", "time.fixed_dt=0.002"), 1e-4),  # of second order: (ω dt)² / 24
+        ("radau.rrd", ("time.integrator=gauss-radau15",), 1e-13),  # rounding
+        ("periodic.rrd", ("time.integrator=leapfrog", *PERIODIC), 1e-4),
+        ("promised.rrd", ("time.accuracy=1e-8",), 1e-8),
+    ],
+)
+def test_forces_of_a_package_keep_the_energy_bounce_and_replay(
+    folder: Path, site: Path, name: str, overrides: tuple[str, ...], error: float
+) -> None:
+    summary = run(folder, site, name, *overrides)
+    assert summary["energy"]["max_error"] < error
+    assert summary["contacts"]["impacts"] >= 1
+    assert "same bits" in said(folder, site, "replay", name)
+
+
+def test_a_resumed_run_has_the_bits_of_one_that_was_not_interrupted(folder: Path, site: Path) -> None:
+    run(folder, site, "half.rrd", "time.integrator=gauss-radau15", "time.duration=1.5")
+    said(folder, site, "resume", "half.rrd", "--until", "3", "-o", "resumed.rrd", "--force")
+    assert "same bits" in said(folder, site, "replay", "resumed.rrd")
+
+
+def test_gauss_radau_agrees_with_the_exact_reference_to_rounding(folder: Path, site: Path) -> None:
+    sets = ("--set", "time.integrator=gauss-radau15", "--vary", "step=1", "--repeats", "1", "-o", "study")
+    said(folder, site, "tradeoff", "scene.toml", *sets)
+    study = json.loads((folder / "study" / "tradeoff.json").read_text(encoding="utf-8"))
+    assert study["reference"]["kind"] == "exact"
+    assert max(setting["errors"]["position"] for setting in study["settings"]) < 1e-12  # DOP853's tolerance is 1e-13
+
+
+def test_the_series_of_a_package_is_recorded_where_the_scene_asks_for_it(folder: Path, site: Path) -> None:
+    run(folder, site, "series.rrd")
+    script = "import carom; print(max(carom.Recording.open('series.rrd').steps()['fastest'].to_pylist()))"
+    done = subprocess.run([sys.executable, "-c", script], cwd=folder, capture_output=True, text=True, check=True)
+    assert 0.5 < float(done.stdout) < 1.5  # ω times the amplitude of 1 m
+
+
+def test_formats_and_commands_of_a_package_work_like_those_of_carom(folder: Path, site: Path) -> None:
+    (folder / "three.xyz").write_text("3\nwater\nO 0 0 0\nH 3 0 0\nH 0 3 0\n", encoding="utf-8")
+    (folder / "xyz.toml").write_text(
+        'time.duration = 1.0\n[[bodies]]\nfile = "three.xyz"\nradius = 1.0\ndensity = 1.0\n'
+    )
+    said(folder, site, "run", "xyz.toml", "-o", "xyz.rrd", "--force")
+    assert json.loads(said(folder, site, "centre", "xyz.rrd", "--json"))["start"] == [1.0, 1.0, 0.0]
+    said(folder, site, "export", "xyz.rrd", "-o", "xyz.positions", "--force")
+    assert len((folder / "xyz.positions").read_text().splitlines()) == 4
+    assert "centre" in said(folder, site, "--help")
+
+
+def test_misspelt_keys_and_wrong_units_have_the_usual_messages(folder: Path, site: Path) -> None:
+    wrong = carom(folder, site, "explain", "scene.toml", "--set", "forces.trap.frequncy=1")
+    assert wrong.returncode == 2 and 'unknown key forces.trap.frequncy; did you mean "frequency"?' in wrong.stderr
+    wrong = carom(folder, site, "explain", "scene.toml", "--set", "forces.trap.frequency=3 km")
+    assert wrong.returncode == 2 and "angular velocity" in wrong.stderr
+    assert '"trap"' in said(folder, site, "scenes", "--schema")
+
+
+def test_without_the_package_every_command_says_what_to_install(folder: Path, site: Path) -> None:
+    run(folder, site, "alone.rrd")
+    for command in ("replay", "resume", "inspect"):
+        done = carom(folder, None, command, "alone.rrd")
+        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
+        assert "pip install carom-example==0.1.0" in done.stderr
