@@ -80,7 +80,7 @@ class FrameCheck:
         self._rows = RecordedRows(recording)
         known = {each.path: each.past for each in all_series(header.extensions)}
         self._series = set(known)  # some of which a recording of an earlier version may lack
-        self._before = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
+        self._led_there = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = Clock(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -186,7 +186,7 @@ class FrameCheck:
             path = replayed.entity_path
             seen.add(path)
             chunk = replayed if few is None else few.of(replayed)
-            if first and path in self._before:
+            if first and path in self._led_there:
                 self.skipped[_LED] = None
             elif path in (paths.TORQUE, paths.ANGULAR_ACCELERATION) and path not in self._arrows and self._begin > 0:
                 self.skipped[f"/{path}"] = None
