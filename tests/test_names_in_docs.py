@@ -37,7 +37,11 @@ PLACEHOLDER = re.compile(r"\b[A-Z]+\b(?=\.py)")
 FLAG = re.compile(r"(?<!\S)--[a-z][a-z-]+")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(page, marks=pytest.mark.needs("distributed") if page.name == "sweeps.md" else ()) for page in PAGES],
+    ids=lambda path: path.name,
+)
 def test_a_page_names_only_what_exists(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     assert not list(unknown_spans(spans_of_markdown(text), page)) and not list(broken_links(text, page))

@@ -137,6 +137,7 @@ def test_a_file_sink_writes_into_a_pipe_and_closes_it_when_it_is_disconnected(tm
     assert pa.compute.list_flatten(chunk.batch["Scalars:scalars"]).to_pylist() == np.sqrt(steps).tolist()
 
 
+@pytest.mark.needs("rerun_notebook")
 def test_a_notebook_viewer_passes_a_file_on_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[bytes] = []
     monkeypatch.setattr("rerun_notebook.Viewer.send_rrd", lambda _, data: sent.append(data))
