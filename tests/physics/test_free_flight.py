@@ -68,6 +68,7 @@ def bits(frame: Frame) -> tuple[Any, ...]:
 def space_of(scene: Scene, flies: bool) -> Space:
     """Make a space that records contacts; one that does not fly takes each step by its parts."""
     space = Space(scene, threads=1, record_contacts=True)
+    space.check_interval = None  # at the frames: 600 checks would cut flights of so few steps short
     if not flies:
         setattr(space._stepper, "_flight", None)  # noqa: B010 - a stepper has no such option
     return space

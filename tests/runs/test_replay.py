@@ -124,6 +124,24 @@ def spoiled(path: Path, change: Callable[[Space], None]) -> Recording:
     return Recording.open(path)
 
 
+@pytest.mark.parametrize("interval", [0.05, None])
+@pytest.mark.parametrize("stops", [False, True])
+def test_errors_are_judged_again_at_the_same_instants(interval: float | None, stops: bool, tmp_path: Path) -> None:
+    """At multiples of an interval, or, in recordings of earlier versions, at the frames; also where a run stopped."""
+    record = {"every": "step" if stops else 0.31, "check_every": 1000}
+    space = Spoiled(cloud(12, time={"duration": 1.0}, record=record, expect={"energy_error": 1.0}))
+    space.change = Space.stop if stops else lambda space: None
+    space.check_interval = interval
+    simulate(space, tmp_path / "run.rrd")
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.check_interval == interval
+    result = replay(recording)
+    assert result.same and not result.not_compared
+    changed_instants = Recording.open(tmp_path / "run.rrd")
+    changed_instants.__dict__["info"] = {**recording.info, "check_interval": 0.7}
+    assert not replay(changed_instants).same, "what the errors were is compared"
+
+
 def test_the_first_frame_body_and_quantity_that_differ_are_named(tmp_path: Path) -> None:
     alone: list[int] = []
 

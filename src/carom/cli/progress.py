@@ -84,7 +84,8 @@ class Progress(LiveLine):
         table.add_row("run", f"{simulated}{part} in {duration_text(outcome.wall_time)}")
         if moments.energy_error:
             table.add_row(
-                "energy", f"integration error at most {error_text(moments.energy_error.value)} of the energy scale"
+                "energy",
+                f"integration error at most {error_text(moments.energy_error.value)} of the energy scale at the checks",
             )
         linear, angular = moments.momentum_error, moments.angular_momentum_error
         if linear is None:

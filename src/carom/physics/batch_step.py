@@ -104,16 +104,17 @@ class BatchStepper:
         if self._world.contact:
             self._world.contact.recall(checkpoint.contacts)
 
-    def advance(self, goal: Goal, checked: bool) -> bool:
+    def advance(self, goal: Goal) -> bool:
         """Advance up to the goal or the next check; return whether a frame is due."""
         if self._holder and self._held:
-            return self._hold(self._holder, goal, checked)
+            return self._hold(self._holder, goal)
         world, clock, bodies = self._world, self._world.clock, self._world.bodies
-        every, turns = world.scene.record.check_every, world.needs.orientation.modelled
-        steps, until = quiet(goal.schedule, clock.step, clock.time)
-        most = 1 if turns else int(min(goal.most, steps, every - clock.step % every))
+        turns = world.needs.orientation.modelled
+        steps, until = goal.quiet(clock)
+        until = min(until, self._books.kept_until)
+        most = 1 if turns else int(min(goal.most, steps))
         contact, audit = world.contact, self._books.impulse_audit
-        if checked:
+        if quiet(goal.checks, clock.step, clock.time)[0] == 1:
             self._books.suspect_contacts(clock.step)
         if contact:
             contact.begin_batch()
@@ -121,7 +122,7 @@ class BatchStepper:
             audit.begin(self._books.audit.ledger)
         batch = self._fly(goal.end, until, most)
         if batch.steps == 0 and self._holder and self._held:
-            return self._hold(self._holder, goal, checked)
+            return self._hold(self._holder, goal)
         self._took_last = True
         clock.advance(batch.steps, batch.before, batch.time, batch.dt, batch.limit)
         refuse_infinities(bodies, world.names.bodies, clock.step, clock.time, clock.units)
@@ -135,9 +136,8 @@ class BatchStepper:
         # an end or an impact cuts one step, and is no limit of the scene
         clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")
-        due = goal.is_reached(clock)
-        checked = checked or due or clock.step % every == 0
-        self._books.finish_step(world.forces.accelerate(potential=checked), checked)
+        due, judged = goal.is_reached(clock), goal.is_check(clock)
+        self._books.finish_step(world.forces.accelerate(potential=due or judged), due or judged, judged)
         return due
 
     def _fly(self, end: float, until: float, most: int) -> Batch:
@@ -173,16 +173,16 @@ class BatchStepper:
         self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
         holder.take_over()
 
-    def _hold(self, holder: KickDriftStepper, goal: Goal, checked: bool) -> bool:
+    def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
         """Let the holder take a step; it has no solution within its steps, so they end at a pause."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):
             goal = goal._replace(end=goal.schedule.time)
         if not (self._takes_back and contact):
-            return holder.advance(goal, checked)
+            return holder.advance(goal)
         end = clock.time + contact.step_by_impacts(FORESEEN * holder.previous_dt) if contact.holds else np.inf
-        due = holder.advance(goal if goal.end <= end else goal._replace(end=end, shows_end=False), checked)
+        due = holder.advance(goal if goal.end <= end else goal._replace(end=end, shows_end=False))
         if clock.time == end < goal.end:
             clock.limit = "impact"
         if contact.is_quiet:

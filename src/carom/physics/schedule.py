@@ -1,4 +1,7 @@
-"""Schedules of frames: after which steps a run yields one. The last step always has one; no step depends on it."""
+"""Schedules: after which steps a run yields a frame, or judges its errors. No step depends on them.
+
+The last step of a run always has a frame and is always judged.
+"""
 
 from __future__ import annotations
 
@@ -7,14 +10,14 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-Schedule = Callable[[int, float, float], bool]  # step, the time before it and after it in s → whether a frame is due
+Schedule = Callable[[int, float, float], bool]  # step, the time before it and after it in s → whether it is scheduled
 
 MULTIPLE_TOLERANCE = 1e-9  # of a time, within which it counts as a multiple of the frames' interval
 
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """A frame at the first step at or after each multiple of an interval in s; 0 is every step."""
+    """The first step at or after each multiple of an interval in s; 0 is every step."""
 
     interval: float
 
@@ -23,7 +26,7 @@ class Every:
         return self.interval == 0.0 or _multiples(time, self.interval) > _multiples(before, self.interval)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, no frame is due before."""
+        """Return after how many steps, and up to which time in s, nothing is due before."""
         if self.interval == 0.0:
             return 1, time
         following = (_multiples(time, self.interval) + 1.0) * self.interval
@@ -32,7 +35,7 @@ class Every:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """A frame after each of these steps."""
+    """Each of these steps."""
 
     steps: tuple[int, ...]  # in order
 
@@ -42,7 +45,7 @@ class At:
         return place < len(self.steps) and self.steps[place] == step
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, no frame is due before."""
+        """Return after how many steps, and up to which time in s, nothing is due before."""
         place = bisect_right(self.steps, step)
         return self.steps[place] - step if place < len(self.steps) else math.inf, math.inf
 
@@ -58,17 +61,34 @@ class Pause:
         return False
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, no frame is due before."""
+        """Return after how many steps, and up to which time in s, nothing is due before."""
         return math.inf, self.time
 
 
+@dataclass(frozen=True, slots=True)
+class Checks:
+    """Every so many steps, and whenever another schedule is due."""
+
+    steps: int
+    others: Schedule
+
+    def __call__(self, step: int, before: float, time: float) -> bool:
+        """Tell whether a step is scheduled."""
+        return step % self.steps == 0 or self.others(step, before, time)
+
+    def quiet(self, step: int, time: float) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, nothing is due before."""
+        steps, until = quiet(self.others, step, time)
+        return min(steps, self.steps - step % self.steps), until
+
+
 def every(interval: float) -> Schedule:
-    """Return a frame at the first step at or after each multiple of an interval in s; 0 is every step."""
+    """Return the first step at or after each multiple of an interval in s; 0 is every step."""
     return Every(interval)
 
 
 def at(steps: Iterable[int]) -> Schedule:
-    """Return a frame after each of these steps."""
+    """Return each of these steps."""
     return At(tuple(sorted(steps)))
 
 
@@ -77,7 +97,7 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 
     Schedules of other types are asked after every step.
     """
-    return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause) else (1, time)
+    return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause | Checks) else (1, time)
 
 
 def looks_before(schedule: Schedule) -> bool:

@@ -20,14 +20,22 @@ from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch import batch_integrator_of
 from carom.physics.parallel.cores import cores
 from carom.physics.parallel.thread_team import Team
-from carom.physics.schedule import Pause, Schedule, at, every
+from carom.physics.schedule import Checks, Pause, Schedule, at, every
 from carom.physics.status import StepStatus
 from carom.physics.step import KickDriftStepper
 from carom.physics.stepper import Goal, Stepper
 from carom.physics.time_step import Timestep
 from carom.physics.warm_up import warm_up
 from carom.physics.world import World
-from carom.plan.auto import StepLimits, frame_interval, holding, integrator, step_limits, wider_limits
+from carom.plan.auto import (
+    StepLimits,
+    auto_interval,
+    frame_interval,
+    holding,
+    integrator,
+    step_limits,
+    wider_limits,
+)
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
@@ -40,6 +48,13 @@ class Simulation:
     """A scene in motion, of which the steps are known; `Space` has the parameters.
 
     One thread steps it. Meanwhile other threads may only read ``status`` and call ``stop``.
+
+    Attributes
+    ----------
+    check_interval
+        s: errors are judged at the first step at or after each multiple of it, at every ``record.check_every``-th step
+        and at the end of a run. It follows from the scene, so a verdict does not depend on what is recorded. None
+        judges at the frames in place of the multiples, as earlier versions did.
     """
 
     def __init__(
@@ -55,6 +70,7 @@ class Simulation:
         self.groups = start.group
         self.threads = threads or cores()
         self.ends_with_forces = integrator(scene).ends_with_forces
+        self.check_interval: float | None = auto_interval(scene, scene.time.duration)
         self._records_contacts = record_contacts
         audited = scene.expect.contact_audit is not None
         self._world = World.at_start(scene, start, Team(self.threads), record_contacts or audited)
@@ -70,7 +86,7 @@ class Simulation:
         if scene.time.fixed_dt is None and not integrator(scene).controls_error:
             own = scene.unit_system, remedies_of(scene)
             self._books.pace = PaceMonitor(scene.time.duration, self.first_dt, *own)
-        self._books.measure(potentials, checked=True)
+        self._books.measure(potentials, judged=True)
         self._publish()
         self.profile.clear()
 
@@ -140,13 +156,13 @@ class Simulation:
         clock.step, clock.time, clock.dt, clock.limit = checkpoint.step, checkpoint.time, 0.0, "start"
         self._stepper.restore(checkpoint)
         self._books.restore(checkpoint)
-        self._books.measure(self._world.forces.potentials(), checked=False)
+        self._books.measure(self._world.forces.potentials(), judged=False)
         self._publish()
 
     def begin_as(self, start: Checkpoint) -> None:
         """Measure errors against the references of a recorded start, which may be rounded otherwise."""
         if self._books.refer_to(start.books):
-            self._books.measure(self._world.forces.potentials(), checked=False)
+            self._books.measure(self._world.forces.potentials(), judged=True)
             self._publish()
 
     def run(
@@ -154,7 +170,8 @@ class Simulation:
     ) -> Iterator[Frame]:
         """Step until a time, by default the scene's duration, and yield the frames that ``record.every`` requests.
 
-        The first frame is the present state, the last one the state at the end. Frames do not change the steps.
+        The first frame is the present state, the last one the state at the end. Frames change neither the steps nor
+        the verdict on them. A run that is stopped is judged where it stops, too, after its last frame.
 
         Parameters
         ----------
@@ -171,34 +188,38 @@ class Simulation:
             If the state is no longer finite, or a step no longer changes the clock.
         """
         end = self.scene.time.duration if until is None else until
-        check_every = self.scene.record.check_every
-        goal = Goal(end, schedule or every(frame_interval(self.scene)), most=check_every)
+        shown_after, interval = schedule or every(frame_interval(self.scene)), self.check_interval
+        steps = self.scene.record.check_every
+        checks = Checks(steps, shown_after if interval is None else every(interval))
+        goal = Goal(end, shown_after, checks, most=steps)
         try:
             yield self.frame(store)
             shown = self.step
             while self.time < end and not self._stopping:
-                if self._advance(goal, checked=(self.step + 1) % check_every == 0):
+                if self._advance(goal):
                     yield self.frame(store)
                     shown = self.step
-            if self.step != shown:  # stopped
+            if self.step != shown:
                 yield self.frame(store)
+            if self.time < end:  # stopped
+                self._books.measure(self._world.forces.potentials(), judged=True)
         finally:
             self._stopping = False
 
     def reach(self, time: float) -> None:
-        """Step until a time in s, without frames; see `run`."""
-        goal = Goal(time, at(()), most=self.scene.record.check_every, shows_end=False)
+        """Step until a time in s, without frames and checks; see `run`."""
+        goal = Goal(time, at(()), at(()), most=self.scene.record.check_every, shows_end=False)
         while self.time < time and not self._stopping:
-            self._advance(goal, checked=False)
+            self._advance(goal)
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take a step, or up to ``most`` in one call, towards a time in s, without frames.
+        """Take a step, or up to ``most`` in one call, towards a time in s, without frames and checks.
 
         Unless the last one ends there, it reaches or passes the time.
         """
         end = time if ends_there else self.scene.time.duration
-        self._advance(Goal(end, at(()) if ends_there else Pause(time), most, shows_end=False), checked=False)
+        self._advance(Goal(end, at(()) if ends_there else Pause(time), at(()), most, shows_end=False))
 
     @property
     def contact_work(self) -> tuple[int, int, int]:
@@ -222,7 +243,7 @@ class Simulation:
         """Copy the state of the last step, with its energy and momentum."""
         books, audit = self._books, self._books.audit
         if audit.step != self.step:
-            books.measure(self._world.forces.potentials(), checked=True)
+            books.measure(self._world.forces.potentials(), judged=self.check_interval is None)
         books.activity.judge(audit.energy)
         state, needs, momentum = self.state, self.requirements, audit.momentum
         slot = None if store is None else store.keep()
@@ -276,10 +297,10 @@ class Simulation:
         # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
         self._published = (clock.step, clock.time, clock.dt, clock.limit, contacts, self._books.audit.energy)
 
-    def _advance(self, goal: Goal, checked: bool) -> bool:
+    def _advance(self, goal: Goal) -> bool:
         """Advance by at least one step; return whether a frame is due."""
         self.profile.start()
-        due = self._stepper.advance(goal, checked)
+        due = self._stepper.advance(goal)
         self._publish()
         return due
 

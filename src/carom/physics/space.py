@@ -17,7 +17,7 @@ from carom.physics.look_ahead.budget import Watcher
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy
-from carom.physics.schedule import at
+from carom.physics.schedule import at, every
 from carom.physics.simulation import Simulation
 from carom.physics.stepper import Goal
 from carom.plan.checks import refuse_impossible
@@ -26,7 +26,7 @@ from carom.scene.start import InitialBodies
 
 FloatArray = NDArray[np.float64]
 
-ONE_STEP = Goal(end=np.inf, schedule=at(()), most=1)
+ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 
 
 class Space(Simulation):
@@ -139,7 +139,8 @@ class Space(Simulation):
         """
         if not isinstance(iteration, int | np.integer):
             raise TypeError(f"iteration: expected the number of the step, got {iteration!r}")
-        self._advance(ONE_STEP, checked=iteration % self.scene.record.check_every == 0)
+        is_check = iteration % self.scene.record.check_every == 0
+        self._advance(ONE_STEP._replace(checks=every(0.0)) if is_check else ONE_STEP)
 
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.

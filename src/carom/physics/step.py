@@ -16,7 +16,7 @@ from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
-from carom.physics.schedule import looks_before, quiet
+from carom.physics.schedule import looks_before
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
@@ -98,57 +98,52 @@ class KickDriftStepper:
         if self._world.contact:
             self._world.contact.recall(checkpoint.contacts)
 
-    def advance(self, goal: Goal, checked: bool) -> bool:
+    def advance(self, goal: Goal) -> bool:
         """Do a step, or many if nothing touches; return whether a frame is due."""
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
         if flight is None or not (contact is None or contact.is_quiet) or looks_before(goal.schedule):
-            return self._advance_once(goal, checked)
+            return self._advance_once(goal)
         most, until = goal.most, np.inf
         if most > 1:
-            every = self._world.scene.record.check_every
-            steps, until = quiet(goal.schedule, clock.step, clock.time)
-            most, until = int(min(most, steps, every - clock.step % every)), min(until, self._books.kept_until)
+            steps, until = goal.quiet(clock)
+            most, until = int(min(most, steps)), min(until, self._books.kept_until)
         taken = flight.take(clock.time, goal.end, until, most, self._books.activity.impact_energy)
-        return self._land(taken, goal, checked) if taken.steps else self._advance_once(goal, checked)
+        return self._land(taken, goal) if taken.steps else self._advance_once(goal)
 
-    def _land(self, taken: Flight, goal: Goal, checked: bool) -> bool:
-        """Book steps in which nothing touched; return whether a frame is due.
-
-        ``checked`` says whether to check the first of them; a check ends the others.
-        """
+    def _land(self, taken: Flight, goal: Goal) -> bool:
+        """Book steps in which nothing touched; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
-        due = goal.is_reached(clock)
-        checked = (checked if taken.steps == 1 else clock.step % world.scene.record.check_every == 0) or due
+        due, judged = goal.is_reached(clock), goal.is_check(clock)
         if world.contact:
             world.contact.rest()
             books.activity.impact_energy = taken.struck
-            if checked:
+            if judged:
                 books.suspect_contacts(clock.step - 1)
             books.begin_contacts()
         world.profile.mark("integrate")
-        self._finish(self._sum_forces(True, checked) if checked and world.needs.pulls else {}, checked)
+        computed = due or judged
+        self._finish(self._sum_forces(True, computed) if computed and world.needs.pulls else {}, computed, judged)
         return due
 
-    def _advance_once(self, goal: Goal, checked: bool) -> bool:
+    def _advance_once(self, goal: Goal) -> bool:
         """Do a step; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(1, clock.time, *self._choose(goal.end))
-        due = goal.is_reached(clock)  # a schedule sees every step
-        checked = checked or due
-        books.begin_step(checked)
+        due, judged = goal.is_reached(clock), goal.is_check(clock)  # a schedule sees every step
+        books.begin_step(judged)
         world.profile.mark("timestep")
-        potentials = self._step(clock.dt, with_potential=checked)
+        potentials = self._step(clock.dt, with_potential=due or judged)
         if self._damping:
             books.book_exchanges(self._damping.kind.loss, self._exchanges)
             self._exchanges.clear()
-        self._finish(potentials, checked)
+        self._finish(potentials, due or judged, judged)
         return due
 
-    def _finish(self, potentials: Potentials, checked: bool) -> None:
+    def _finish(self, potentials: Potentials, computed: bool, judged: bool) -> None:
         """Book the last step, and check the energy and the pace if it is due."""
         world, books = self._world, self._books
-        books.finish_step(potentials, checked)
+        books.finish_step(potentials, computed, judged)
         if books.pace and world.clock.step % world.scene.record.check_every == 0:
             books.check_pace(*self.timestep.target(world.bodies, self.borne()))
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.clock import Clock
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
-from carom.physics.schedule import Schedule
+from carom.physics.schedule import Schedule, quiet
 
 FloatArray = NDArray[np.float64]
 
@@ -20,12 +20,22 @@ class Goal(NamedTuple):
 
     end: float  # s, of the run
     schedule: Schedule  # after which steps a frame is due
+    checks: Schedule  # after which steps the errors are judged
     most: int  # steps
     shows_end: bool = True  # whether a frame is due after the last step
 
     def is_reached(self, clock: Clock) -> bool:
         """Whether a frame is due after the last step, by the schedule or because it was the last of the run."""
         return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
+
+    def is_check(self, clock: Clock) -> bool:
+        """Whether errors are judged after the last step, by the schedule or because it was the last of the run."""
+        return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
+
+    def quiet(self, clock: Clock) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, neither a frame nor a check is due before."""
+        frame, check = (quiet(due, clock.step, clock.time) for due in (self.schedule, self.checks))
+        return min(frame[0], check[0]), min(frame[1], check[1])
 
 
 class Stepper(Protocol):
@@ -52,15 +62,8 @@ class Stepper(Protocol):
     def restore(self, checkpoint: Checkpoint) -> None:
         """Continue from a checkpoint, whose bodies are already in place."""
 
-    def advance(self, goal: Goal, checked: bool) -> bool:
-        """Advance by at least one step; return whether a frame is due.
-
-        Parameters
-        ----------
-        goal
-            How far; only integrators that take many steps per call go beyond the first step.
-        checked
-            Whether to check the energy after the step; a step with a frame is checked in any case.
+    def advance(self, goal: Goal) -> bool:
+        """Advance by at least one step, and up to a goal where one call takes many; return whether a frame is due.
 
         Raises
         ------

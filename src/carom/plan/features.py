@@ -17,6 +17,7 @@ from carom.plan.auto import (
     BOUNCES_UP_TO,
     PAIRS_UP_TO,
     TREE_FROM,
+    auto_interval,
     auto_step,
     cfl,
     gravity_method,
@@ -191,11 +192,17 @@ def _tree(scene: Scene) -> Part:
 def _potential(scene: Scene, gravity: Part) -> Part:
     if not gravity.modelled:
         return Part("potential", False, "no gravity between bodies")
-    return Part("potential", True, f"every {scene.record.check_every} steps and at frames")
+    return Part("potential", True, f"every {scene.record.check_every} steps, {_times(scene)} and at frames")
 
 
 def _energy(scene: Scene) -> Part:
-    return Part("energy", True, f"every {scene.record.check_every} steps and at frames; the ledger")
+    return Part("energy", True, f"checked every {scene.record.check_every} steps and {_times(scene)}; the ledger")
+
+
+def _times(scene: Scene) -> str:
+    """Say how often a run is checked by its time."""
+    duration = scene.time.duration
+    return f"{round(duration / auto_interval(scene, duration))} times a run"
 
 
 def _impact_time(scene: Scene, contact: Part) -> Part:

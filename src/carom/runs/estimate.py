@@ -17,7 +17,7 @@ from carom.physics.parallel.thread_team import Team
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.physics.step import WARM_UP_STEPS
-from carom.plan.auto import frame_interval
+from carom.plan.auto import auto_interval, frame_interval
 from carom.plan.checks import memory_estimate
 from carom.plan.features import Requirements
 from carom.private_folder import temporary_folder
@@ -209,10 +209,10 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     for mark, spent in space.profile.seconds().items():
         part, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of a package marks its name
         seconds[part if part in modelled else otherwise] += spent / space.step
-    checks = 1.0 / space.scene.record.check_every
     if needs.potential.modelled:
-        more = _more_for_the_potential(space)
-        seconds["potential"] = more * min(1.0, checks + frames / steps)
+        more, duration = _more_for_the_potential(space), space.scene.time.duration
+        by_time = max(frames, duration / auto_interval(space.scene, duration))  # most frames are checks
+        seconds["potential"] = more * min(1.0, 1.0 / space.scene.record.check_every + by_time / steps)
         seconds["gravity"] = max(0.0, seconds["gravity"] - seconds["potential"])
     if needs.warm_up.modelled:
         seconds["warm-up"] = sum(seconds.values()) * WARM_UP_STEPS / steps

@@ -17,7 +17,7 @@ MOMENTS = {
     "impact": "hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "deepest overlap, {value:.3g}% of the smaller radius",
     "contacts": "most contacts, {value:.0f}",
-    "energy_error": "largest integration error, {value:.2e} of the energy scale",
+    "energy_error": "largest integration error at a check, {value:.2e} of the energy scale",
 }
 OF_ENGINES = {"energy_error": "largest change of the energy without contact, {value:.2e} of the energy scale"}
 
@@ -72,7 +72,7 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
     texts, worst = [f"{first} at first, {last} at last"], error_text(energy["max_error"])
     if not summary["scene"].get("engine"):
-        return [*texts, f"integration error at most {worst} of the energy scale"]
+        return [*texts, f"integration error at most {worst} of the energy scale at the checks"]
     if summary["contacts"]["total"] or energy["change_in_contact"]:
         change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
         unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""

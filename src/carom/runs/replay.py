@@ -201,8 +201,10 @@ def _run_again(
                 asked = True
                 if not consent(spent * run.left(space.step) / max(1, space.step - first)):
                     return "declined"
-            if run.difference or frame.step >= (run.last if recorder is None else run.last_recorded):
+            if run.difference:
                 break
+            if frame.step >= (run.last if recorder is None else run.last_recorded):
+                space.stop()  # which judges the run where it was stopped
     except KeyboardInterrupt:
         return "stopped by the user"
     return ""

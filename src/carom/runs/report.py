@@ -127,7 +127,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         return event.time, event.text.rstrip(".")
     error = moments.get("energy_error")
     if error and error["value"] > ENERGY_ERROR:
-        what = "change of the energy without contact" if recording.engine else "integration error"
+        what = "change of the energy without contact" if recording.engine else "integration error at a check"
         return error["time"], f"the {what} is largest, {error['value']:.3g} of the energy scale"
     for name in WORST:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):

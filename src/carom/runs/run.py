@@ -355,6 +355,7 @@ def header_of(space: Space) -> Header:
         body_colouring=scene.contact.colouring == "bodies",
         duration=scene.time.duration,
         units=scene.unit_system,
+        check_interval=space.check_interval,
         promises=scene.promise is not None,
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",

@@ -184,6 +184,8 @@ def space_of(
         needs, kept = space.requirements, (checkpoint.angular_velocity is not None, checkpoint.orientation is not None)
         if (needs.spin.modelled, needs.orientation.modelled) != kept:
             raise RecordingError(f"{recording.path}: its scene and its checkpoints do not agree on whether bodies spin")
+        if continued:
+            space.check_interval = recording.check_interval
         if continued and checkpoint.step > 0:
             space.restore(checkpoint)
         elif continued:

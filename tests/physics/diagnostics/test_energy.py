@@ -156,6 +156,7 @@ def test_a_short_run_is_checked_at_its_end() -> None:
         for side, body in zip((-1, 1), scene.body, strict=True)
     ]
     space = Space(scene.model_copy(update={"body": tuple(overlapping)}))
+    space.check_interval = math.inf
     events = run(space)
     assert space.step == 5
     assert kinds(events) == ["energy-rise"]

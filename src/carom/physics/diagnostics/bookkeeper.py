@@ -36,7 +36,7 @@ ROUNDING = 1e-10  # of a sum over 10⁶ bodies, at most
 
 
 class BalanceAudit:
-    """Energy and momentum as of the last check; the first one is the start of the run.
+    """Energy and momentum as of the last frame or check; the first one is the start of the run.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class BalanceAudit:
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
         self.energy: Energy
         self.momentum: Momentum
-        self.step = -1  # of the last check
+        self.step = -1  # of the last frame or check
         self._bodies = bodies
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
@@ -131,27 +131,28 @@ class BalanceAudit:
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
         """Return the energy of the present state, given the potential energies of the forces in joules."""
-        return self._energy.balance(TotalMotion.of(self._bodies), potentials, self.ledger)
+        return self._energy.balance(TotalMotion.of(self._bodies), potentials, self.ledger, judged=False)
 
     def momentum_now(self, time: float) -> Momentum:
         """Return the momentum of the present state, at a time in seconds."""
-        return self._momentum.balance(TotalMotion.of(self._bodies), time)
+        return self._momentum.balance(TotalMotion.of(self._bodies), time, judged=False)
 
-    def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes) -> None:
-        """Compute energy and momentum, and update the extremes of the run with their errors.
+    def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes | None) -> None:
+        """Compute energy and momentum, and update the extremes of the run, if given, with their errors.
 
         Raises
         ------
         PhysicsError
             If the energy is no longer finite.
         """
-        motion = TotalMotion.of(self._bodies)
-        self.energy = self._energy.balance(motion, potentials, self.ledger)
+        motion, judged = TotalMotion.of(self._bodies), extremes is not None
+        self.energy = self._energy.balance(motion, potentials, self.ledger, judged)
         if not math.isfinite(self.energy.total):
             raise PhysicsError(f"the energy is no longer finite at step {step}, t = {self._units.text(time, TIME)}")
-        extremes.add_energy(step, time, self.energy)
-        self.momentum = self._momentum.balance(motion, time)
-        extremes.add_momentum(step, time, self.momentum)
+        self.momentum = self._momentum.balance(motion, time, judged)
+        if extremes:
+            extremes.add_energy(step, time, self.energy)
+            extremes.add_momentum(step, time, self.momentum)
         self.step = step
 
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
@@ -187,7 +188,7 @@ class Bookkeeper:
     extremes
         Those of the run so far.
     audit
-        Energy and momentum as of the last check, and the ledger.
+        Energy and momentum as of the last frame or check, and the ledger.
     activity
         The phase of the run.
     impulse_audit
@@ -247,9 +248,9 @@ class Bookkeeper:
         """Take over the references of a recorded start; return whether they were others."""
         return self.audit.refer_to(books)
 
-    def begin_step(self, checked: bool) -> None:
+    def begin_step(self, judged: bool) -> None:
         """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
-        if checked:
+        if judged:
             self.suspect_contacts(self._world.clock.step - 1)
         self.begin_contacts()
         if self.impulse_audit:
@@ -267,8 +268,8 @@ class Bookkeeper:
         if contact and contact.tap:
             contact.tap.begin(clock.step, clock.before, clock.time)
 
-    def finish_step(self, potentials: Potentials, checked: bool) -> None:
-        """Book the contacts of a step; if it is checked, compute energy and momentum too."""
+    def finish_step(self, potentials: Potentials, computed: bool, judged: bool) -> None:
+        """Book the contacts of a step; compute energy and momentum, and judge their errors, if it is due."""
         contact = self._world.contact
         if contact:
             self._book_contacts(contact)
@@ -276,8 +277,8 @@ class Bookkeeper:
             self.activity.add_step(0, 0.0)
         if self.impulse_audit:
             self._audit_impulses(self.impulse_audit)
-        if checked:
-            self.measure(potentials, checked, contact)
+        if computed:
+            self.measure(potentials, judged, contact)
         clock = self._world.clock
         if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
@@ -295,18 +296,20 @@ class Bookkeeper:
         if warning:
             self.log(warning)
 
-    def measure(self, potentials: Potentials, checked: bool, contact: ContactPipeline | None = None) -> None:
-        """Compute energy and momentum; warn of their errors if ``checked``.
+    def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
+        """Compute energy and momentum.
 
-        A warning lists the present contacts of ``contact``, if given, beside those that were kept.
+        ``judged`` says whether their errors count for the verdict on the run, and whether to warn of them. What is
+        computed for a frame alone leaves no trace in the books. A warning lists the present contacts of ``contact``,
+        if given, beside those that were kept.
         """
         world, clock = self._world, self._world.clock
         try:
-            self.audit.measure(clock.step, clock.time, potentials, self.extremes)
+            self.audit.measure(clock.step, clock.time, potentials, self.extremes if judged else None)
         except PhysicsError:
             refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)  # names them
             raise
-        if checked:
+        if judged:
             for warning in self.audit.check(clock.time, self.extremes, contact):
                 self.log(warning)
         world.profile.mark("energy")

@@ -85,14 +85,14 @@ class EnergyBaseline:
     """Reference values of the energy."""
 
     initial: float  # J, the total at the start of the run
-    scale: float  # J, the largest so far
+    scale: float  # J, the largest at the checks so far
     origin: Origin | None = None  # None in older recordings, which had another scale; it then stays as it was
 
 
 class EnergyAccount:
     """Computes the `Energy` of a state, relative to the start of the run and the largest energy scale so far.
 
-    The scale is the largest so far of
+    The scale is the largest, among the checks so far and the state itself, of
 
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
       start: the conserved total, less the energy that contacts and drag took out, plus that put in by stabilisation;
@@ -121,8 +121,13 @@ class EnergyAccount:
         self._lift = float(lift)  # J, of every body by its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
-    def balance(self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger) -> Energy:
-        """Return the energy, given the potential energies of the forces in joules. The first call sets the start."""
+    def balance(
+        self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger, judged: bool = True
+    ) -> Energy:
+        """Return the energy, given the potential energies of the forces in joules. The first call sets the start.
+
+        ``judged`` says whether it is that of a check, whose scale later ones keep.
+        """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)
         gravitational, of_field = others.pop(_PULL, 0.0), others.pop(_FIELD, 0.0)
@@ -136,16 +141,17 @@ class EnergyAccount:
                 conserved = cancelling
             self.baseline = EnergyBaseline(total, self._lift, Origin(conserved, rotational, external))
         known = self.baseline
+        scale = known.scale
         if known.origin:
             scale = max(
-                known.scale,
+                scale,
                 abs(known.origin.conserved),
                 abs(known.origin.conserved - ledger.taken_out + ledger.stabilisation - ledger.by_forces),
                 abs(ledger.by_forces),
                 abs(external - known.origin.field),
                 abs(rotational - known.origin.rotational),
             )
-            if scale != known.scale:
+            if judged and scale != known.scale:
                 self.baseline = replace(known, scale=scale)
         return Energy(
             translational=translational,
@@ -153,7 +159,7 @@ class EnergyAccount:
             gravitational=gravitational,
             field=of_field,
             ledger=ledger,
-            integration_error=total - self.baseline.initial + ledger.balance,
-            scale=self.baseline.scale,
+            integration_error=total - known.initial + ledger.balance,
+            scale=scale,
             others=tuple(others.items()),
         )

@@ -34,7 +34,7 @@ NOTHING = Extreme(0.0, 0, 0.0)
 
 @dataclass(slots=True)
 class Extremes:
-    """Extremes so far: of energy and momentum at the steps where they were computed, of contacts at every step.
+    """Extremes so far: of energy and momentum at the checks, of contacts at every step.
 
     An extreme is None if nothing was measured. Contacts dissipate and gravity is conservative, so the total energy can
     only fall. A rise from its lowest value is an error, whether or not the ledger explains it.
@@ -43,7 +43,7 @@ class Extremes:
     energy_error: Extreme | None = None  # |integration error| / scale
     energy_gain: Extreme = NOTHING  # rise of the total energy from its lowest so far / scale
     contact_gain: Extreme = NOTHING  # energy that impulses of contacts put in or gave back / scale
-    kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last step, not the largest
+    kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last check, not the largest
     impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
     overlap: Extreme | None = None  # deepest overlap / smaller radius
     contacts: Extreme | None = None  # most contacts in a step
@@ -52,7 +52,7 @@ class Extremes:
     total_contacts: int = 0  # contact-steps: contacts, summed over the steps
     impacts: int = 0  # each impact during a drift; those found at the end of a step once per contact and step
     lowest_energy: float = float("inf")  # J
-    energy_scale: float = 0.0  # J, of the last step
+    energy_scale: float = 0.0  # J, of the last check
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
     warned: tuple[str, ...] = ()  # kinds of warnings given so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
@@ -93,7 +93,9 @@ class Extremes:
         values: list[Any] = [named(value) if isinstance(value, Extreme) else value for value in _values(self)]
         return Extremes(*values)
 
-    def highlights(self, names: Names, units: UnitSystem, energy_error: str = "integration error") -> tuple[Event, ...]:
+    def highlights(
+        self, names: Names, units: UnitSystem, energy_error: str = "integration error at a check"
+    ) -> tuple[Event, ...]:
         """Return the extremes of contacts and energy as events, in order of time.
 
         Parameters
@@ -109,7 +111,7 @@ class Extremes:
             (known.impact, f"Hardest impact of the run, {approach} of approach (½ μ v_n²)"),
             (overlap, f"Deepest overlap of the run, {deepest:.3g}% of the smaller radius"),
             (known.contacts, "Most contacts of the run, {value:.0f}"),
-            (known.energy_error, f"Largest {energy_error} of the run, {{value:.2e}} of the energy scale"),
+            (known.energy_error, f"Largest {energy_error}, {{value:.2e}} of the energy scale"),
         )
         events = []
         for extreme, wording in wordings:

@@ -117,15 +117,13 @@ class Momentum:
 
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
-    linear_error: float | None  # over the largest Σ m |v| so far; None if something is fixed
-    angular_error: (
-        float | None
-    )  # over the largest Σ (m |x| |v| + I |ω|) so far; None if something is fixed, or in a periodic box
+    linear_error: float | None  # over the largest Σ m |v| of the checks so far; None if something is fixed
+    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|); None likewise, and in a periodic box
 
 
 @dataclass(frozen=True, slots=True)
 class MomentumBaseline:
-    """Reference values: the momenta at the start, and the largest sums of magnitudes so far."""
+    """Reference values: the momenta at the start, and the largest sums of magnitudes at the checks so far."""
 
     linear: tuple[float, float, float]  # kg m/s
     angular: tuple[float, float, float]  # kg m²/s
@@ -166,21 +164,23 @@ class MomentumAccount:
         self._linear, self._angular = self._linear + linear, self._angular + angular
         self._baseline = None
 
-    def balance(self, motion: TotalMotion, time: float) -> Momentum:
-        """Return the momenta at a time since the start, in seconds."""
+    def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
+        """Return the momenta at a time since the start, in seconds.
+
+        ``judged`` says whether they are those of a check, whose scales later ones keep.
+        """
         linear, angular, linear_scale, angular_scale, *_ = motion
-        if linear_scale > self._linear_scale or angular_scale > self._angular_scale:
-            self._linear_scale = max(self._linear_scale, linear_scale)
-            self._angular_scale = max(self._angular_scale, angular_scale)
-            self._baseline = None
+        linear_scale, angular_scale = max(self._linear_scale, linear_scale), max(self._angular_scale, angular_scale)
+        if judged and (linear_scale > self._linear_scale or angular_scale > self._angular_scale):
+            self._linear_scale, self._angular_scale, self._baseline = linear_scale, angular_scale, None
         expected_linear, expected_angular = self._expected(time)
         return Momentum(
             linear=linear,
             angular=angular,
-            linear_error=None if self._anchored else _relative(linear, expected_linear, self._linear_scale),
+            linear_error=None if self._anchored else _relative(linear, expected_linear, linear_scale),
             angular_error=None
             if self._periodic or self._anchored
-            else _relative(angular, expected_angular, self._angular_scale),
+            else _relative(angular, expected_angular, angular_scale),
         )
 
     def _expected(self, time: float) -> tuple[FloatArray, FloatArray]:

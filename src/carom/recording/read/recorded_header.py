@@ -50,6 +50,7 @@ def header_of_recording(recording: Recording) -> Header:
         duration=float(info["duration"]),
         shortest_dt_hint=0.0,
         units=recording.units,
+        check_interval=recording.check_interval,
         promises=bool(info.get("promises", False)),
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,

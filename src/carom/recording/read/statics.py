@@ -199,6 +199,13 @@ class Statics:
 
     @property
     @named
+    def check_interval(self) -> float | None:
+        """Time in s between the instants at which errors were judged; None where earlier versions judged at frames."""
+        interval = self.info.get("check_interval")
+        return None if interval is None else float(interval)
+
+    @property
+    @named
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
         return bool(self.info.get("records_contacts", False))

@@ -127,6 +127,7 @@ class Header:
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
+    check_interval: float | None = None  # s, between the instants at which errors are judged; None: at the frames
     promises: bool = False  # an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
     box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain

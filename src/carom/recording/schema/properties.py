@@ -74,7 +74,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "plane_names": _text,
         "data_notes.*": _text,
         "bodies": _count,
-        "time_scale": _positive,
+        **dict.fromkeys(("time_scale", "check_interval"), _positive),
         "origin": _vector,
         "box": _vector,
         "schema_version": _whole,

@@ -97,6 +97,8 @@ def identity(header: Header, clock: Clock, origin: NDArray[np.float64]) -> dict[
             properties["plane_names"] = "\n".join(header.planes.name)
     properties |= header.units.properties()
     properties |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
+    if header.check_interval is not None:
+        properties["check_interval"] = header.check_interval
     if header.promises:
         properties["promises"] = True
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
