@@ -25,6 +25,32 @@ from carom.extend import TIME, every, frame_interval, minimum_images, whole_file
 TELLING = 5.0  # s between two lines of progress
 
 
+STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A few keys of the scene with changed values."""
+
+    name: str  # such as "step × 2, integrator = euler"
+    overrides: tuple[str, ...]  # as given to ``--set``
+    threads: int | None = None  # None for those of the study
+    engine: str = ""  # another engine, whose own keys `overrides` are then; empty for carom
+
+    def apply(self, scene: Scene) -> Scene:
+        """Return the scene with this setting.
+
+        Raises
+        ------
+        SceneError
+            If a key or a value is wrong.
+        """
+        return scene.changed(list(self.overrides))
+
+
+AS_WRITTEN = Setting("as written", ())
+
+
 class RunStoppedError(ExperimentError):
     """A run was stopped at its bound.
 

@@ -13,8 +13,8 @@ import numpy as np
 from carom import Scene
 from carom.extend import PACKAGE, Plane, engine_package
 from carom.extend import box3d as source_of
+from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.lab.tradeoff.settings_grid import Setting
 
 SUBSTEPS = 4  # the default, in a step
 

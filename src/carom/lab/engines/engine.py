@@ -10,9 +10,8 @@ from carom import Scene, registry
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError
 from carom.extend import suggestion
-from carom.lab.compared_run import Trajectory
+from carom.lab.compared_run import Setting, Trajectory
 from carom.lab.engines.stepped import Simulation
-from carom.lab.tradeoff.settings_grid import Setting
 
 
 class Engine(Protocol):

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from carom import Scene
 from carom.extend import Coefficients, Source, State, engine_package
 from carom.extend import mujoco as source_of
+from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
-from carom.lab.tradeoff.settings_grid import Setting
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow

@@ -16,8 +16,8 @@ from carom import Scene
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package
 from carom.extend import newton as source_of
+from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
-from carom.lab.tradeoff.settings_grid import Setting
 
 ITERATIONS = 2  # of the solver in a step, its default
 

@@ -31,10 +31,9 @@ from carom.extend import (
     require,
 )
 from carom.extend import rebound as record
-from carom.lab.compared_run import RunStoppedError, Trajectory
+from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
 from carom.lab.engines.stepped import FINER, Simulation, refuse
 from carom.lab.engines.watched import watch
-from carom.lab.tradeoff.settings_grid import STEPS, Setting
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"

@@ -30,9 +30,8 @@ from carom.extend import (
     place,
     require,
 )
-from carom.lab.compared_run import Trajectory
+from carom.lab.compared_run import Setting, Trajectory
 from carom.lab.engines.watched import ROUNDING, watch
-from carom.lab.tradeoff.settings_grid import Setting
 
 
 @dataclass(frozen=True, slots=True)

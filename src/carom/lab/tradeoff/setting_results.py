@@ -21,9 +21,8 @@ import numpy as np
 from carom import Scene
 from carom.arrays import BoolArray, FloatArray
 from carom.extend import finite
-from carom.lab.compared_run import Trajectory
+from carom.lab.compared_run import Setting, Trajectory
 from carom.lab.tradeoff.reference import NAMES, Errors, Reference, scale_of
-from carom.lab.tradeoff.settings_grid import Setting
 
 
 @dataclass

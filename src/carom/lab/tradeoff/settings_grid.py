@@ -20,12 +20,12 @@ from carom.extend import (
     uses_tree,
     why_no_hierarchy,
 )
+from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting
 from carom.lab.tradeoff.reference import refined
 
 STEP = "step"  # a pseudo-key: a factor on the step under any limit
 THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
-STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
 MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
 ACCURACIES = ("1e-4", "1e-8")
@@ -36,29 +36,6 @@ METHOD = (  # keys and sections that change how a scene is computed
     "model",
 )
 STEP_KEYS = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """A few keys of the scene with changed values."""
-
-    name: str  # such as "step × 2, integrator = euler"
-    overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # None for those of the study
-    engine: str = ""  # another engine, whose own keys `overrides` are then; empty for carom
-
-    def apply(self, scene: Scene) -> Scene:
-        """Return the scene with this setting.
-
-        Raises
-        ------
-        SceneError
-            If a key or a value is wrong.
-        """
-        return scene.changed(list(self.overrides))
-
-
-AS_WRITTEN = Setting("as written", ())
 
 
 @dataclass(frozen=True, slots=True)

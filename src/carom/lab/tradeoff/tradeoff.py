@@ -23,7 +23,7 @@ from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError
 from carom.extend import TIME, at, cores, environment, output_folder, with_promise, write_whole
-from carom.lab.compared_run import RunBound, RunStoppedError, Trajectory, follow, sample_times
+from carom.lab.compared_run import AS_WRITTEN, RunBound, RunStoppedError, Setting, Trajectory, follow, sample_times
 from carom.lab.engines.engine import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
 from carom.lab.tradeoff.setting_results import (
@@ -34,7 +34,7 @@ from carom.lab.tradeoff.setting_results import (
     result_entry,
     result_of,
 )
-from carom.lab.tradeoff.settings_grid import AS_WRITTEN, Setting, refusal
+from carom.lab.tradeoff.settings_grid import refusal
 
 
 # The cost of a setting: the time of one run.

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from carom.extend import UnitSystem
+    from carom.lab.compared_run import Setting
     from carom.lab.tradeoff.setting_results import SettingResult
-    from carom.lab.tradeoff.settings_grid import Setting
     from carom.lab.tradeoff.tradeoff import Study, Teller
 
 VaryOption = Annotated[

@@ -16,8 +16,8 @@ from carom import Space
 from carom.errors import ExperimentError
 from carom.extend import SI, TIME, ComparedTrajectory, UnitSystem, whole_file, write_trajectories
 from carom.install import install_extra
+from carom.lab.compared_run import AS_WRITTEN
 from carom.lab.tradeoff.setting_results import pareto_front
-from carom.lab.tradeoff.settings_grid import AS_WRITTEN
 from carom.lab.tradeoff.tradeoff import Study
 
 if TYPE_CHECKING:

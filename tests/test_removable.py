@@ -1,0 +1,106 @@
+"""Optional parts can be removed: delete the folder and its row, and everything else works.
+
+Each test removes a part from a copy of the package. What does not need the part works as before; what needs it says in
+one sentence what is missing, and ends with exit code 2.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import carom
+
+pytestmark = pytest.mark.slow
+
+HOUSE = Path(carom.__file__).parent
+ROWS = ("cli/commands.py", "registry.py")  # where an optional part may have its rows
+TOOLS = ("crosscheck", "diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "why")
+Carom = Callable[..., subprocess.CompletedProcess[str]]
+
+
+@pytest.fixture
+def without(tmp_path: Path) -> Callable[..., Carom]:
+    """Return what removes folders or files with their rows from a copy, and returns a function that runs `carom`."""
+
+    def remove(*parts: str) -> Carom:
+        copy = tmp_path / "src" / "carom"
+        shutil.copytree(HOUSE, copy, copy_function=os.link)  # with the compiled kernels
+        (tmp_path / "configs").symlink_to(HOUSE.parents[1] / "configs")
+        for part in parts:
+            path = copy / part
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+        modules = [f"carom.{part.removesuffix('.py').replace('/', '.')}" for part in parts]
+        for name in filter(lambda name: (copy / name).exists(), ROWS):
+            lines = (copy / name).read_text(encoding="utf-8").splitlines(keepends=True)
+            (copy / name).unlink()  # the link, not the file of the house
+            kept = [line for line in lines if not any(f'"{module}' in line for module in modules)]
+            (copy / name).write_text("".join(kept), encoding="utf-8")
+
+        def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+            return subprocess.run(
+                [sys.executable, "-m", "carom", *arguments],
+                cwd=tmp_path,
+                env=os.environ | {"PYTHONPATH": str(copy.parent), "COLUMNS": "200"},
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+
+        return run
+
+    return remove
+
+
+def refusal(done: subprocess.CompletedProcess[str]) -> str:
+    """Return the sentence of a command that ended with exit code 2."""
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    return done.stderr
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_a_tool_can_be_removed(tool: str, without: Callable[..., Carom]) -> None:
+    run = without(f"lab/{tool}")
+    help_text = run("--help")  # imports every other command
+    assert help_text.returncode == 0 and f" {tool} " not in help_text.stdout
+    assert f"No such command '{tool}'" in refusal(run(tool))
+    ended = run("run", "two-spheres", "-o", "run.rrd")
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_a_tool_that_is_built_on_a_missing_one_names_it(without: Callable[..., Carom]) -> None:
+    run = without("lab/shrink", "lab/tradeoff")
+    assert "carom.lab.shrink" in refusal(run("hunt", "--scenes", "1", "-o", "misses"))
+    assert "carom.lab.tradeoff" in refusal(run("crosscheck", "two-spheres", "--engine", "rebound"))
+
+
+def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("show/movie.py", "show/movie_file.py", "show/web")
+    assert run("--help").returncode == 0
+    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
+    assert run("inspect", "run.rrd").returncode == 0
+    assert "carom.show.movie" in refusal(run("movie", "run.rrd", "-o", "run.mp4"))
+    assert "carom.show.web" in refusal(run("view", "run.rrd", "--web"))
+    assert "carom.show.web" in refusal(run("publish", "run.rrd"))
+
+
+def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
+    built_on = {"crosscheck": {"engines", "tradeoff"}, "fork": {"diff"}, "hunt": {"shrink"}, "tradeoff": {"engines"}}
+    for tool in (path for path in (HOUSE / "lab").iterdir() if path.is_dir() and path.name != "__pycache__"):
+        text = "".join(path.read_text(encoding="utf-8") for path in tool.glob("*.py"))
+        others = {other for other in (*TOOLS, "engines") if f"carom.lab.{other}." in text} - {tool.name}
+        assert others == built_on.get(tool.name, set()), tool.name
+
+
+@pytest.mark.parametrize("engine", ["rebound", "mujoco", "box3d", "pybullet", "newton"])
+def test_an_engine_can_be_removed(engine: str, without: Callable[..., Carom]) -> None:
+    run = without(f"lab/engines/{engine}.py")
+    assert run("--help").returncode == 0
+    assert f"--engine {engine}: unknown" in refusal(run("crosscheck", "two-spheres", "--engine", engine))
