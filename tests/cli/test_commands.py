@@ -306,7 +306,7 @@ def test_scenes_lists_what_is_bundled(tmp_path: Path) -> None:
     listed = json.loads(carom("scenes", "--json", cwd=tmp_path).stdout)
     assert {"name", "title", "bodies", "path"} == set(listed[0])
     schema = json.loads(carom("scenes", "--schema", cwd=tmp_path).stdout)
-    assert "restitution" in schema["$defs"]["Contact"]["properties"]
+    assert "restitution" in schema["$defs"]["ContactSettings"]["properties"]
 
 
 def test_a_new_scene_runs_as_it_is(tmp_path: Path) -> None:

@@ -133,6 +133,37 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another
     assert call(package)[1] == 0
 
 
+RECORD = "from typing import NamedTuple\nclass Ball(NamedTuple):\n    {first}: float\n    {second}: float\n"
+HEAVIER = (
+    "from carom.physics.parallel.jit import kernel\n@kernel\ndef doubled(ball) -> float:\n    return 2.0 * ball.mass\n"
+)
+
+
+def doubled(package: Path, home: str) -> float:
+    """Call a kernel with a named tuple that is defined in a module which the kernel's own module does not import."""
+    call = f"from pack import heavier, {home}; print(heavier.doubled({home}.Ball(mass=3.0, radius=1.0)))"
+    called = subprocess.run(
+        [sys.executable, "-c", call],
+        env=os.environ | {"PYTHONPATH": str(package.parent), "NUMBA_CACHE_DIR": str(package.parent / "cache")},
+        cwd="/",
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert called.returncode == 0, called.stderr
+    return float(called.stdout)
+
+
+def test_a_kernel_is_compiled_anew_when_a_named_tuple_that_it_takes_was_moved_or_reordered(package: Path) -> None:
+    (package / "heavier.py").write_text(HEAVIER, encoding="utf-8")
+    (package / "old.py").write_text(RECORD.format(first="mass", second="radius"), encoding="utf-8")
+    assert doubled(package, "old") == 6.0
+    (package / "old.py").write_text(RECORD.format(first="radius", second="mass"), encoding="utf-8")
+    assert doubled(package, "old") == 6.0, "the order of the fields"
+    (package / "old.py").rename(package / "new.py")
+    assert doubled(package, "new") == 6.0, "the module"
+
+
 def test_the_quick_search_finds_the_imports_that_python_finds() -> None:
     """The search for imports is a quick one, by patterns: compare it with Python's own parser, for every file."""
     root = Path(carom.__file__).parent

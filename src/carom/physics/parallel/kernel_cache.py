@@ -116,7 +116,11 @@ class KernelCache(caching._Cache):
                 _release(self._path(types))
         if data is None:
             return None
-        return CompileResult._rebuild(target_context, *pickle.loads(data))  # type: ignore[no-untyped-call]
+        try:
+            content = pickle.loads(data)
+        except (ImportError, AttributeError):  # a class that it names was moved, as by an upgrade of a library
+            return None
+        return CompileResult._rebuild(target_context, *content)  # type: ignore[no-untyped-call]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the code for a signature; if that fails, it is compiled again next time."""
@@ -211,5 +215,20 @@ def _release(path: Path) -> None:
 
 
 def _types(sig: Any, codegen: Any) -> bytes:
-    """Return a key of the types of a kernel's arguments and of the processor."""
-    return repr((sig, codegen.magic_tuple())).encode()
+    """Return a key of the types of a kernel's arguments and of the processor.
+
+    Numba names a named tuple by its class alone. The module and the fields belong to it: compiled code reads fields by
+    number, and the module that defines the class need not be among the sources of the kernel.
+    """
+    kinds = getattr(sig, "args", sig)
+    return repr((sig, codegen.magic_tuple(), *(named for kind in kinds for named in _named_tuples(kind)))).encode()
+
+
+def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
+    """Return module, class and fields of the named tuples in a type."""
+    if not isinstance(kind, numba.types.BaseTuple):
+        return []
+    made_by = getattr(kind, "instance_class", None)
+    own = [] if made_by is None else [(made_by.__module__, made_by.__qualname__, tuple(made_by._fields))]
+    members: Any = kind  # iterates over the types of its members
+    return own + [named for member in members for named in _named_tuples(member)]
