@@ -149,7 +149,7 @@ def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
 def recorded_without_exact_states(space: Space, folder: str) -> float:
     """Record without fingerprints and checkpoints: such a file would be looked at, but not replayed."""
     nothing = mock.patch("carom.physics.frame.fingerprint_of", lambda time, arrays: 0)
-    never: Any = mock.patch("carom.recording.write.checkpoint_plan.CheckpointPlan.chosen", lambda plan, batch: [])
+    never: Any = mock.patch("carom.recording.write.recorder.CheckpointPlan.chosen", lambda plan, batch: [])
     with nothing, never:
         return recorded(space, folder)[0]
 

@@ -75,9 +75,9 @@ if TYPE_CHECKING:
     from carom.recording.read.body_lookup import body_number as body_number
     from carom.recording.read.body_lookup import names_of as names_of
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
-    from carom.recording.read.impacts import count_at as count_at
-    from carom.recording.read.impacts import impacts_by_number as impacts_by_number
     from carom.recording.read.moment import tolerance as tolerance
+    from carom.recording.read.recorded_impacts import count_at as count_at
+    from carom.recording.read.recorded_impacts import impacts_by_number as impacts_by_number
     from carom.recording.read.recorded_scene import RecordedBodies as RecordedBodies
     from carom.recording.read.recorded_scene import recorded_scene as recorded_scene
     from carom.recording.read.recorded_scene import start_of as start_of
@@ -97,26 +97,26 @@ if TYPE_CHECKING:
     from carom.recording.source.adapters.package import engine_package as engine_package
     from carom.recording.source.adapters.pybullet import pybullet as pybullet
     from carom.recording.source.adapters.rebound import rebound as rebound
-    from carom.recording.source.faults import Fault as Fault
-    from carom.recording.source.faults import Tolerances as Tolerances
+    from carom.recording.source.law_audit import Fault as Fault
+    from carom.recording.source.law_audit import Tolerances as Tolerances
     from carom.recording.source.observer import Observer as Observer
     from carom.recording.source.observer import header_of_source as header_of_source
     from carom.recording.source.observer import not_finite as not_finite
-    from carom.recording.source.snapshot import Snapshot as Snapshot
-    from carom.recording.source.snapshot import memory_of as memory_of
-    from carom.recording.source.snapshot import reader_of as reader_of
     from carom.recording.source.source import SPHERE as SPHERE
     from carom.recording.source.source import Model as Model
     from carom.recording.source.source import Plane as Plane
     from carom.recording.source.source import Setup as Setup
     from carom.recording.source.source import Source as Source
     from carom.recording.source.source import State as State
+    from carom.recording.source.source import StateMemory as StateMemory
     from carom.recording.source.source import SteppedSource as SteppedSource
     from carom.recording.source.source import array_of as array_of
+    from carom.recording.source.source import memory_of as memory_of
+    from carom.recording.source.source import reader_of as reader_of
     from carom.recording.source.source import refuse_no_rotation as refuse_no_rotation
     from carom.recording.source.source import setup_of as setup_of
     from carom.recording.source.source import time_of as time_of
-    from carom.recording.write.disk_reserve import DiskReserve as DiskReserve
+    from carom.recording.write.durable_sink import DiskReserve as DiskReserve
     from carom.recording.write.recorder import Recorder as Recorder
     from carom.recording.write.whole_file import new_name as new_name
     from carom.recording.write.whole_file import whole_file as whole_file
@@ -222,16 +222,16 @@ if TYPE_CHECKING:
     from carom.show.causes import CauseEdge as CauseEdge
     from carom.show.causes import Causes as Causes
     from carom.show.causes import write_causes as write_causes
-    from carom.show.comparison import Pair as Pair
-    from carom.show.comparison import write_overlay as write_overlay
     from carom.show.forecast import Forecast as Forecast
     from carom.show.forecast import write_forecast as write_forecast
     from carom.show.keeper import has_screen as has_screen
     from carom.show.keeper import isolate as isolate
     from carom.show.keeper import screen_is_remote as screen_is_remote
-    from carom.show.named_event import named_event as named_event
-    from carom.show.trajectories import ComparedTrajectory as ComparedTrajectory
-    from carom.show.trajectories import write_trajectories as write_trajectories
+    from carom.show.overlays import ComparedTrajectory as ComparedTrajectory
+    from carom.show.overlays import MatchedFrames as MatchedFrames
+    from carom.show.overlays import write_overlay as write_overlay
+    from carom.show.overlays import write_trajectories as write_trajectories
+    from carom.show.request import named_event as named_event
 
 _HOMES = {
     # scenes
@@ -284,7 +284,7 @@ _HOMES = {
     "carom.recording.edit.bundle": "is_bundle opened",
     "carom.recording.read.body_lookup": "body_number names_of",
     "carom.recording.read.frame_rows": "RecordedPositions",
-    "carom.recording.read.impacts": "count_at impacts_by_number",
+    "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
     "carom.recording.read.moment": "tolerance",
     "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
     "carom.recording.schema.header": "Header Scalar SweepMember",
@@ -297,13 +297,13 @@ _HOMES = {
     "carom.recording.source.adapters.package": "engine_package",
     "carom.recording.source.adapters.pybullet": "pybullet",
     "carom.recording.source.adapters.rebound": "rebound",
-    "carom.recording.source.faults": "Fault Tolerances",
+    "carom.recording.source.law_audit": "Fault Tolerances",
     "carom.recording.source.observer": "Observer header_of_source not_finite",
-    "carom.recording.source.snapshot": "Snapshot memory_of reader_of",
     "carom.recording.source.source": (
-        "Model Plane SPHERE Setup Source State SteppedSource array_of refuse_no_rotation setup_of time_of"
+        "Model Plane SPHERE Setup Source State StateMemory SteppedSource "
+        "array_of memory_of reader_of refuse_no_rotation setup_of time_of"
     ),
-    "carom.recording.write.disk_reserve": "DiskReserve",
+    "carom.recording.write.durable_sink": "DiskReserve",
     "carom.recording.write.recorder": "Recorder",
     "carom.recording.write.whole_file": "new_name whole_file write_whole",
     # runs
@@ -325,11 +325,10 @@ _HOMES = {
     # the viewer
     "carom.show.catalog": "serve_catalog",
     "carom.show.causes": "CauseEdge Causes write_causes",
-    "carom.show.comparison": "Pair write_overlay",
     "carom.show.forecast": "Forecast write_forecast",
     "carom.show.keeper": "has_screen isolate screen_is_remote",
-    "carom.show.named_event": "named_event",
-    "carom.show.trajectories": "ComparedTrajectory write_trajectories",
+    "carom.show.request": "named_event",
+    "carom.show.overlays": "ComparedTrajectory MatchedFrames write_overlay write_trajectories",
     # commands
     "carom.cli.compiling": "announce_compilation",
     "carom.cli.extras": "needing",

@@ -17,7 +17,7 @@ from carom.recording.source.adapters.mujoco import mujoco
 from carom.recording.source.adapters.newton import newton
 from carom.recording.source.adapters.pybullet import pybullet
 from carom.recording.source.adapters.rebound import rebound
-from carom.recording.source.faults import Fault, Tolerances
+from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.source import Model, Plane, Source, State
 
 __all__ = [

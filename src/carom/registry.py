@@ -45,9 +45,9 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "rebound": "carom.scene.data.rebound_tables:REBOUND",
     },
     "export_formats": {
-        "parquet": "carom.recording.export.tables:write_parquet",
-        "csv": "carom.recording.export.tables:write_csv",
-        "npz": "carom.recording.export.arrays:write_npz",
+        "parquet": "carom.recording.export.csv_parquet:write_parquet",
+        "csv": "carom.recording.export.csv_parquet:write_csv",
+        "npz": "carom.recording.export.npz:write_npz",
         "extxyz": "carom.recording.export.extended_xyz:write_extended_xyz",
         "vtk": "carom.recording.export.vtk:write_vtk",
     },

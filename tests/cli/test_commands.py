@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.read.impacts import RecordedImpacts
+from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.runs.report import worst_moment
 from carom.scene.parts import unknown

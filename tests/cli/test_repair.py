@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from carom.recording.read.recording import Recording
-from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import Claim
 from carom_command import carom, carom_process
 
 

@@ -5,15 +5,15 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
+from carom.recording.layout import colouring
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.paths import STEP
-from carom.recording.style import colouring
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
-from carom.show import trails
+from carom.show import supplement
 from carom.show.presentation import presentation
 from small_scenes import cloud
 
@@ -91,7 +91,7 @@ def test_a_scene_without_contacts_has_no_islands(tmp_path: Path) -> None:
 def test_trails_lead_from_frame_to_frame_and_are_framed_with_the_bodies(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("kepler-orbits", ["time.duration=8"]), tmp_path / "orbits.rrd")
     header = header_of_recording(recording)
-    found = trails.Trails(recording, header)
+    found = supplement.Trails(recording, header)
     (rows,) = found.rows()
     assert list(rows.steps) == recording.fingerprints()[STEP].to_pylist()[1:]
     first = recording.drawn_positions(0)

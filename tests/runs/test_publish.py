@@ -19,7 +19,7 @@ from browser import chromium, settled, wait_until_loaded
 from carom.errors import RecordingError
 from carom.recording.write.recorder import Recorder
 from carom.runs import publish as publishing
-from carom.show.web import index_page, site
+from carom.show.web import site
 from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
@@ -208,7 +208,7 @@ def test_a_publication_that_fails_leaves_the_old_folder(
 
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
-    monkeypatch.setattr(index_page, "write_index", fail)
+    monkeypatch.setattr(site, "write_index", fail)
     assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
     assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]

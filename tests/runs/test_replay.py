@@ -22,8 +22,7 @@ from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.plan.auto import frame_interval
 from carom.recording.read.recording import Recording
-from carom.recording.schema import checkpoint_columns as checkpoint
-from carom.recording.schema import paths
+from carom.recording.schema import checkpoint_columns, paths
 from carom.runs.mismatch import different
 from carom.runs.replay import Difference, replay
 from carom.runs.run import simulate
@@ -171,7 +170,7 @@ def test_each_number_of_a_checkpoint_is_told_with_its_unit() -> None:
     floor = {"plane": [{"normal": [0.0, 0.0, 1.0]}], "body": [{"position": [0.0, 0.0, 0.5], "radius": 0.5}]}
     space = Space(Scene.from_dict({"time": {"duration": 0.1}, **pile, **floor}))
     *_, last = space.run()
-    columns = checkpoint.encode([last.checkpoint])
+    columns = checkpoint_columns.encode([last.checkpoint])
     assert np.any(columns["held_impulse"][0]), "a contact rests"
     told = {}
     for name, (values, _) in columns.items():
@@ -291,15 +290,15 @@ def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_agai
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Version 1 kept the arrays of a checkpoint, and neither its contacts nor its books.
-    encode = checkpoint.encode
+    encode = checkpoint_columns.encode
 
-    def as_it_was(checkpoints: Sequence[Checkpoint]) -> dict[str, checkpoint.Column]:
+    def as_it_was(checkpoints: Sequence[Checkpoint]) -> dict[str, checkpoint_columns.Column]:
         new = ("books", "contact_", "held_")
         return {name: column for name, column in encode(checkpoints).items() if not name.startswith(new)}
 
     with monkeypatch.context() as then:
         then.setattr("carom.recording.schema.header.SCHEMA_VERSION", 1)
-        then.setattr(checkpoint, "encode", as_it_was)
+        then.setattr(checkpoint_columns, "encode", as_it_was)
         carom.run(cloud(12), tmp_path / "old.rrd")
     recording = Recording.open(tmp_path / "old.rrd")
     assert recording.outcome == "completed" and recording.summary()["frames"] == recording.frames > 10

@@ -70,7 +70,7 @@ isolate = keeper.isolate
 def checked():
     alone = isolate()
     import carom.lab.sweep.manifest as manifest
-    import carom.show.catalog as catalogue
+    import carom.show.viewer as catalogue
 
     class Window:  # in place of the viewer's
         def __init__(self, **_): pass

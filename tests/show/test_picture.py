@@ -9,12 +9,11 @@ from PIL import Image
 from carom import Scene, run
 from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
+from carom.recording.layout import drawing
 from carom.recording.schema import palette
-from carom.recording.style import impulse_scale
 from carom.recording.write.recorder import Recorder
 from carom.scene.scene_file import bundled_scenes
-from carom.show.glyphs import drawable
-from carom.show.picture import _marked, is_picture_of_carom, render
+from carom.show.picture import _marked, drawable, is_picture_of_carom, render
 from carom.show.request import Request
 from carom.show.viewer import broken_off, reason_of
 from carom_command import carom
@@ -138,7 +137,7 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     assert of_colour(graph, 0x8A93A6FF, 60) > 1000, "wires"
     assert of_hue(graph, palette.ORANGE) > 300, "torques"
     assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
-    assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 300, "contacts, by impulse"
+    assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 300, "contacts, by impulse"
     for name in ("blue", "red", "purple", "grey"):
         assert of_colour(plots(pixels), palette.LINES[name]) > 50, name
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.legend import place_legend
-from carom.recording.layout.plot_views import energy_view
+from carom.recording.layout.plot_views import energy_view, place_legend
 from carom.recording.read.recorded_header import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
@@ -69,7 +68,7 @@ def test_the_legend_covers_no_curve(energy: tuple[str, Path, Pixels]) -> None:
     shown = [curves[f"energy/{name}"] for name in LEGENDS]
     place = place_legend([f"{name} (J)" for name in LEGENDS], shown, Area(SIZE[0] - 60.0, SIZE[1] - 18.0))
     right, bottom = "Right" in place.corner.name, "Bottom" in place.corner.name
-    wide, tall = 7 * len("gravitational (J)") + 44, 23 * len(LEGENDS) + 14  # px, as in legend.py
+    wide, tall = 7 * len("gravitational (J)") + 44, 23 * len(LEGENDS) + 14  # px, as in plot_views.py
     height = SIZE[1] - 18  # without the times below the plot
     rows = slice(height - tall, height) if bottom else slice(0, tall)
     # on the left the numbers of the axis come first: they are as wide as they are

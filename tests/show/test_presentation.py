@@ -11,19 +11,17 @@ import carom
 from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
+from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import View
-from carom.recording.layout.visible_trails import TRAILS
 from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from carom.show import close_up, shown_step
-from carom.show.named_event import NamedEvent, named_event
-from carom.show.pair import Pair, hardest_pair, named_pair, pair_of_step
 from carom.show.presentation import asked, presentation
-from carom.show.request import Request
-from carom.show.trails import Trails
+from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
+from carom.show.supplement import Trails
 from small_scenes import pair, scene_of
 
 

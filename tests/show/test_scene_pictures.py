@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 import carom
+from carom.recording.layout import drawing
 from carom.recording.schema import palette
-from carom.recording.style import impulse_scale
 from carom.scene.schema import Scene
 from carom.show.picture import render
 from carom.show.request import Request
@@ -63,7 +63,7 @@ def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: s
     for what, shown in (("bodies", bodies), ("graph", graph), ("close-up", close)):
         assert filled(shown) > 0.5, what
     if name != "elastic-gas":  # a thousand molecules hide the one edge of the instant
-        assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 15, "edges of the graph"
+        assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 15, "edges of the graph"
     assert of_colour(close, palette.VERMILION, 60) > 40, "the edge between the two bodies"
     assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
     assert of_hue(close, palette.SKY) > 0.01 * close.shape[0] * close.shape[1], "the first of the two bodies"
@@ -149,7 +149,7 @@ def test_edges_and_arrows_are_seen_between_bodies_larger_than_planets(tmp_path: 
     file.write_text(PLANETS)
     pixels = picture(Scene.load(str(file)), tmp_path)
     graph, close = (view(pixels, number, SHARES) for number in (1, 2))
-    assert sum(of_colour(graph, int(colour)) for colour in impulse_scale.COLOURS) > 30, "the edge of the graph"
+    assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 30, "the edge of the graph"
     assert of_hue(graph, palette.ORANGE) > 100, "the arrows of the torques"
     assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
 

@@ -9,8 +9,8 @@ import pytest
 
 from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Container
-from carom.show.trajectories import ComparedTrajectory, write_trajectories
+from carom.recording.rrd.container import Container
+from carom.show.overlays import ComparedTrajectory, write_trajectories
 
 RUNS = {"reference": "", "mujoco, dt = 1": "mujoco", "mujoco, dt = 2": "mujoco", "box3d, dt = 1": "box3d", "carom": ""}
 

@@ -9,10 +9,9 @@ from typing import Any
 import pyarrow as pa
 import xxhash
 
-from carom.recording.rrd import framing, protobuf
-from carom.recording.rrd.arrow_stream import record_batch
+from carom.recording.rrd import framing, messages
 from carom.recording.rrd.framing import CHUNK, END
-from carom.recording.rrd.messages import RECORDING, decode
+from carom.recording.rrd.messages import RECORDING, decode, record_batch
 
 Change = Callable[[pa.RecordBatch], pa.RecordBatch]
 
@@ -162,10 +161,10 @@ def is_of(body: bytes, entity: str, static: bool = False) -> bool:
 def _index(old: bytes, moved: dict[int, tuple[int, bytes]], change: Change) -> bytes:
     """Say in a footer where chunks lie now, and how many rows and bytes they have."""
     manifests: list[int | bytes] = []
-    for manifest in protobuf.fields(memoryview(old))[1]:
+    for manifest in messages.fields(memoryview(old))[1]:
         assert isinstance(manifest, memoryview)
         fields = _fields(manifest)
-        packed = _fields(protobuf.data(protobuf.fields(manifest), 4))
+        packed = _fields(messages.data(messages.fields(manifest), 4))
         (payload,), (size,) = packed[2], packed[4]
         assert isinstance(payload, bytes) and isinstance(size, int)
         batch = record_batch(memoryview(payload), LZ4, size)
@@ -181,5 +180,5 @@ def _index(old: bytes, moved: dict[int, tuple[int, bytes]], change: Change) -> b
 
 
 def _fields(encoded: memoryview) -> dict[int, list[int | bytes]]:
-    found = protobuf.fields(encoded).items()
+    found = messages.fields(encoded).items()
     return {number: [v if isinstance(v, int) else bytes(v) for v in values] for number, values in found}

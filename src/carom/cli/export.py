@@ -30,8 +30,7 @@ def export(
     from carom.cli.replaying import replaying
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
-    from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, write
-    from carom.recording.export.snapshot import snapshots
+    from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
     from carom.recording.read.recording import Recording
     from carom.runs.output import refuse_output
 

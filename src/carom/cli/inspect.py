@@ -141,7 +141,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     """Count contacts and impacts, and name the deepest overlap."""
-    from carom.recording.read.impacts import RecordedImpacts
+    from carom.recording.read.recorded_impacts import RecordedImpacts
     from carom.runs.contact_counts import counts_text, overlap_text
 
     contacts, texts = summary["contacts"], []

@@ -32,7 +32,7 @@ def repair(
     from carom.recording.edit.repair import repair as mend
     from carom.recording.edit.repair import units_of
     from carom.recording.read.recording import Recording
-    from carom.recording.write.claim import Claim
+    from carom.recording.write.whole_file import Claim
     from carom.runs.output import refuse_output
 
     path = _path(file, output, in_place)

@@ -112,7 +112,7 @@ def view(
     from carom.cli.compiling import announce_compilation
     from carom.recording.edit.bundle import opened
     from carom.show.request import Request
-    from carom.show.window import open_window
+    from carom.show.viewer import open_window
 
     with opened(file) as path:
         request = Request(_simulated(path, at), event, bodies, plot, colour_by)
@@ -216,8 +216,8 @@ def _simulated(file: Path, at: float | None) -> float | None:
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Say that a plot of velocities takes as long as the run did."""
     from carom.cli.units import duration_text
-    from carom.recording.read.body_series import asked_quantities, needs_replay
     from carom.recording.read.recording import Recording
+    from carom.show.body_plots import asked_quantities, needs_replay
 
     if plot is None:
         return

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 
 from carom.event import Event
 from carom.physics.frame import Frame
-from carom.recording.edit.selection import Selection
+from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
 from carom.recording.read.frame_rows import RecordedRows
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import CLOSING, SIM_TIME, STEP
 from carom.recording.schema.series import Past, all_series
-from carom.recording.write.checkpoint_plan import CheckpointPlan
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
+from carom.recording.write.recorder import CheckpointPlan
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
 from carom.runs.mismatch import Mismatch, different, same
@@ -82,7 +82,7 @@ class FrameCheck:
         self._series = set(known)  # some of which a recording of an earlier version may lack
         self._led_there = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
-        self._clock = Clock(float(recording.info["time_scale"]))
+        self._clock = TimeScale(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
         header = header if recording.records_contacts else replace(header, record_impacts="none")
         self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
@@ -298,7 +298,7 @@ class FrameCheck:
         return []
 
 
-def told_of(events: Sequence[Event], clock: Clock) -> list[Told]:
+def told_of(events: Sequence[Event], clock: TimeScale) -> list[Told]:
     """Return events as they are recorded, in order."""
     times = clock.nanoseconds([event.time for event in events]).tolist()
     return sorted((e.step, time, e.level, e.kind, e.text) for e, time in zip(events, times, strict=True))

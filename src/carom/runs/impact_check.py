@@ -13,20 +13,18 @@ from numpy.typing import NDArray
 from carom.contact_table import CONTACT_ROW
 from carom.physics.contact.impact_store import MOST_IMPACTS
 from carom.physics.frame import Frame
-from carom.recording.edit.selection import Selection
+from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import Column, flat, reading
 from carom.recording.read.frame_rows import RecordedRows
-from carom.recording.read.impacts import RecordedImpacts, bodies_by_number, impacts_by_number, impacts_until
+from carom.recording.read.recorded_impacts import RecordedImpacts, bodies_by_number, impacts_by_number, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import chunk_of
-from carom.recording.write.impact_frames import orientations_at, positions_at
-from carom.recording.write.impact_plan import ImpactPlan, Kept, largest
-from carom.recording.write.impact_rows import impact_rows
+from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest, orientations_at, positions_at
 from carom.runs.mismatch import Mismatch, different, same
 
 LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
@@ -81,7 +79,7 @@ class ImpactCheck:
         self._numbers, self._recorded = impacts_by_number(recording)
         self._drawn_at, self._drawn = bodies_by_number(recording)
         self._rows, self._encoder, self._few = rows, encoder, few
-        self._clock = Clock(float(recording.info["time_scale"]))
+        self._clock = TimeScale(float(recording.info["time_scale"]))
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
         steps = recording.fingerprints()[STEP]
         self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from carom.errors import ExistsError, RecordingError
-from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import Claim
 
 RECORDINGS = Path("recordings")
 

@@ -16,16 +16,15 @@ import xxhash
 
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.write.claim import Claim
-from carom.recording.write.whole_file import write_whole
+from carom.recording.write.whole_file import Claim, write_whole
 from carom.runs.output import is_link_of_another
 from carom.runs.overview import Moment, moments, overview
 from carom.scene.units.dimension import TIME
 from carom.show.picture import try_to_render
 from carom.show.presentation import asked
 from carom.show.request import Request
-from carom.show.web import index_page, site
-from carom.show.web.index_page import Figure
+from carom.show.web import site
+from carom.show.web.site import Figure
 
 LIST = "carom-page.json"  # of the files that a publication wrote, with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
@@ -82,7 +81,7 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
             lines = [f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together]
             lines.append(f"t = {units.text(shown.time, TIME, '.9g')}")
             figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
-        index_page.write_index(part, recording.title, recording.path.name, overview(recording), figures)
+        site.write_index(part, recording.title, recording.path.name, overview(recording), figures)
         size = sum(file.stat().st_size for file in part.iterdir())
     return Published(folder, size, len(figures), missing)
 

@@ -19,8 +19,8 @@ from carom.physics.space import Space
 from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header, Scalar
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.recorder import Recorder
 from carom.runs.environment import versions
 from carom.runs.expectation import judge
@@ -301,7 +301,7 @@ class _Comparison:
         recording, step = self._recording, self.last
         level = "INFO" if recording.outcome == "completed" else "WARN"
         events = [*space.highlights(), Event(step, self._times[step], level, f"end: {recording.outcome}", "end")]
-        found, expected = self.check.closing, told_of(events, Clock(float(recording.info["time_scale"])))
+        found, expected = self.check.closing, told_of(events, TimeScale(float(recording.info["time_scale"])))
         ends = [[event for event in logged if event[3] == "end"] for logged in (found, expected)]
         if ends[0] != ends[1] or [event[:4] for event in found] != [event[:4] for event in expected]:
             if same_version:

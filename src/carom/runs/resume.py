@@ -14,7 +14,7 @@ from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
-from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import Claim
 from carom.runs.continued_scene import continued_scene
 from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name, refuse_output

@@ -19,11 +19,11 @@ from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
 from carom.physics.space import Space
 from carom.physics.status import StepStatus
 from carom.recording.read.continuation import Continuation
-from carom.recording.read.impacts import RecordedImpacts
+from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember
-from carom.recording.write.claim import Claim
 from carom.recording.write.recorder import Recorder
+from carom.recording.write.whole_file import Claim
 from carom.runs.closing import closing_of
 from carom.runs.contact_counts import EACH, ONCE_A_STEP
 from carom.runs.environment import environment

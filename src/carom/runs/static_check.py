@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from carom.errors import DamageError
 from carom.physics.space import Space
-from carom.recording.edit.selection import Selection
+from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.frame_chunks import IDENTITY, statics_of
 from carom.runs.mismatch import Mismatch, different
 from carom.runs.run import header_of
@@ -109,7 +109,7 @@ class StaticCheck:
     def _expected(self, reach: float) -> Rows:
         """Return what the recorder would write, of the bodies that the recording shows."""
         recording, header = self._recording, self._header
-        clock = Clock(float(recording.info["time_scale"]))
+        clock = TimeScale(float(recording.info["time_scale"]))
         title = str(recording.parameters.get("name", header.title))
         found: Rows = {}
         few = None if recording.shows_all else _few(recording, header)

@@ -2,20 +2,189 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
 
+from carom.errors import RecordingError
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.curve import Curve
-from carom.recording.layout.plot_views import time_series_view
-from carom.recording.read.body_series import BodySeries
+from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
+from carom.recording.read.body_lookup import body_number, split_at_commas
+from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
-from carom.recording.style.curve_style import curve_style
+from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import Index, Rows
 from carom.scene.units.system import SI, UnitSystem
+from carom.scene.wording import body_called
+
+if TYPE_CHECKING:
+    from carom.physics.status import StepStatus
+
+
+# Position, velocity and spin of single bodies over time, requested as ``top.z, top.omega``.
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+MOST = 12  # curves that are told apart
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A number that a body has at every frame."""
+
+    name: str
+    unit: str
+    vector: str  # of which vector of the state
+    axis: int | None  # its component; None: its length
+
+    def of(self, vectors: FloatArray) -> FloatArray:
+        """Compute it from the vectors of all frames, (k, 3)."""
+        return vectors[:, self.axis] if self.axis is not None else np.sqrt(np.einsum("ki,ki->k", vectors, vectors))
+
+
+_VECTORS = (
+    ("position", "m", ("x", "y", "z"), ""),
+    ("velocity", "m/s", ("vx", "vy", "vz"), "speed"),
+    ("angular_velocity", "rad/s", ("wx", "wy", "wz"), "omega"),
+)
+QUANTITIES = {
+    name: Quantity(name, unit, vector, axis)
+    for vector, unit, axes, length in _VECTORS
+    for name, axis in (*((each, k) for k, each in enumerate(axes)), *([(length, None)] if length else []))
+}
+
+
+@dataclass(frozen=True, slots=True)
+class BodySeries:
+    """A quantity of a body over the frames of a recording."""
+
+    body: int
+    name: str  # of the body
+    quantity: Quantity
+    step: IntArray  # (k,)
+    time: FloatArray  # (k,) s
+    value: FloatArray  # (k,) in the unit of the quantity
+
+
+def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
+    """Read which quantities of which bodies are asked for.
+
+    Parameters
+    ----------
+    recording
+        Whose bodies they are.
+    text
+        ``BODY.QUANTITY`` with commas between them; a body is given by its number or its name.
+    one_unit
+        Whether all must have the same unit.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such body or quantity, or the units differ.
+    """
+    asked: dict[tuple[int, Quantity], None] = {}
+    with_commas = [body for body in recording.bodies.name if "," in body]
+    for part in split_at_commas(text, (f"{body}.{name}" for body in with_commas for name in QUANTITIES)):
+        body, _, name = part.rpartition(".")
+        if not body:
+            raise RecordingError(f'plot {text}: expected BODY.QUANTITY, such as 0.speed; "{part}" is not')
+        if name not in QUANTITIES:
+            raise RecordingError(f'plot {text}: there is no quantity "{name}"; there are {_all_quantities()}')
+        asked[body_number(recording, body), QUANTITIES[name]] = None
+    if any(quantity.vector == "angular_velocity" for _, quantity in asked) and not recording.info["spins"]:
+        raise RecordingError(f"plot {text}: the bodies of {recording.path} do not spin")
+    if len(asked) > MOST:
+        raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; ask for fewer")
+    units = dict.fromkeys(quantity.unit for _, quantity in asked)
+    if one_unit and len(units) > 1:
+        raise RecordingError(
+            f"a view of plots shows one unit, and plot asks for {' and '.join(units)}; ask for those of one, or take "
+            "the view of all, which has a plot for each"
+        )
+    return list(asked)
+
+
+def needs_replay(asked: Sequence[tuple[int, Quantity]]) -> bool:
+    """Tell whether the run must be done again: positions are recorded at every frame, velocities are not."""
+    return any(quantity.vector != "position" for _, quantity in asked)
+
+
+def body_series(
+    recording: Recording, asked: Sequence[tuple[int, Quantity]], watch: Callable[[StepStatus], None] = lambda _: None
+) -> list[BodySeries]:
+    """Return the series that are asked for.
+
+    Parameters
+    ----------
+    recording, asked
+        As from `asked_quantities`.
+    watch
+        Called after every frame, if the run is done again.
+
+    Raises
+    ------
+    RecordingError
+        If the run must be done again and cannot be, or its bits are not the same.
+    """
+    bodies = sorted({body for body, _ in asked})
+    read = _replayed(recording, bodies, watch) if needs_replay(asked) else _recorded(recording, bodies)
+    names = recording.bodies.name
+    return [
+        BodySeries(body, names[body] or body_called(body, ""), quantity, step, time, quantity.of(vectors))
+        for body, quantity in asked
+        for step, time, vectors in [read(body, quantity.vector)]
+    ]
+
+
+_Read = Callable[[int, str], tuple[IntArray, FloatArray, FloatArray]]  # body, vector → steps, times, (k, 3)
+
+
+def _recorded(recording: Recording, bodies: Sequence[int]) -> _Read:
+    tables = {body: recording.trajectory(body) for body in bodies}
+
+    def read(body: int, vector: str) -> tuple[IntArray, FloatArray, FloatArray]:
+        table = tables[body]
+        position = np.stack([np.asarray(table[axis].to_numpy()) for axis in "xyz"], axis=1)
+        return table[STEP].to_numpy(), table["time"].to_numpy(), position
+
+    return read
+
+
+def _replayed(recording: Recording, bodies: Sequence[int], watch: Callable[[StepStatus], None]) -> _Read:
+    frames = recording.fingerprints()
+    steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
+    window, wanted = recording.rerun(float(times[0]), watch=watch), set(steps.tolist())
+    found: dict[str, list[FloatArray]] = {vector: [] for vector, *_ in _VECTORS}
+    for frame in window.frames(np.inf):
+        if frame.step in wanted:
+            for vector, rows in found.items():
+                values = getattr(frame, vector)
+                if values is not None and len(values):
+                    rows.append(values[bodies])
+        if frame.step >= steps[-1] or window.differs is not None:
+            break
+    if window.differs is not None or len(found["position"]) < len(steps):
+        where = "ends earlier" if window.differs is None else f"has other bits from step {window.differs} on"
+        raise RecordingError(f"{recording.path}, run again, {where}; only positions (x, y, z) can be plotted")
+    stacked = {vector: np.stack(rows) for vector, rows in found.items() if rows}
+    return lambda body, vector: (steps, times, stacked[vector][:, bodies.index(body)])
+
+
+def _all_quantities() -> str:
+    """List the quantities by their units."""
+    groups = [
+        f"{', '.join(quantity.name for quantity in QUANTITIES.values() if quantity.unit == unit)} ({unit})"
+        for _, unit, *_ in _VECTORS
+    ]
+    return f"{', '.join(groups[:-1])} and {groups[-1]}"
+
 
 TITLES = {"m": "Position", "m/s": "Velocity", "rad/s": "Spin"}
 
@@ -56,7 +225,7 @@ class BodyPlots:
         series = self._of(unit)
         legends = [self._legend(each) for each in series]
         title = _named(series[0]) if len(series) == 1 else TITLES[unit]
-        curves = [Curve.of(each.time, each.value) for each in series]
+        curves = [CurveOutline.of(each.time, each.value) for each in series]
         return time_series_view(
             self._titled(title, unit),
             [_path(each) for each in series],

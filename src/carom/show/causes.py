@@ -17,10 +17,10 @@ from carom.recording.layout.camera import CameraFit, View
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import STEP
-from carom.recording.write.chunk_writer import Writer
-from carom.show.answer_layout import beside_bodies
+from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.whole_file import Writer
+from carom.show.overlays import beside_bodies
 
 FloatArray = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ class Causes:
 
 def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     """Write a recording for the viewer. RecordingError if it cannot be written."""
-    radius, clock = recording.bodies.radius, Clock(float(recording.info["time_scale"]))
+    radius, clock = recording.bodies.radius, TimeScale(float(recording.info["time_scale"]))
     recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
     inside = _shown(causes)

@@ -16,23 +16,20 @@ from numpy.typing import NDArray
 
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
+from carom.recording.layout.bodies_view import faint_bodies
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.graph_view import faint_bodies
-from carom.recording.layout.spatial_view import spatial_view
-from carom.recording.layout.surroundings import surroundings
+from carom.recording.layout.canvas import spatial_view, surroundings
+from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.body_lookup import names_of
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
-from carom.recording.style.line_radii import line_radii
-from carom.recording.style.single_precision import single
-from carom.recording.write.columns import Column
-from carom.recording.write.rows import Index, Rows
+from carom.recording.write.rows import BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
-from carom.show.pair import Pair
+from carom.show.request import Pair
 from carom.show.shown_step import ShownStep
 from carom.show.supplement import Static
 
@@ -225,7 +222,7 @@ class CloseUp:
                 (column.component_descriptor(), column.as_arrow_array()) for column in columns.partition([count, 0])
             ]
             for row, index in enumerate((Index.within_step(self.instant.time), empty)):
-                yield Rows(path, index, [Column.of_rows(what, rows.slice(row, 1)) for what, rows in both], 0)
+                yield Rows(path, index, [BatchColumn.of_rows(what, rows.slice(row, 1)) for what, rows in both], 0)
             return
         steps, times, each = [self.step.step], [self.step.time], [count]
         following = next((frame for frame in self.step.added if frame.step > self.step.step), None)

@@ -13,14 +13,13 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.plot_views import whole_time
+from carom.recording.layout.plot_views import curve_style, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.clock import Clock
-from carom.recording.style.curve_style import curve_style
-from carom.recording.write.chunk_writer import Writer
+from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import LENGTH
-from carom.show.answer_layout import beside_bodies
+from carom.show.overlays import beside_bodies
 
 FloatArray = NDArray[np.float64]
 Colours = NDArray[np.uint32]
@@ -66,7 +65,7 @@ def shades(spread: FloatArray, radius: FloatArray) -> Colours:
 def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     """Write a recording for the viewer. RecordingError if it cannot be written."""
     radius, origin = recording.bodies.radius, recording.origin
-    clock = Clock(float(recording.info["time_scale"]))
+    clock = TimeScale(float(recording.info["time_scale"]))
     steps = list(range(len(forecast.time)))
     index = clock.columns(steps, forecast.time.tolist())
     count = [len(radius)] * len(steps)
@@ -106,7 +105,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         writer.flush()
 
 
-def _write_chances(writer: Writer, clock: Clock, forecast: Forecast) -> None:
+def _write_chances(writer: Writer, clock: TimeScale, forecast: Forecast) -> None:
     """Write the probability of an outcome over the time of the fork."""
     if not len(forecast.chances):
         return

@@ -9,8 +9,8 @@ from carom.errors import RecordingError
 from carom.install import install_extra
 from carom.private_folder import temporary_folder
 from carom.recording.read.recording import Recording
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import SIM_TIME
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.rerun_compat import send_to_notebook
 from carom.show.presentation import asked
 from carom.show.request import Request
@@ -28,7 +28,7 @@ def show(recording: Recording, request: Request, height: int) -> None:
         viewer = Viewer(width="auto", height=height, use_global_recording=False)
     except ImportError:
         raise RecordingError(f"a notebook needs rerun-notebook: {install_extra('notebook')}") from None
-    shown_at = np.timedelta64(int(Clock(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
+    shown_at = np.timedelta64(int(TimeScale(float(recording.info["time_scale"])).nanoseconds([moment])[0]), "ns")
     waiting = {RecordingOpenEvent, TimelineChangeEvent}  # the viewer ignores times until it knows the timeline
 
     def pause(happened: ViewerEvent) -> None:

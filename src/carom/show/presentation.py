@@ -8,31 +8,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.errors import RecordingError
-from carom.recording.layout.additions import Additions
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
 from carom.recording.layout.camera import CameraFit, corners_of
-from carom.recording.layout.canvas import Canvas
-from carom.recording.layout.curve import Curve
-from carom.recording.read.body_series import asked_quantities, body_series
+from carom.recording.layout.canvas import Additions, Canvas
+from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recorded_header import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import Index, Rows
-from carom.recording.write.statics import plane_grids
-from carom.show.body_plots import BodyPlots
+from carom.recording.write.static_entities import plane_grids
+from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
-from carom.show.named_event import NamedEvent, named_event
-from carom.show.pair import Pair, hardest_pair, named_pair, pair_of_step
-from carom.show.recoloured import colour_rows
-from carom.show.request import Request
+from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
-from carom.show.supplement import Supplement
-from carom.show.trails import Trails, has_trails
+from carom.show.supplement import Supplement, Trails, colour_rows, has_trails
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
@@ -156,7 +150,7 @@ def presentation(
     camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
-    clock = Clock(float(recording.info["time_scale"]))
+    clock = TimeScale(float(recording.info["time_scale"]))
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
     paused = instant if instant is not None and within_step else step
@@ -201,7 +195,7 @@ def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
     return pair_of_step(step.frame, header.bodies) or hardest
 
 
-def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, Curve]:
+def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOutline]:
     """Return the outlines of the plotted series with the repeated steps: a peak between two frames must be inside."""
     curves = recorded_curves(recording)
     for series in repeated:

@@ -4,7 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from carom.errors import RecordingError
+from carom.physics.frame import Frame
+from carom.recording.read.body_lookup import shown_body, split_at_commas
+from carom.recording.read.recorded_impacts import numbered_impact
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import SIM_TIME, STEP
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,3 +47,137 @@ class Request:
         """Refuse two moments."""
         if self.at is not None and self.event is not None:
             raise RecordingError("give a time (at) or an event, not both")
+
+
+# `Pair`: the two ends of the contact in the close-up view, and how it is chosen.
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two ends of a contact."""
+
+    i: int
+    j: int | None  # None if i touches a plane or a wall
+    plane: int | None = None  # number of that plane or wall
+
+
+def named_pair(recording: Recording, text: str) -> Pair:
+    """Read two bodies from numbers or names with a comma between them.
+
+    Raises
+    ------
+    RecordingError
+        If they are not two bodies of the recording.
+    """
+    given = split_at_commas(text, recording.bodies.name)
+    if len(given) != 2 or not all(given):
+        raise RecordingError(f"bodies {text}: expected two bodies with a comma between them, such as 0,1")
+    first, second = (shown_body(recording, part) for part in given)
+    if first == second:
+        raise RecordingError(f"bodies {text}: this is one body; give two")
+    return Pair(min(first, second), max(first, second))
+
+
+def hardest_pair(recording: Recording) -> Pair | None:
+    """Return the pair of the run's hardest impact; None if none is recorded."""
+    return pair_of_extreme(recording, "impact")
+
+
+def pair_of_extreme(recording: Recording, name: str) -> Pair | None:
+    """Return the pair of an extreme of the run; None if it names none that is shown."""
+    closing = dict(recording.closing)
+    found, planes = (_numbers(closing.get(f"moments.{name}.{what}", "")) for what in ("bodies", "planes"))
+    shown = set(recording.shown)
+    if not found or not all(body in shown for body in found):
+        return None
+    if len(found) > 1:
+        return Pair(found[0], found[1])
+    return Pair(found[0], None, planes[0] if planes else None)
+
+
+def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
+    """Return the ends of the contact with the largest impulse (if unknown, of the first); None without contacts."""
+    graph = frame.contacts
+    if not len(graph):
+        return None
+    rows = frame.contact_rows
+    row = graph.first if rows is None or len(rows) != len(graph) else int(np.argmax(rows["normal_impulse"]))
+    i, j = (int(end) for end in graph.pairs[row])
+    return Pair(i, j) if j < bodies else Pair(i, None, j - bodies)
+
+
+def _numbers(text: object) -> list[int]:
+    return [int(part) for part in str(text).split(",") if part.strip().isdigit()]
+
+
+# `NamedEvent`: an event that is asked for by name: its time, its step and the bodies that meet.
+
+_IMPACT = "impact:"  # before the number of an impact
+_FIRST_CONTACT = "first-contact"  # a kind of event
+_DIGITS = 18  # so many fit into 64 bits
+
+
+@dataclass(frozen=True, slots=True)
+class NamedEvent:
+    """An event of a run."""
+
+    time: float  # s
+    pair: Pair | None = None  # None if it is not the meeting of two
+    step: int | None = None  # of an impact: at the end of one step, it may belong to the next
+    is_impact: bool = False
+
+
+def named_event(recording: Recording, name: str) -> NamedEvent:
+    """Find an event.
+
+    Parameters
+    ----------
+    name
+        An extreme of `carom inspect`, a kind of event, of which the first is taken, or ``impact:N``, the Nth impact.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such event.
+    """
+    if name.startswith(_IMPACT):
+        return _impact(recording, name.removeprefix(_IMPACT))
+    closing = dict(recording.closing)
+    if f"moments.{name}.time" in closing:
+        time = float(closing[f"moments.{name}.time"])
+        return NamedEvent(time, pair_of_extreme(recording, name), is_impact=name == "impact")
+    table = recording.events()
+    kinds = table["kind"].to_pylist()
+    if name in kinds:
+        row = kinds.index(name)
+        frames = recording.fingerprints()
+        steps = frames[STEP].to_numpy()
+        step = table[STEP][row].as_py()
+        own = np.flatnonzero(steps == step)
+        pair = _first_to_meet(recording, step) if name == _FIRST_CONTACT else None
+        if len(own):
+            return NamedEvent(float(frames["time"][int(own[0])].as_py()), pair, is_impact=pair is not None)
+        scale = float(recording.info["time_scale"])
+        return NamedEvent(float(table[SIM_TIME][row].value) * 1e-9 * scale, pair, is_impact=pair is not None)
+    moments = sorted({key.split(".")[1] for key in closing if key.startswith("moments.") and key.endswith(".time")})
+    known = dict.fromkeys([*moments, *(kind for kind in kinds if kind not in ("", "extreme", "end"))])
+    has = f"it has {', '.join(known)}" if known else "it has none"
+    raise RecordingError(f'{recording.path} has no event "{name}"; {has}')
+
+
+def _first_to_meet(recording: Recording, step: int) -> Pair | None:
+    """Return the pair of the run's first impact, if it is recorded and happened in a step."""
+    try:
+        first = _impact(recording, "1")
+    except RecordingError:
+        return None
+    return first.pair if first.step == step else None
+
+
+def _impact(recording: Recording, text: str) -> NamedEvent:
+    """Find an impact by its number on the timeline ``impact``."""
+    if not text.isdigit() or len(text) > _DIGITS:
+        raise RecordingError(f"event {_IMPACT}{text}: expected the number of an impact, such as {_IMPACT}3")
+    time, step, i, j = numbered_impact(recording, int(text))
+    bodies = int(recording.info["bodies"])
+    return NamedEvent(time, Pair(i, j) if j < bodies else Pair(i, None, j - bodies), step, is_impact=True)

@@ -17,11 +17,11 @@ from carom.physics.status import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.read.recording import Recording
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
-from carom.recording.write.impact_frames import orientations_at, positions_at
-from carom.show.pair import Pair
+from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.impact_plan import orientations_at, positions_at
+from carom.show.request import Pair
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -99,7 +99,7 @@ def shown_step(
 
 
 def at_impact(
-    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: Clock
+    step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: TimeScale
 ) -> ShownStep | None:
     """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
 

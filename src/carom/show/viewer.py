@@ -22,11 +22,13 @@ from carom.errors import RecordingError
 from carom.install import install_packages
 from carom.private_folder import private_folder
 from carom.recording.read.recording import Recording
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import SIM_TIME
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.rerun_compat import connect_viewer
 from carom.show import keeper
 from carom.show.keeper import HOST, has_screen, screen_is_remote
+from carom.show.presentation import Presentation, asked
+from carom.show.request import Request
 from carom.show.supplement import Supplement
 
 _T = TypeVar("_T")
@@ -129,7 +131,7 @@ class Viewer:
 
     def go_to(self, recording: Recording, at: float) -> None:
         """Pause at a simulated time (s)."""
-        nanoseconds = Clock(float(recording.info["time_scale"])).nanoseconds([at])[0]
+        nanoseconds = TimeScale(float(recording.info["time_scale"])).nanoseconds([at])[0]
         shown = np.timedelta64(int(nanoseconds), "ns")
         self._ask(lambda: self.client.set_time(SIM_TIME, duration=shown, play_state="paused"))
 
@@ -265,3 +267,36 @@ def binary() -> str:
             if (Path(folder) / name).is_file():
                 return str(Path(folder) / name)
     raise RecordingError("rerun-sdk is installed without its viewer (the package rerun_cli)")
+
+
+def open_window(path: str | Path, request: Request, *, say: Callable[[str], None] = lambda _: None) -> None:
+    """Open a recording, paused at a moment; return when the window is closed.
+
+    Parameters
+    ----------
+    path
+        The recording.
+    request
+        What to show of it.
+    say
+        Called with the reason if the step of that moment cannot be shown.
+
+    Raises
+    ------
+    RecordingError
+        If the recording cannot be read, there is no such moment, event, body or quantity, or no screen.
+    """
+    recording = Recording.open(path)
+    shown: Presentation | None = None
+    moment = request.at
+    if not recording.is_overlay:
+        shown = asked(recording, request, dense=True)
+        moment = shown.time
+    with Viewer() as viewer:
+        viewer.show(recording)
+        if shown is not None:
+            viewer.add(shown.supplement)
+            say(shown.missing)
+        if moment is not None:
+            viewer.go_to(recording, moment)
+        viewer.wait()

@@ -12,7 +12,7 @@ from carom.lab.tradeoff.reference import Reference, make_reference
 from carom.recording.read.recording import Recording
 from carom.runs.run import recording_space, simulate
 from carom.scene.wording import Names
-from carom.show.named_event import named_event
+from carom.show.request import named_event
 from small_scenes import scene_of
 
 NAMES = Names(["wall", "ball", "end"], [])

@@ -17,7 +17,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.adapters.package import engine_package
 from carom.recording.source.adapters.pybullet import calls_per_frame
-from carom.recording.source.snapshot import Snapshot
+from carom.recording.source.source import StateMemory
 from carom.runs.overview import overview
 from carom_command import carom as command
 
@@ -477,7 +477,7 @@ def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
 
 def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_it_is_bounded() -> None:
     position, velocity = np.ones((3, 3)), np.zeros((3, 3))
-    snapshot = Snapshot.like(carom.record.State(0.0, position, velocity))
+    snapshot = StateMemory.like(carom.record.State(0.0, position, velocity))
     snapshot.take(carom.record.State(1.5, position, velocity))
     assert snapshot.bounded
     position[:] = 2.0
@@ -492,7 +492,7 @@ def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_i
 
 def test_an_infinite_number_in_single_precision_is_not_bounded() -> None:
     block = np.zeros((2, 6), np.float32)
-    snapshot = Snapshot(carom.record.State(0.0, block[:, :3], block[:, 3:]), block)
+    snapshot = StateMemory(carom.record.State(0.0, block[:, :3], block[:, 3:]), block)
     assert snapshot.bounded
     block[1, 2] = np.inf
     assert not snapshot.bounded

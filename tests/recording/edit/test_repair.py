@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.edit.repair import repair
-from carom.recording.edit.restored_blueprint import new_layout
+from carom.recording.edit.repair import new_layout, repair
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, messages
-from carom.recording.rrd.index import Container
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.stream import Stream
 from carom.runs.replay import replay
@@ -190,7 +189,7 @@ def test_a_run_killed_before_its_first_frame_is_refused_or_repaired_into_what_ca
     torn, fixed = tmp_path / "torn.rrd", tmp_path / "fixed.rrd"
     stream = Stream(tmp_path / "run.rrd", ScriptedRun(5).header, batch_bytes=1000, live=None)
     if begun:
-        stream.send_statics(Clock(), np.zeros(3), 1.0)
+        stream.send_statics(TimeScale(), np.zeros(3), 1.0)
     stream.flush()
     shutil.copy(tmp_path / "run.rrd", torn)
     stream.close()

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from carom.recording.layout.curve import Curve
+from carom.recording.layout.plot_views import CurveOutline
 
 
 @settings(deadline=None)  # the machine may be busy
@@ -11,7 +11,7 @@ from carom.recording.layout.curve import Curve
 def test_the_outline_holds_every_value_whatever_the_batches(count: int, batch: int, seed: int) -> None:
     random = np.random.default_rng(seed)
     time, value = np.cumsum(random.uniform(0.1, 1.0, count)), random.normal(size=count)
-    curve = Curve()
+    curve = CurveOutline()
     for first in range(0, count, batch):
         curve.see(time[first : first + batch], value[first : first + batch])
     assert curve.range() == (value.min(), value.max())
@@ -24,7 +24,7 @@ def test_the_outline_holds_every_value_whatever_the_batches(count: int, batch: i
 
 def test_a_window_is_not_much_wider_than_asked_for() -> None:
     time = np.linspace(0.0, 1.0, 100_000)
-    curve = Curve.of(time, time)
+    curve = CurveOutline.of(time, time)
     low, high = curve.range(0.4, 0.6)
     assert 0.395 < low <= 0.4 and 0.6 <= high < 0.605  # spans are at most 1/512 of the time
 
@@ -40,7 +40,7 @@ def test_a_window_is_not_much_wider_than_asked_for() -> None:
     ],
 )
 def test_a_curve_is_flat_if_it_is_constant_between_its_ends(values: list[float], flat: bool, batch: int) -> None:
-    curve, value = Curve(), np.array(values)
+    curve, value = CurveOutline(), np.array(values)
     for first in range(0, len(value), batch):
         part = value[first : first + batch]
         curve.see(first + np.arange(len(part), dtype=np.float64), part)
@@ -48,12 +48,12 @@ def test_a_curve_is_flat_if_it_is_constant_between_its_ends(values: list[float],
 
 
 def test_a_curve_without_a_finite_value_is_zero() -> None:
-    curve = Curve.of(np.arange(3.0), np.full(3, np.nan))
+    curve = CurveOutline.of(np.arange(3.0), np.full(3, np.nan))
     assert curve.largest == 0.0
     assert curve.range() == (np.inf, -np.inf)
 
 
 def test_a_peak_of_a_step_between_two_frames_belongs_to_the_range_of_its_plot() -> None:
-    curve = Curve.of(np.arange(4.0), np.zeros(4))
+    curve = CurveOutline.of(np.arange(4.0), np.zeros(4))
     curve.insert(np.array([1.5, 2.5]), np.array([0.9, np.nan]))
     assert curve.range() == (0.0, 0.9) and curve.range(2.0, 3.0) == (0.0, 0.0)

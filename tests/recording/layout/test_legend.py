@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.curve import Curve
-from carom.recording.layout.legend import place_legend, time_beside_legend
+from carom.recording.layout.plot_views import CurveOutline, place_legend, time_beside_legend
 
 FloatArray = NDArray[np.float64]
 
@@ -21,7 +20,7 @@ LEFT = (rrb.Corner2D.LeftTop, rrb.Corner2D.LeftBottom)
 
 def covered(legends: list[str], curves: list[FloatArray], plot: Area = PLOT) -> int:
     """Count the points of the curves that lie behind the legend where it was measured: 20 px a row, 6 a letter."""
-    place = place_legend(legends, [Curve.of(TIME, curve) for curve in curves], plot)
+    place = place_legend(legends, [CurveOutline.of(TIME, curve) for curve in curves], plot)
     assert place.range is not None
     wide, tall = (6 * max(map(len, legends)) + 40) / plot.width, (20 * len(legends) + 12) / plot.height
     x = TIME / TIME[-1]
@@ -35,12 +34,12 @@ def covered(legends: list[str], curves: list[FloatArray], plot: Area = PLOT) -> 
 
 
 def test_a_legend_stands_in_the_corner_that_is_free() -> None:
-    rising = Curve.of(TIME, TIME)
+    rising = CurveOutline.of(TIME, TIME)
     assert place_legend(["one", "two"], [rising, rising], PLOT).corner in (
         rrb.Corner2D.LeftTop,
         rrb.Corner2D.RightBottom,
     )
-    falling = Curve.of(TIME, -TIME)
+    falling = CurveOutline.of(TIME, -TIME)
     assert place_legend(["one", "two"], [falling, falling], PLOT).corner in (
         rrb.Corner2D.RightTop,
         rrb.Corner2D.LeftBottom,
@@ -67,13 +66,13 @@ def test_no_legend_covers_a_curve(count: int, seed: int, kind: str, scale: float
 
 
 def test_a_plot_without_a_legend_has_none_to_make_room_for() -> None:
-    place = place_legend([], [Curve.of(TIME, np.ones(400))], PLOT)
+    place = place_legend([], [CurveOutline.of(TIME, np.ones(400))], PLOT)
     assert place.range == pytest.approx((0.0, 2.0))
 
 
 def test_a_curve_that_is_constant_but_for_rounding_is_shown_as_a_level_line() -> None:
     energy = np.where(TIME < 5.0, 0.5, np.nextafter(0.5, 0.0))
-    place = place_legend([], [Curve.of(TIME, energy)], PLOT)
+    place = place_legend([], [CurveOutline.of(TIME, energy)], PLOT)
     assert place.range == pytest.approx((0.0, 1.0))
 
 

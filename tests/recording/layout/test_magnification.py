@@ -9,9 +9,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from carom.recording.layout.camera import View
-from carom.recording.layout.magnification import NEAREST, scale, space
-from carom.recording.layout.spatial_view import spatial_view
-from carom.recording.write.chunk_writer import Writer
+from carom.recording.layout.canvas import NEAREST, scale, space, spatial_view
+from carom.recording.write.whole_file import Writer
 
 
 @pytest.mark.parametrize("distance", [1e-12, 3e-3, 0.0499, 0.05, 0.499])

@@ -19,14 +19,13 @@ from carom.errors import RecordingError
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.recording.edit.clip import clip
-from carom.recording.read.impacts import impacts_by_number
 from carom.recording.read.moment import frame_of
+from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import Entry, decode
-from carom.recording.write.contact_columns import BatchContacts
-from carom.recording.write.impact_plan import ImpactPlan
-from carom.recording.write.impact_rows import impact_rows
+from carom.recording.write.contact_encoder import BatchContacts
+from carom.recording.write.impact_plan import ImpactPlan, impact_rows
 from carom.recording.write.rows import Rows
 from carom.runs.impact_check import LEFT_OUT
 from carom.runs.replay import replay

@@ -10,7 +10,7 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.write import encoder as entities
+from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.rows import Index, Rows
 from scripted_run import ScriptedRun
@@ -138,7 +138,7 @@ def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
             paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
         )
 
-    monkeypatch.setattr(entities, "event_rows", without_kinds)
+    monkeypatch.setattr(encoder, "event_rows", without_kinds)
     monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
     with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
         for frame in scripted.frames(50):

@@ -11,9 +11,9 @@ import pytest
 
 from carom.arrow_claims import claims
 from carom.errors import DamageError
-from carom.recording.rrd.arrow_stream import record_batch
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import END
-from carom.recording.rrd.index import Container
+from carom.recording.rrd.messages import record_batch
 from edited_recordings import assembled, messages_of, stream, with_column
 
 ROWS = 200_000_000

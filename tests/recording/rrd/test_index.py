@@ -7,11 +7,10 @@ from rerun.chunk import RrdReader
 
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.arrow_stream import LARGEST
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import MESSAGE_HEADER, STREAM_FOOTER, Message, messages
-from carom.recording.rrd.index import Container
-from carom.recording.rrd.messages import BLUEPRINT, RECORDING
-from carom.recording.schema import checkpoint_columns as checkpoint
+from carom.recording.rrd.messages import BLUEPRINT, LARGEST, RECORDING
+from carom.recording.schema import checkpoint_columns
 
 
 def without_footer(path: Path) -> Path:
@@ -98,4 +97,4 @@ def test_a_chunk_of_noise_is_told_in_one_sentence(run_file: Path) -> None:
 
 
 def test_the_state_of_ten_million_bodies_that_spin_is_not_too_large_to_be_read() -> None:
-    assert checkpoint._size(10**7, True, 0, 1) <= LARGEST  # a checkpoint is one chunk
+    assert checkpoint_columns._size(10**7, True, 0, 1) <= LARGEST  # a checkpoint is one chunk

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from carom.recording.layout.curve import Curve
-from carom.recording.layout.plot_views import shown_series
+from carom.recording.layout.plot_views import CurveOutline, shown_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
@@ -62,10 +61,10 @@ def test_the_curves_of_a_plot_have_different_colours() -> None:
 
 def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() -> None:
     header, time, losses = ScriptedRun(20).header, np.arange(3.0), PLOTS[1][0]
-    known = {series.path: Curve.of(time, np.zeros(3)) for series in recorded(header)}
-    known["energy/total"] = Curve.of(time, np.array([0.5, 0.5, 0.4]))
+    known = {series.path: CurveOutline.of(time, np.zeros(3)) for series in recorded(header)}
+    known["energy/total"] = CurveOutline.of(time, np.array([0.5, 0.5, 0.4]))
     for size, shown in ((1e-16, []), (0.1, ["restitution"])):
-        known["energy/ledger/restitution"] = Curve.of(time, np.array([0.0, -size, size]))
+        known["energy/ledger/restitution"] = CurveOutline.of(time, np.array([0.0, -size, size]))
         assert [series.legend for series in shown_series(header, losses, known)] == shown
 
 

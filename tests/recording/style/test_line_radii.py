@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from carom.recording.style.line_radii import line_radii
+from carom.recording.layout.drawing import line_radii
 
 
 @pytest.mark.parametrize("body", [1e-4, 1.0, 1e5])

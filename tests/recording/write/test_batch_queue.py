@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from carom.recording.write.batch_queue import BatchQueue
+from carom.recording.write.recorder import BatchQueue
 
 
 def test_a_batch_queue_hands_out_frames_in_order_and_in_batches() -> None:

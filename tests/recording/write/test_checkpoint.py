@@ -10,8 +10,7 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import encode, size
-from carom.recording.write.checkpoint_plan import CheckpointPlan
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import CheckpointPlan, Recorder
 from scripted_run import ScriptedRun
 
 

@@ -11,8 +11,7 @@ from pathlib import Path
 import pytest
 
 from carom.errors import RecordingError
-from carom.recording.write.chunk_writer import Writer
-from carom.recording.write.claim import Claim
+from carom.recording.write.whole_file import Claim, Writer
 
 
 def test_a_second_claim_of_a_file_is_refused_until_the_first_is_released(tmp_path: Path) -> None:
@@ -31,7 +30,7 @@ def test_a_file_has_one_claim_under_all_its_paths(tmp_path: Path) -> None:
 
 def test_a_killed_process_leaves_no_claim(tmp_path: Path) -> None:
     code = f"""
-import time; from pathlib import Path; from carom.recording.write.claim import Claim
+import time; from pathlib import Path; from carom.recording.write.whole_file import Claim
 with Claim(Path({str(tmp_path / "x.rrd")!r})):
     print("claimed", flush=True); time.sleep(100)
 """

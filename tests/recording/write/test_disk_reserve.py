@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.recording.write.disk_reserve import DiskReserve
+from carom.recording.write.durable_sink import DiskReserve
 
 
 @pytest.mark.parametrize("helped", [True, False])

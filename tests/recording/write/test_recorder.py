@@ -16,12 +16,11 @@ import scripted_run
 from carom.errors import RecordingError
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Container
-from carom.recording.schema.clock import Clock
+from carom.recording.rrd.container import Container
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write import stream
-from carom.recording.write.columns import plain_column
 from carom.recording.write.recorder import Recorder
-from carom.recording.write.rows import Index, frame_rows
+from carom.recording.write.rows import Index, frame_rows, plain_column
 from carom.recording.write.stream import Stream
 from carom.runs.run import header_of
 from carom.scene.schema import Scene
@@ -242,7 +241,7 @@ def test_joined_batches_hold_what_separate_ones_do(tmp_path: Path, monkeypatch: 
 
 
 def test_batches_grow_in_number_with_the_logarithm_of_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    now, scripted, clock = 0, ScriptedRun(3), Clock()
+    now, scripted, clock = 0, ScriptedRun(3), TimeScale()
     monkeypatch.setattr(stream, "monotonic", lambda: float(now))
     record = Stream(tmp_path / "run.rrd", scripted.header, batch_bytes=1000, live=None)
     for now in range(3000):  # s

@@ -18,7 +18,7 @@ import carom
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
-from carom.recording.rrd.index import Container
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import BLUEPRINT, RECORDING, Chunk
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.write import rerun_compat

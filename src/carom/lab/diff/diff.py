@@ -19,7 +19,7 @@ from carom.errors import RecordingError, SceneError
 from carom.extend import (
     DEEPEST,
     STEP,
-    Pair,
+    MatchedFrames,
     RecordedBodies,
     count_at,
     impacts_by_number,
@@ -301,7 +301,9 @@ def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
     matched = FrameAlignment(a, b)
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve
-    pairs = (Pair(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step)))
+    pairs = (
+        MatchedFrames(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step))
+    )
     series = {"rms": np.where(curve.seen, curve.rms, np.nan), "energy": np.abs(curve.energy)}
     write_overlay(out, a, b, pairs, len(matched), series, text)
 

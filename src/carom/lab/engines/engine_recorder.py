@@ -29,9 +29,9 @@ from carom.extend import (
     Observer,
     Scalar,
     Setup,
-    Snapshot,
     Source,
     State,
+    StateMemory,
     SteppedSource,
     Tolerances,
     UnitError,
@@ -78,7 +78,7 @@ class SnapshotWriter:
     """
 
     def __init__(
-        self, path: Path, observer: Observer, header: Header, force: bool, new: Callable[[], Snapshot]
+        self, path: Path, observer: Observer, header: Header, force: bool, new: Callable[[], StateMemory]
     ) -> None:
         self._observer, self._new = observer, new
         self._stack = contextlib.ExitStack()
@@ -89,17 +89,17 @@ class SnapshotWriter:
         room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
         self._stock = min(room, STOCK_BYTES // size)  # of them, by this thread
         self._room = room - self._stock
-        self._batch: list[tuple[int, Snapshot]] = []  # not handed over yet
+        self._batch: list[tuple[int, StateMemory]] = []  # not handed over yet
         self._due = 0.0
-        self._queue: queue.SimpleQueue[list[tuple[int, Snapshot]] | None] = queue.SimpleQueue()
-        self._spare: queue.SimpleQueue[Snapshot] = queue.SimpleQueue()  # whose memory can be used again
+        self._queue: queue.SimpleQueue[list[tuple[int, StateMemory]] | None] = queue.SimpleQueue()
+        self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # whose memory can be used again
         self._error: Exception | None = None
         self._whole = True  # whether the file can be closed: what is wrong is a state, and not the disk
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
 
-    def spare(self) -> Snapshot:
+    def spare(self) -> StateMemory:
         """Return memory for a state. Waits while the thread is behind."""
         try:
             return self._spare.get(False)
@@ -110,7 +110,7 @@ class SnapshotWriter:
         self._hand_over()
         return self._spare.get()
 
-    def put(self, step: int, snapshot: Snapshot) -> None:
+    def put(self, step: int, snapshot: StateMemory) -> None:
         """Hand over a snapshot, which belongs to the thread from then on."""
         if self._error is not None:
             raise self._error
@@ -255,9 +255,9 @@ class Recorder:
         self._time = -np.inf
         self._ended = ""  # why no more frames are taken
         self._setup: Setup | None = None
-        self._ring: deque[tuple[int, Snapshot]] | None = None if last is None else deque(maxlen=int(last))
-        self._free: Snapshot | None = None  # whose memory can be used again
-        self._new: Callable[[], Snapshot]  # makes memory; known once a state was seen
+        self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
+        self._free: StateMemory | None = None  # whose memory can be used again
+        self._new: Callable[[], StateMemory]  # makes memory; known once a state was seen
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
         self.faults: list[Fault] = []
@@ -310,7 +310,7 @@ class Recorder:
             self._taken += 1
         return True
 
-    def _memory(self) -> Snapshot:
+    def _memory(self) -> StateMemory:
         """Return memory for a copy of a state; wait for the writer if all of it is in use."""
         if self._sink is not None:
             return self._sink.spare()

@@ -16,8 +16,7 @@ from pathlib import Path
 
 from carom.errors import RecordingError
 from carom.private_folder import temporary_folder
-from carom.recording.write.claim import Claim
-from carom.recording.write.whole_file import whole_file
+from carom.recording.write.whole_file import Claim, whole_file
 
 CLIP = "clip.rrd"
 LARGEST = 10_000_000  # bytes of a bundle, a common limit of attachments

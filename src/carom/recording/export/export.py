@@ -2,14 +2,129 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from carom import registry
 from carom.errors import ExistsError, RecordingError
-from carom.recording.export.snapshot import Snapshot
 from carom.recording.export.vtk import write_vtk, write_vtk_series
+from carom.recording.read.body_states import AXES
+from carom.recording.read.moment import tolerance
+from carom.recording.read.recording import Recording
+from carom.recording.schema.paths import STEP
+
+if TYPE_CHECKING:
+    from carom.physics.checkpoint import Checkpoint
+    from carom.runs.window import Watcher
+
+
+# `Snapshot`: the state of the bodies at the end of a step, as it is exported.
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """The bodies that a recording shows, at the end of a step, in float64 and SI units."""
+
+    state: Checkpoint  # of all bodies
+    body: IntArray  # (n,) numbers of those that are shown
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
+    others: Mapping[str, NDArray[Any]]  # (n,) what else a [[bodies]] section would not know of these bodies
+    box: tuple[float, ...] | None = None  # m, size of a periodic domain about the origin
+
+    @property
+    def step(self) -> int:
+        """The number of the step."""
+        return self.state.step
+
+    @property
+    def time(self) -> float:
+        """The time at its end in s."""
+        return self.state.time
+
+    @property
+    def vectors(self) -> dict[str, FloatArray]:
+        """The state by quantity, (n, k) each; without orientation and spin where they are not modelled."""
+        return {name: getattr(self.state, name)[self.body] for name in AXES if getattr(self.state, name) is not None}
+
+    def __len__(self) -> int:
+        return len(self.mass)
+
+
+def snapshots(
+    recording: Recording, at: float | None, *, everything: bool, watch: Watcher | None = None
+) -> Iterator[Snapshot]:
+    """Yield the state at a time (s), or all recorded frames.
+
+    The steps between the checkpoints are run again, with the same bits.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such moment, or the recording cannot be run again with the same bits.
+    """
+    table = recording.fingerprints()
+    times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
+    recording.require_frames()
+    moment = float(times[0]) if everything else recording.moment(at)
+    goal = min(moment - tolerance(moment), float(times[-1]))
+    if recording.engine:
+        yield from _kept(recording, steps if everything else steps[[int(np.searchsorted(times, goal))]])
+        return
+    window = recording.rerun(goal, watch=watch)
+    own = _own(recording, window.fixed)
+    wanted, left = (set(steps.tolist()), len(steps)) if everything else (set[int](), 1)
+    frames = window.frames(np.inf if everything else goal)
+    chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
+    for frame in itertools.islice(chosen, left):
+        if window.differs is not None:
+            raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
+        left -= 1
+        yield Snapshot(frame.checkpoint, *own, window.box)
+    if left:
+        raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
+
+
+def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
+    """Yield the exact states of some frames, which cannot be run again."""
+    own = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
+    kept = recording.checkpoint_times
+    if missing := [int(step) for step in steps if step not in kept]:
+        raise RecordingError(
+            f"{recording.path} has no exact state at step {missing[0]}, and cannot be run again: record with exact=True"
+        )
+    for step in steps.tolist():
+        yield Snapshot(recording.checkpoint(step), *own)
+
+
+def _own(
+    recording: Recording, fixed: NDArray[np.bool_]
+) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
+    """Return the numbers, masses and radii of the bodies that are shown, and their other columns.
+
+    These are moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default.
+    """
+    bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
+    mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
+    if not np.allclose(inertia, 0.4 * mass * radius * radius, rtol=1e-12, atol=0.0):
+        found["inertia"] = inertia
+    if fixed[shown].any():
+        found["fixed"] = fixed[shown]
+    names = [bodies.name[body] for body in recording.shown]
+    if any(name != f"body {row}" for row, name in enumerate(names)):
+        found["name"] = np.array(names, dtype=np.str_)
+    return shown, mass, radius, found
+
 
 VTK = ".vtk"  # the one format whose files hold a single step
 SERIES = ".series"  # appended to the name of a .vtk of many steps

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from carom.recording.export.snapshot import Snapshot
+from carom.recording.export.export import Snapshot
 
 # the names under which OVITO knows the quantities
 _COLUMNS = {"position": "pos", "velocity": "velo", "orientation": "orientation", "angular_velocity": "omega"}

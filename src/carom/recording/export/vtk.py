@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.export.snapshot import Snapshot
+from carom.recording.export.export import Snapshot
 
 
 def write_vtk(path: Path, snapshot: Snapshot) -> None:

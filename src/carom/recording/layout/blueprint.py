@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Literal
 import rerun.blueprint as rrb
 
 from carom.errors import RecordingError
-from carom.recording.layout.additions import NONE, Additions
-from carom.recording.layout.bodies_view import bodies_view
+from carom.recording.layout.bodies_view import bodies_view, graph_view, has_graph
 from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import Area, Canvas
-from carom.recording.layout.graph_view import graph_view, has_graph
+from carom.recording.layout.canvas import NONE, Additions, Area, Canvas
 from carom.recording.layout.plot_views import Curves, energy_view, plot_views, whole_time
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header

@@ -2,18 +2,113 @@
 
 from __future__ import annotations
 
+import numpy as np
+import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.blueprint.api import VisualizerLike
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+from rerun.encodings import EntityPathLike
 
-from carom.recording.layout.additions import NONE, Additions
-from carom.recording.layout.camera import CameraFit
-from carom.recording.layout.canvas import Area
-from carom.recording.layout.contact_overrides import recent_impacts
-from carom.recording.layout.drawn_bodies import drawn_bodies
-from carom.recording.layout.spatial_view import spatial_view
-from carom.recording.layout.surroundings import surroundings
-from carom.recording.layout.visible_trails import TRAILS, up_to_cursor
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings
+from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
+from carom.recording.schema.paths import SIM_TIME, STEP
+from carom.recording.schema.time_scale import TimeScale
+
+# Overrides by which views draw contacts and impacts: edges by their impulses, and recent impacts only.
+
+_OF_LATE = 1 / 300  # of the duration, for which an impact stays visible
+
+
+def force_arrows(header: Header) -> list[str]:
+    """Return the entities of the arrows of impulses that a recording has."""
+    if not header.records_contacts:
+        return []
+    return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
+
+
+def edges_by_impulse(header: Header) -> Overrides:
+    """Draw the edges of the collision graph with the widths and colours of their impulses: force chains."""
+    if not header.records_contacts:
+        return {}
+    sources = {"LineStrips3D:colors": "impulse_colour", "LineStrips3D:radii": "impulse_width"}
+    mappings = [
+        VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
+        for target, source in sources.items()
+    ]
+    return {paths.CONTACTS: rr.LineStrips3D.from_fields().visualizer(mappings=mappings)}
+
+
+def recent_impacts(header: Header) -> Overrides:
+    """Show impacts for a short time; by default each would stay visible until the next."""
+    if not header.records_contacts:
+        return {}
+    clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
+    start = rr.TimeRangeBoundary.cursor_relative(nanos=-int(1e9 * header.duration * _OF_LATE / clock.scale))
+    end = rr.TimeRangeBoundary.cursor_relative()
+    return {paths.IMPACTS: rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)}
+
+
+# Trails in a view: all pieces up to the cursor.
+
+TRAILS = "trails"
+
+
+def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
+    """Return the override by which a view shows all pieces up to the cursor."""
+    start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
+    ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
+    return {TRAILS: rrb.VisibleTimeRanges(ranges)}
+
+
+# Overrides by which a view draws bodies: in other colours than the recorded ones, and with a least size on the
+# screen. Spheres have their true radii in metres. If that is less than two points of the screen at the camera's
+# distance, the view also draws a dot of fixed size at the body's centre. It takes the recorded centres, so the file
+# does not grow.
+
+LEAST = 2.0  # points of the screen, the radius of a dot
+_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enough
+
+Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
+
+
+def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False) -> Overrides:
+    """Return overrides that add dots to small bodies, and take the colours of a `Supplement` if ``recoloured``."""
+    apparent = header.radius / view.height() * area.height  # points
+    small = apparent < LEAST
+    if not (small.any() or recoloured):
+        return {}
+    # negative radii are in points of the screen (Rerun)
+    dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
+    sizes = np.where(small, -LEAST, header.radius).astype(np.float32)
+    match shape(header):
+        case "ellipsoids":
+            colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
+            spheres = rr.Ellipsoids3D.from_fields().visualizer(mappings=_from({"Ellipsoids3D:colors": colours}))
+            return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
+        case "points":
+            colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
+            return {paths.BODIES: _points(sizes, "Points3D:positions", colours)}
+        case _ if recoloured:  # the instances of a mesh have one colour
+            return {paths.BODIES: _points(sizes, "InstancePoses3D:translations", "Points3D:colors")}
+        case _:
+            return {}
+
+
+def _points(radii: NDArray[np.float32], centres: str, colours: str) -> VisualizerLike:
+    mappings = _from({"Points3D:positions": centres, "Points3D:colors": colours})
+    return rr.Points3D.from_fields(radii=radii).visualizer(mappings=mappings)
+
+
+def _from(sources: dict[str, str]) -> list[VisualizerComponentMapping]:
+    """Map each component of a visualizer to the one that it is taken from."""
+    return [
+        VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
+        for target, source in sources.items()
+    ]
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
@@ -35,3 +130,55 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             **recent_impacts(header),
         },
     )
+
+
+# The 3D view of the collision graph: edges and arrows, and the bodies as thin wires.
+
+_GHOST = 0x8A93A630
+_WIRE = 0x8A93A6FF  # bodies behind arrows and edges
+
+
+def has_graph(header: Header) -> bool:
+    """Return whether there are contacts or torques to show."""
+    return header.collides or header.has_torque
+
+
+def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
+    """Return the view; edges are drawn by their impulses if these are recorded."""
+    view = camera.view(area.aspect, _arrows(header))
+    return spatial_view(
+        _name(header),
+        view,
+        [
+            paths.BODIES,
+            *surroundings(header),
+            *([paths.CONTACTS] if header.collides else []),
+            *force_arrows(header),
+            *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
+        ],
+        faint_bodies(header) | edges_by_impulse(header),
+    )
+
+
+def _name(header: Header) -> str:
+    edges = "Impulses" if header.records_contacts else "Collision graph"
+    return f"{edges}, torques, angular accelerations" if header.has_torque else edges
+
+
+def _arrows(header: Header) -> float:
+    """Return how far (m) arrows of medium length reach out of the bodies."""
+    return arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
+
+
+def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
+    """Draw bodies as thin wires, so that they do not hide edges and arrows."""
+    match shape(header):
+        case "ellipsoids":
+            thin = rr.Radius.ui_points(0.4)
+            return {
+                paths.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
+            }
+        case "points":
+            return {paths.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
+        case _:
+            return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}

@@ -2,7 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.blueprint.api import VisualizerLike
+from rerun.encodings import EntityPathLike
+
+from carom.recording.layout.camera import View
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import PERIODIC_BOX, PLANES, WALLS
+
+if TYPE_CHECKING:
+    from carom.show.body_plots import BodyPlots
+    from carom.show.close_up import CloseUp
+
 
 _TITLE = 24  # points, of a view's title bar
 _TIME_PANEL = 34  # points, collapsed
@@ -36,3 +54,94 @@ class Canvas:
             return Area(self.width * across, self.height * down)
         height = self.height - _TOP_PANEL - _TIME_PANEL
         return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE))
+
+
+# `Additions`: the parts of a layout that are not in the file; the viewer gets them in a `Supplement`.
+
+
+@dataclass(frozen=True, slots=True)
+class Additions:
+    """Parts to show in addition; by default none."""
+
+    close: CloseUp | None = None
+    trails: bool = False
+    recoloured: bool = False
+    plots: BodyPlots | None = None  # of single bodies
+
+
+NONE = Additions()
+
+
+# Magnified spaces, in which views show small scenes. Rerun's camera sees nothing nearer than 0.01 units (Rerun 0.41),
+# and cannot be told otherwise: grains of a millimetre would be invisible in metres. A view of such a scene therefore
+# has an entity as its origin whose transform shrinks by a power of ten, so that everything else is larger in the
+# space of the view. The numbers in the file stay as they are.
+
+NEAREST = 0.5  # units, of the camera from what it looks at: the bodies are seen, and arrows in front of them, too
+EVERYTHING = "/"
+
+
+def space(distance: float) -> str:
+    """Return the origin of a view whose camera is this far (m) from what it looks at."""
+    if not 0.0 < distance < NEAREST:
+        return EVERYTHING
+    return f"/{paths.MAGNIFIED}/{math.ceil(math.log10(NEAREST / distance))}"
+
+
+def scale(origin: str) -> float:
+    """Return how much larger than in metres things are in a view with this origin."""
+    return 1.0 if origin == EVERYTHING else 10.0 ** int(origin.rpartition("/")[2])
+
+
+def log_spaces(stream: rr.RecordingStream, layout: rrb.Blueprint) -> None:
+    """Write the transforms of the magnified spaces that a layout needs."""
+    for origin in sorted(_origins(layout.root_container)):
+        stream.log(origin, rr.Transform3D(scale=1.0 / scale(origin)), static=True)
+
+
+def _origins(part: rrb.Container | rrb.View) -> set[str]:
+    """Return the magnified spaces among the origins of the views of a part of a layout."""
+    if isinstance(part, rrb.View):
+        return {str(part.origin)} if str(part.origin).startswith(f"/{paths.MAGNIFIED}/") else set()
+    return set().union(*(_origins(inner) for inner in part.contents))
+
+
+# What all 3D views have in common: their space, the position of the eye and the dark background.
+
+
+def spatial_view(
+    name: str,
+    view: View,
+    contents: Sequence[str],
+    overrides: Mapping[EntityPathLike, VisualizerLike | list[VisualizerLike]] | None = None,
+    follows: str | None = None,
+) -> rrb.Spatial3DView:
+    """Lay out a 3D view of some entities; its space is magnified if the eye is very near.
+
+    The eye follows an entity if one is given, or all bodies if ``view`` does.
+    """
+    origin = space(view.distance)
+    larger = scale(origin)
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        contents=list(contents),
+        background=rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=larger * view.eye,
+            look_target=larger * view.target,
+            eye_up=[0.0, 0.0, 1.0],
+            tracking_entity=follows or (paths.BODIES if view.follows else None),
+        ),
+        overrides=overrides,
+    )
+
+
+# What surrounds the bodies in a 3D view.
+
+
+def surroundings(header: Header) -> list[str]:
+    """Return the entities of planes, walls and periodic box that the scene has."""
+    parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
+    return [path for path, part in parts if part is not None]

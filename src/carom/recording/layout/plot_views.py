@@ -3,18 +3,201 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.components import AggregationPolicy
 
 from carom.recording.layout.canvas import Area
-from carom.recording.layout.curve import Curve
-from carom.recording.layout.legend import place_legend
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import PLOTS, Plot, Series, all_plots, recorded
+from carom.recording.schema.series import PLOTS, THIN, Plot, Series, all_plots, recorded
 
-Curves = Mapping[str, Curve]  # by the paths of the series
+# The outline of a recorded series: of constant size, and sufficient to lay out a plot.
+
+FloatArray = NDArray[np.float64]
+
+_SPANS = 512  # the edge of a legend is then known to a few pixels
+_CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
+
+
+class CurveOutline:
+    """Lowest and highest value of a series in each of at most `2 * _SPANS` spans of time."""
+
+    def __init__(self) -> None:
+        self._time = np.zeros(0)  # (k,) s, start of each span
+        self._low = np.zeros(0)  # (k,)
+        self._high = np.zeros(0)  # (k,)
+        self._between = (np.inf, -np.inf)  # lowest and highest value without the first and the last
+        self._last = np.zeros(0)  # the last value; empty up to the first value, which is left out
+        self._begun = False
+
+    @classmethod
+    def of(cls, time: FloatArray, value: FloatArray) -> CurveOutline:
+        """Return the outline of a whole series."""
+        curve = cls()
+        curve.see(time, value)
+        return curve
+
+    def see(self, time: FloatArray, value: FloatArray) -> None:
+        """Add values that are finite; times (s) follow those added before."""
+        finite = np.isfinite(value)
+        time, value = time[finite], value[finite]
+        self._see_between(value)
+        self._time = np.concatenate((self._time, time))
+        self._low, self._high = np.concatenate((self._low, value)), np.concatenate((self._high, value))
+        while len(self._time) > 2 * _SPANS:
+            self._merge()
+
+    def insert(self, time: FloatArray, value: FloatArray) -> None:
+        """Add values that are finite, at any times (s)."""
+        finite = np.isfinite(value)
+        place, value = np.searchsorted(self._time, time[finite], side="right"), value[finite]
+        self._time = np.insert(self._time, place, time[finite])
+        self._low, self._high = np.insert(self._low, place, value), np.insert(self._high, place, value)
+
+    def _see_between(self, value: FloatArray) -> None:
+        if len(value):
+            later = np.concatenate((self._last, value if self._begun else value[1:]))
+            low, high = self._between
+            self._between = float(later[:-1].min(initial=low)), float(later[:-1].max(initial=high))
+            self._last, self._begun = later[-1:], True
+
+    @property
+    def largest(self) -> float:
+        """The largest absolute value; 0 if there is none."""
+        return max(float(np.abs(self._low).max(initial=0.0)), float(np.abs(self._high).max(initial=0.0)))
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is constant without its first and last value: dt begins at 0, and the last step is shortened."""
+        low, high = self._between
+        return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
+
+    def times(self) -> tuple[float, float]:
+        """Return the time (s) of the first span and of the last."""
+        return (float(self._time[0]), float(self._time[-1])) if len(self._time) else (np.inf, -np.inf)
+
+    def range(self, start: float = -np.inf, end: float = np.inf) -> tuple[float, float]:
+        """Return the lowest and highest value between two times (s); (∞, -∞) if there is none."""
+        # a span that begins before the interval may reach into it
+        first = max(0, int(np.searchsorted(self._time, start, side="right")) - 1)
+        last = int(np.searchsorted(self._time, end, side="right"))
+        return (
+            float(self._low[first:last].min(initial=np.inf)),
+            float(self._high[first:last].max(initial=-np.inf)),
+        )
+
+    def _merge(self) -> None:
+        """Join the spans in pairs."""
+        pairs = np.arange(0, len(self._time), 2)
+        self._time = self._time[pairs]
+        self._low = np.minimum.reduceat(self._low, pairs)
+        self._high = np.maximum.reduceat(self._high, pairs)
+
+
+# The style of a curve in a plot.
+
+
+def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
+    """Style a curve. Where many frames share a pixel it shows the lowest and the highest, so that no peak is lost."""
+    return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
+
+
+# Placement of a plot's legend, so that it covers no curve. Rerun draws the legend into a corner of the plot, over the
+# curves. The size of the legend follows from its texts, and that of the plot from the layout and its window. If a
+# curve passes behind the legend, the vertical axis is extended on that side. The legend gets the corner that needs
+# the shortest axis.
+
+_ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
+_LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
+_PAD = 0.05  # of the range of the values, left free above and below
+_FLAT = 1e-9  # of a value; a smaller range is rounding, and is not shown enlarged
+_LARGEST = 0.75  # of the plot's height; a larger legend would leave too little room for the curves
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The legend's corner, and the range of the vertical axis; None if the viewer fits it to the values."""
+
+    corner: rrb.Corner2D
+    range: tuple[float, float] | None
+
+
+def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: Area) -> Place:
+    """Choose the corner of a legend and the range of the axis.
+
+    Parameters
+    ----------
+    legends
+        The lines of the legend; without any the plot has none.
+    curves
+        The outlines of the curves; empty if they are unknown.
+    plot
+        The area between its axes.
+    """
+    low, high = _union(curves)
+    if not high >= low:
+        return Place(rrb.Corner2D.LeftTop, None)
+    size = max(abs(low), abs(high))
+    pad = _PAD * (high - low) if high - low > _FLAT * size else size or 1.0
+    bottom, top = low - pad, high + pad
+    if not legends:
+        return Place(rrb.Corner2D.LeftTop, (bottom, top))
+    tall = min(_LARGEST, (_ROW * len(legends) + _FRAME) / plot.height)
+    wide = min(1.0, _width(legends) / plot.width)
+    start, end = min(curve.times()[0] for curve in curves), max(curve.times()[1] for curve in curves)
+    left, right = (start, start + wide * (end - start)), (end - wide * (end - start), end)
+    places = []
+    for corner, window in ((rrb.Corner2D.LeftTop, left), (rrb.Corner2D.RightTop, right)):
+        reach = _union(curves, *window)[1]
+        places.append(Place(corner, (bottom, max(top, (reach - tall * bottom) / (1.0 - tall)))))
+    for corner, window in ((rrb.Corner2D.RightBottom, right), (rrb.Corner2D.LeftBottom, left)):
+        reach = _union(curves, *window)[0]
+        places.append(Place(corner, (min(bottom, (reach - tall * top) / (1.0 - tall)), top)))
+    return min(places, key=_length)
+
+
+def time_beside_legend(legends: Sequence[str], nanoseconds: NDArray[np.int64], width: float) -> rrb.TimeAxis:
+    """Return a time axis that is long enough for a legend to the right of all curves.
+
+    Parameters
+    ----------
+    legends
+        The lines of the legend.
+    nanoseconds
+        The first and the last time, as recorded, (2,).
+    width
+        Of the plot, in px.
+    """
+    start, end = nanoseconds.tolist()
+    wide = min(_LARGEST, _width(legends) / width) if legends else 0.0
+    later = int(end + (end - start) * wide / (1.0 - wide))
+    absolute = [rr.TimeRangeBoundary.absolute(nanos=at) for at in (start, later)]
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=absolute[0], end=absolute[1]))
+
+
+def _width(legends: Sequence[str]) -> float:
+    return _LETTER * max(map(len, legends)) + _DOT
+
+
+def _length(place: Place) -> float:
+    assert place.range is not None
+    return place.range[1] - place.range[0]
+
+
+def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float]:
+    """Return the lowest and the highest value of all curves in a window of time."""
+    ranges = [curve.range(*window) for curve in curves]
+    return min((low for low, _ in ranges), default=float("inf")), max(
+        (high for _, high in ranges), default=-float("inf")
+    )
+
+
+Curves = Mapping[str, CurveOutline]  # by the paths of the series
 
 _ROUNDING = 1e-12  # of the largest energy; a curve of smaller ones shows rounding errors
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
@@ -86,7 +269,7 @@ def time_series_view(
     title: str,
     paths: Sequence[str],
     legends: Sequence[str],
-    curves: Sequence[Curve],
+    curves: Sequence[CurveOutline],
     area: Area,
     renamed: Mapping[str, str] = MappingProxyType({}),
 ) -> rrb.TimeSeriesView:

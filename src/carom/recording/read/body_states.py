@@ -13,7 +13,7 @@ from carom.errors import RecordingError
 from carom.recording.read.body_lookup import body_number, shown_body
 from carom.recording.read.entities import Entities, Values, reading, values_of
 from carom.recording.read.moment import frame_of, goal_of, tolerance
-from carom.recording.rrd.arrow_stream import release_memory
+from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
 from carom.scene.units.dimension import TIME

@@ -13,12 +13,12 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.recording.read.entities import EVENTS, flat, optional_text
-from carom.recording.read.impacts import RecordedImpacts, impacts_until
+from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.paths import CLOSING, IMPACT, STEP, kind_of
+from carom.recording.schema.time_scale import TimeScale
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -41,7 +41,7 @@ class Continuation:
         steps = recording.fingerprints()[STEP].to_numpy()
         self.frames = int(np.count_nonzero(steps <= step))
         self.origin = recording.origin  # (3,) m
-        self.clock = Clock(float(recording.info["time_scale"]))
+        self.clock = TimeScale(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
         self.last_state = recording.states_at(step)
 

@@ -18,10 +18,9 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from carom.errors import DamageError, RecordingError
-from carom.recording.rrd.arrow_stream import release_memory
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import looks_recorded
-from carom.recording.rrd.index import Container
-from carom.recording.rrd.messages import BLUEPRINT, Chunk, Entry, Store
+from carom.recording.rrd.messages import BLUEPRINT, Chunk, Entry, Store, release_memory
 from carom.recording.schema import paths
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.properties import checked

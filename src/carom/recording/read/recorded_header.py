@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carom.recording.layout.curve import Curve
+from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header
@@ -66,13 +66,13 @@ def _colour_by(info: Mapping[str, Any]) -> str:
     return known if known in COLOUR_BY else "auto"
 
 
-def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, Curve]:
+def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, CurveOutline]:
     """Return the outlines of all recorded and plotted series, by their paths; up to a step if one is given."""
-    curves: dict[str, Curve] = {}
+    curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
     for series in all_series(stamped(recording.info)):
         table, name = tables[series.path.partition("/")[0]], series.path.rpartition("/")[2]
         if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEP].to_numpy() <= until
-            curves[series.path] = Curve.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
+            curves[series.path] = CurveOutline.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
     return curves

@@ -15,12 +15,12 @@ from carom.errors import DamageError, RecordingError
 from carom.recording.read.body_states import bodies_at, checkpoint_at, trajectory
 from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
 from carom.recording.read.frame_tables import FrameTables
-from carom.recording.read.impacts import impacts
 from carom.recording.read.moment import check_times, moment
 from carom.recording.read.recorded_contacts import contacts
+from carom.recording.read.recorded_impacts import impacts
 from carom.recording.read.statics import BodyTable, named
 from carom.recording.read.summary import html_of, summary
-from carom.recording.rrd.index import Container
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import RECORDING, Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.header import schema_version
@@ -277,7 +277,7 @@ class Recording(FrameTables):
             If there is no such moment, event or body, or no screen.
         """
         from carom.show.request import Request  # noqa: PLC0415 - readers need no viewer
-        from carom.show.window import open_window  # noqa: PLC0415
+        from carom.show.viewer import open_window  # noqa: PLC0415
 
         open_window(self.path, Request(at, event, bodies))
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import Entities, reading
-from carom.recording.rrd.index import Container
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.messages import Store
 from carom.recording.schema import paths
 from carom.scene.schema.settings import called

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from carom.contact_table import ROUNDED_OVERLAP
 from carom.errors import DamageError, RecordingError
-from carom.recording.read.impacts import impacts_until
+from carom.recording.read.recorded_impacts import impacts_until
 from carom.recording.read.recorded_scene import materials_of
 from carom.recording.schema.properties import NOTES
 from carom.scene.units.dimension import ENERGY, TIME

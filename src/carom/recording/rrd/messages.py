@@ -7,17 +7,207 @@ decodes them itself and checks everything before use.
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from carom.arrow_claims import Claims, claims
 from carom.errors import DamageError
-from carom.recording.rrd import protobuf
-from carom.recording.rrd.arrow_stream import record_batch
 from carom.recording.rrd.framing import Message
 from carom.recording.schema.paths import SIM_TIME, STEP
+
+# Decodes an Arrow IPC stream into a record batch; its claims are checked before memory is allocated. In some Arrow
+# types a hundred bytes can stand for 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries.
+# Buffers can be compressed a second time or shared. carom writes none of these and refuses them.
+
+LARGEST = 1 << 31  # bytes of a chunk; carom writes some 4 MB, and 1.3 GB for the state of 10⁷ bodies that spin
+
+_LARGE = 50_000_000  # bytes that Arrow has had at once, from which on memory is given back
+
+_NOT_COMPRESSED, _LZ4 = (0, 1), 2
+_LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot compress more
+_DEEPEST = 8  # nested types; Rerun's layouts have five levels
+_WIDEST = 16  # values of a list of fixed size: a quaternion has 4, an identifier 16
+_MOST_COLUMNS = 10_000  # of an index: four a component
+_BITS = 8  # no value takes less than one bit
+
+_LEAVES = {
+    *(pa.bool_(), pa.string(), pa.binary(16), pa.timestamp("ns"), pa.duration("ns"), pa.float32(), pa.float64()),
+    *(pa.int8(), pa.int16(), pa.int32(), pa.int64(), pa.uint8(), pa.uint16(), pa.uint32(), pa.uint64()),
+}
+
+
+def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordBatch:
+    """Unpack and decode one record batch.
+
+    Parameters
+    ----------
+    compression
+        As Rerun numbers it: LZ4, or none.
+    size
+        Bytes of the payload when it is unpacked.
+
+    Raises
+    ------
+    DamageError
+        If it is incomplete, claims more than its bytes can hold, or has a type that carom does not write.
+    """
+    if compression == _LZ4:
+        if size > min(LARGEST, _LZ4_RATIO * len(payload) + _LZ4_SLACK):
+            raise DamageError(f"a chunk that would have {size} bytes")
+    elif compression not in _NOT_COMPRESSED:
+        raise DamageError("a chunk in an unknown compression")
+    try:
+        packed = pa.py_buffer(payload)
+        return _decoded(pa.decompress(packed, size, codec="lz4_raw") if compression == _LZ4 else packed)
+    except (pa.ArrowException, OSError, ValueError, StopIteration, EOFError) as error:
+        reason = str(error).splitlines()[0] if str(error) else "nothing in it"
+        raise DamageError(f"a chunk that cannot be decoded ({reason})") from error
+
+
+def release_memory() -> None:
+    """Give the memory of large chunks that are gone back to the system: 400 MB for a recording of a million bodies."""
+    pool = pa.default_memory_pool()
+    if pool.max_memory() > _LARGE:
+        pool.release_unused()
+        with contextlib.suppress(OSError, AttributeError):  # another C library than glibc
+            ctypes.CDLL(None).malloc_trim(0)
+
+
+def _decoded(stream: pa.Buffer) -> pa.RecordBatch:
+    messages = pa.ipc.MessageReader.open_stream(stream)
+    first = messages.read_next_message()
+    if first.type != "schema":
+        raise DamageError("a chunk without a schema")
+    schema = pa.ipc.read_schema(first)
+    if len(schema) > _MOST_COLUMNS:
+        raise DamageError(f"a chunk of {len(schema)} columns")
+    for column in schema:
+        _admit(column)
+    message = messages.read_next_message()
+    if message.type != "record batch":
+        raise DamageError(f"a chunk with a {message.type} in place of its rows")
+    _believe(claims(message.metadata.to_pybytes()), message.body)
+    batch = pa.ipc.read_record_batch(message, schema)
+    batch.validate(full=True)
+    return batch
+
+
+def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
+    """Refuse a batch that claims more data than its body has."""
+    size = 0 if body is None else body.size
+    if claimed.compressed:
+        raise DamageError("a chunk whose buffers are packed a second time")
+    if claimed.buffer_bytes > size:
+        raise DamageError(f"a chunk that uses {claimed.buffer_bytes} of its {size} bytes")
+    if max(claimed.rows, *claimed.lengths.tolist(), 0) > _BITS * size:
+        raise DamageError(f"a chunk that claims {max(claimed.rows, *claimed.lengths.tolist())} values in {size} bytes")
+
+
+def _admit(column: pa.Field, depth: int = 0) -> None:
+    """Refuse types that carom never writes, and names that are not UTF-8, on which Rerun would panic."""
+    names = [column.name.encode(), *(word for pair in (column.metadata or {}).items() for word in pair)]
+    for name in names:
+        name.decode()
+    kind = column.type
+    if depth > _DEEPEST:
+        raise DamageError("a chunk of types in types in types")
+    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # a layout's unions mark with null what is left out
+        return
+    fixed = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= _WIDEST
+    union = pa.types.is_union(kind) and kind.mode == "dense"
+    if not (fixed or union or pa.types.is_list(kind) or pa.types.is_struct(kind)):
+        raise DamageError(f"a column of type {str(kind)[:80]}, which carom does not write")
+    for k in range(kind.num_fields):
+        _admit(kind.field(k), depth + 1)
+
+
+# Decodes the fields of a Protocol Buffers message, as far as the messages of an .rrd need it.
+
+Fields = dict[int, list["int | memoryview"]]
+
+_LONGEST_VARINT = 64  # bits
+_MOST_FIELDS = 1000  # of a message; an .rrd's have up to six
+
+
+def fields(message: memoryview) -> Fields:
+    """Decode the fields of a message. A field may occur more than once; nested messages stay bytes.
+
+    Raises
+    ------
+    DamageError
+        If the bytes are not a message.
+    """
+    found: Fields = {}
+    at = count = 0
+    while at < len(message):
+        count += 1
+        if count > _MOST_FIELDS:
+            raise DamageError("a message of too many fields")
+        tag, at = _varint(message, at)
+        value: int | memoryview
+        match tag & 7:
+            case 0:
+                value, at = _varint(message, at)
+            case 1:
+                value, at = _bytes(message, at, 8)
+            case 2:
+                length, at = _varint(message, at)
+                value, at = _bytes(message, at, length)
+            case 5:
+                value, at = _bytes(message, at, 4)
+            case _:
+                raise DamageError("a field of unknown wire type")
+        found.setdefault(tag >> 3, []).append(value)
+    return found
+
+
+def number(message: Fields, field: int, default: int = 0) -> int:
+    """Return an integer field, or the default if it is absent."""
+    value = message.get(field, [default])[-1]
+    if not isinstance(value, int):
+        raise DamageError("bytes where a number should be")
+    return value
+
+
+def data(message: Fields, field: int) -> memoryview:
+    """Return a bytes field or nested message; empty if it is absent."""
+    value = message.get(field, [memoryview(b"")])[-1]
+    if not isinstance(value, memoryview):
+        raise DamageError("a number where bytes should be")
+    return value
+
+
+def text(message: Fields, field: int) -> str:
+    """Return a text field."""
+    try:
+        return bytes(data(message, field)).decode()
+    except UnicodeDecodeError as error:
+        raise DamageError("a text that is not UTF-8") from error
+
+
+def _varint(message: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for shift in range(0, _LONGEST_VARINT, 7):
+        if at >= len(message):
+            raise DamageError("a number that does not end")
+        byte = message[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+    raise DamageError("a number that does not end")
+
+
+def _bytes(message: memoryview, at: int, length: int) -> tuple[memoryview, int]:
+    if length > len(message) - at:
+        raise DamageError("a field longer than its message")
+    return message[at : at + length], at + length
+
 
 RECORDING, BLUEPRINT = 1, 2  # kinds of stores
 
@@ -84,13 +274,13 @@ def read_body(file: BinaryIO, message: Message) -> bytes:
 
 def store_of(body: bytes) -> Store:
     """Decode the message that begins a store."""
-    info = protobuf.fields(protobuf.data(protobuf.fields(memoryview(body)), 2))
-    return store_named(protobuf.data(info, 2))
+    info = fields(data(fields(memoryview(body)), 2))
+    return store_named(data(info, 2))
 
 
 def activated_by(body: bytes) -> Store:
     """Decode the message that ends a layout; a layout without it was not sent completely."""
-    return store_named(protobuf.data(protobuf.fields(memoryview(body)), 1))
+    return store_named(data(fields(memoryview(body)), 1))
 
 
 def decode(body: bytes) -> tuple[Store, Chunk]:
@@ -101,11 +291,11 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
     DamageError
         If it is malformed.
     """
-    message = protobuf.fields(memoryview(body))
-    if protobuf.number(message, 4) != _ARROW_IPC:
+    message = fields(memoryview(body))
+    if number(message, 4) != _ARROW_IPC:
         raise DamageError("a chunk in an unknown encoding")
-    store = store_named(protobuf.data(message, 1))
-    batch = record_batch(protobuf.data(message, 5), protobuf.number(message, 2), protobuf.number(message, 3))
+    store = store_named(data(message, 1))
+    batch = record_batch(data(message, 5), number(message, 2), number(message, 3))
     chunk = Chunk(_entity_path(batch), batch)
     _check(chunk)
     return store, chunk
@@ -122,11 +312,11 @@ def entry_of(chunk: Chunk, message: Message) -> Entry:
 
 def store_named(identity: memoryview) -> Store:
     """Decode the identity of a store."""
-    parts = protobuf.fields(identity)
-    application, name = protobuf.text(protobuf.fields(protobuf.data(parts, 3)), 1), protobuf.text(parts, 2)
+    parts = fields(identity)
+    application, name = text(fields(data(parts, 3)), 1), text(parts, 2)
     if not (application and name):
         raise DamageError("a store without a name")
-    return Store(protobuf.number(parts, 1), application, name)
+    return Store(number(parts, 1), application, name)
 
 
 def _entity_path(batch: pa.RecordBatch) -> str:

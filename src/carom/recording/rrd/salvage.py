@@ -9,10 +9,9 @@ from typing import BinaryIO
 
 from carom.errors import DamageError, TornFooterError
 from carom.recording.rrd import framing
-from carom.recording.rrd.arrow_stream import LARGEST
+from carom.recording.rrd.container import ChunkIndex, Container
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_FOOTER, STREAM_HEADER, Message
-from carom.recording.rrd.index import Container, Index
-from carom.recording.rrd.messages import RECORDING, Entry, Store, read_body
+from carom.recording.rrd.messages import LARGEST, RECORDING, Entry, Store, read_body
 
 _WINDOW = 1 << 22  # bytes that are searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
@@ -87,7 +86,7 @@ class _Pass:
         self._file = file
         self._size = size
         self._found = found
-        self._index = Index()
+        self._index = ChunkIndex()
         self._budget = _PATIENCE * size
 
     def go(self) -> None:
@@ -150,7 +149,7 @@ class _Pass:
             return False
         try:
             message = next(framing.messages(self._file, at))
-            Index().add(message, self._body(message))
+            ChunkIndex().add(message, self._body(message))
         except DamageError:
             return False
         return True

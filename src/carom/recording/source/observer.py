@@ -23,9 +23,8 @@ from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.properties import LARGEST
-from carom.recording.source.audit import Audit
-from carom.recording.source.faults import Fault, Finding, Tolerances
-from carom.recording.source.proximity import Moment, Proximity
+from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
+from carom.recording.source.proximity import EngineMoment, Proximity
 from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import called
@@ -64,12 +63,12 @@ class Observer:
         self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
         self._gravity = DirectGravity(setup.mass, setup.constant, setup.softening) if setup.constant else None
         self._proximity = Proximity(setup)
-        self.audit = Audit(setup, tolerances, self.names, units)
+        self.audit = LawAudit(setup, tolerances, self.names, units)
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
         self._pull: float | None = None  # J, at the last frame
-        self._before: Moment | None = None
+        self._before: EngineMoment | None = None
         self._began = first.time
 
     def highlights(self) -> tuple[Event, ...]:
@@ -123,7 +122,7 @@ class Observer:
         )
 
     def _see(
-        self, step: int, time: float, energy: Energy, momentum: Momentum, contacts: CollisionGraph, seen: Finding
+        self, step: int, time: float, energy: Energy, momentum: Momentum, contacts: CollisionGraph, seen: AuditFinding
     ) -> list[Event]:
         """Update the extremes of the run; return the events of the frame."""
         drift = self.audit.drifted(step, time, energy)
@@ -145,9 +144,9 @@ class Observer:
         if self.setup.spins:
             self.bodies.angular_velocity[:] = state.angular_velocity
 
-    def _moment(self, state: State) -> Moment:
+    def _moment(self, state: State) -> EngineMoment:
         bodies = self.bodies
-        return Moment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
+        return EngineMoment(state.time, bodies.position.copy(), bodies.velocity.copy(), bodies.angular_velocity.copy())
 
     def _potentials(self) -> tuple[dict[str, float], float | None]:
         """Return the potential energies by their names, and that of the bodies' own gravity, in J."""
@@ -162,14 +161,14 @@ class Observer:
         return found, pull
 
     def _judge(
-        self, step: int, before: Moment, now: Moment, known: Any, pull: float | None
-    ) -> tuple[Finding, CollisionGraph]:
+        self, step: int, before: EngineMoment, now: EngineMoment, known: Any, pull: float | None
+    ) -> tuple[AuditFinding, CollisionGraph]:
         near = self._proximity.between(before, now)
         given = None if known is None else self._named(known)
         contacts = self._proximity.graph(near, given)
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
         if before is now:
-            return Finding(), contacts
+            return AuditFinding(), contacts
         return self.audit.see(step, before, now, near, potentials), contacts
 
     def _named(self, known: Any) -> NDArray[np.int64]:
@@ -191,7 +190,7 @@ class Observer:
         self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
         extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
 
-    def _statistics(self, contacts: CollisionGraph, seen: Finding) -> ContactStatistics:
+    def _statistics(self, contacts: CollisionGraph, seen: AuditFinding) -> ContactStatistics:
         deepest, pair = 0.0, (0, 0)
         if len(contacts):
             radius = np.append(self.setup.radius, np.full(len(self.setup.planes), np.inf))

@@ -21,7 +21,7 @@ TOUCH = 1e-3  # of the smaller radius; a gap up to this counts as touching
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class EngineMoment:
     """A state whose arrays are complete."""
 
     time: float  # s
@@ -77,7 +77,7 @@ class Proximity:
         self._setup = setup
         self._grid = HierarchicalGrid(setup.radius, setup.box) if setup.collides and len(setup) > 1 else None
 
-    def between(self, before: Moment, now: Moment) -> Near:
+    def between(self, before: EngineMoment, now: EngineMoment) -> Near:
         """Return the ends that may have touched between two moments, or are about to."""
         setup, dt = self._setup, now.time - before.time
         moved = now.position - before.position
@@ -108,7 +108,7 @@ class Proximity:
         ordered = np.sort(known, axis=1)
         return np.isin(keys, ordered[:, 0] * total + ordered[:, 1])
 
-    def _bodies(self, before: Moment, now: Moment, travel: FloatArray) -> Near:
+    def _bodies(self, before: EngineMoment, now: EngineMoment, travel: FloatArray) -> Near:
         assert self._grid is not None
         radius = self._setup.radius
         pairs = self._grid.pairs(now.position, 1.0 + MARGIN, 4.0 * float(travel.max()))
@@ -135,7 +135,7 @@ class Proximity:
             relative_now=now.velocity[j] - now.velocity[i],
         )
 
-    def _plane(self, plane: int, before: Moment, now: Moment, travel: FloatArray) -> Near:
+    def _plane(self, plane: int, before: EngineMoment, now: EngineMoment, travel: FloatArray) -> Near:
         setup = self._setup
         normal, offset = setup.planes.normal[plane], setup.planes.offset[plane]
         height = now.position @ normal - offset

@@ -15,14 +15,48 @@ import mmap
 import os
 import resource
 import select
+import tempfile
 import termios
 import threading
 import time
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from carom.errors import RecordingError
 from carom.recording.rrd.framing import MessageSplitter
-from carom.recording.write.disk_reserve import DiskReserve
+
+if TYPE_CHECKING:
+    from carom.physics.frame import Frame
+
+# Reserved disk space, so that a recording can still be closed properly when the disk is full.
+
+
+class DiskReserve:
+    """An unnamed file beside the recording. Releasing it frees the space for the end of the recording."""
+
+    def __init__(self, folder: Path) -> None:
+        self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115  it lives as long as the recording
+        self.size = 0
+
+    def grow(self, size: int) -> None:
+        """Reserve at least ``size`` bytes. Raises OSError (ENOSPC) if the disk is too full."""
+        if size > self.size:
+            self._allocate(size - self.size)
+            self.size = size
+
+    def release(self) -> None:
+        """Release the reserved space."""
+        self._file.close()
+
+    def _allocate(self, more: int) -> None:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(self._file.fileno(), self.size, more)
+        else:  # macOS: only written bytes are certain to be allocated
+            self._file.seek(self.size)
+            self._file.write(bytes(more))
+            self._file.flush()
+
 
 FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
@@ -166,3 +200,71 @@ def _bytes_waiting(descriptor: int) -> int:
     count = array.array("i", [0])
     fcntl.ioctl(descriptor, termios.FIONREAD, count)
     return count[0]
+
+
+# Addresses that are kept free under ``ulimit -v``: Rerun's encoder aborts the process when there are none left.
+
+_STATM = Path("/proc/self/statm")
+
+# Bytes, as measured on heaps of spheres that touch 12 others, rounded up; `plan.limits` counts the bodies.
+_FRAME_PER_CONTACT = 400
+_CHECKPOINT_PER_CONTACT = 800
+_CLOSING = 16_000_000  # what is static, layout, footer, and reading the file once
+_CLOSING_PER_CONTACT = 800
+_STATIC_PER_BODY = 1000
+
+
+class AddressReserve:
+    """Refuses a batch for which there are too few addresses, while there are still enough to close the file.
+
+    It works only where `ulimit -v` limits addresses and the system tells how many are in use.
+    """
+
+    def __init__(self, bodies: int) -> None:
+        limit, _ = resource.getrlimit(resource.RLIMIT_AS)
+        self._limit = limit if limit != resource.RLIM_INFINITY and _STATM.exists() else None
+        self._kept: mmap.mmap | None = None
+        self._size = 0
+        self._least = _CLOSING + _STATIC_PER_BODY * bodies
+        if self._limit is not None:
+            self._keep(self._least)
+
+    @property
+    def limited(self) -> bool:
+        """Whether addresses are limited, and the system tells how many are in use."""
+        return self._limit is not None
+
+    def require(self, batch: Sequence[Frame], path: Path) -> None:
+        """Keep what closing the file needs. RecordingError if that and encoding a batch do not fit."""
+        if self._limit is None:
+            return
+        contacts = [len(frame.contacts.pairs) for frame in batch]
+        encoding = _FRAME_PER_CONTACT * sum(contacts) + _CHECKPOINT_PER_CONTACT * max(contacts)
+        closing = self._least + _CLOSING_PER_CONTACT * max(contacts)
+        if not self._keep(closing) or _in_use() + encoding > self._limit:
+            needed = f"{(encoding + closing) / 1e9:.2g} GB of address space"
+            raise RecordingError(
+                f"cannot write more of {path}: frames of {max(contacts)} contacts need {needed} and "
+                f"`ulimit -v` leaves less of its {self._limit / 1e9:.3g} GB; raise the limit"
+            )
+
+    def _keep(self, size: int) -> bool:
+        """Keep at least so many bytes; tell whether there are as many."""
+        if size > self._size:
+            self.release()
+            try:
+                self._kept, self._size = mmap.mmap(-1, size, prot=mmap.PROT_READ), size
+            except OSError:
+                return False
+        return True
+
+    def release(self) -> None:
+        """Let others have the addresses."""
+        if self._kept is not None:
+            self._kept.close()
+        self._kept, self._size = None, 0
+
+
+def _in_use() -> int:
+    """Return the bytes of addresses that this process uses."""
+    return int(_STATM.read_text(encoding="ascii").split()[0]) * resource.getpagesize()

@@ -13,10 +13,11 @@ from rerun import ComponentColumn
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
-from carom.recording.layout.curve import Curve
-from carom.recording.read.impacts import RecordedImpacts
-from carom.recording.schema import checkpoint_columns as checkpoint
-from carom.recording.schema import palette
+from carom.recording.layout import colouring, drawing
+from carom.recording.layout.drawing import arrow_length, shape, single
+from carom.recording.layout.plot_views import CurveOutline
+from carom.recording.read.recorded_impacts import RecordedImpacts
+from carom.recording.schema import checkpoint_columns, palette
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import (
     ANGULAR_ACCELERATION,
@@ -31,15 +32,18 @@ from carom.recording.schema.paths import (
     TORQUE,
 )
 from carom.recording.schema.series import Sample, recorded
-from carom.recording.style import arrows, colouring
-from carom.recording.style.arrow_length import arrow_length
-from carom.recording.style.body_shape import shape
-from carom.recording.style.single_precision import single
 from carom.recording.write import encoding_kernels as encoding
-from carom.recording.write.columns import any_column, line_column, plain_column, vector_column
-from carom.recording.write.contact_columns import BatchContacts
-from carom.recording.write.contact_encoder import ContactEncoder
-from carom.recording.write.rows import Index, Rows, array_bytes, frame_rows
+from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder
+from carom.recording.write.rows import (
+    Index,
+    Rows,
+    any_column,
+    array_bytes,
+    frame_rows,
+    line_column,
+    plain_column,
+    vector_column,
+)
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 
@@ -83,7 +87,7 @@ class BatchEncoder:
         self.arrow_references = dict(arrow_references or {})
         self._last_state = dict(last_state or {})
         self._recorded = tuple(recorded(header))
-        self.curves = {series.path: Curve() for series in self._recorded}
+        self.curves = {series.path: CurveOutline() for series in self._recorded}
         self._before: Frame | Checkpoint | None = before
         self._contacts = (
             ContactEncoder(header, origin, self.arrow_references, impacts_before, everything=everything)
@@ -120,9 +124,9 @@ class BatchEncoder:
 
     def checkpoints(self, frames: Sequence[Frame]) -> Rows:
         """Encode the exact state of some frames."""
-        encoded = checkpoint.encode([frame.checkpoint for frame in frames])
+        encoded = checkpoint_columns.encode([frame.checkpoint for frame in frames])
         columns = [any_column(name, values, np.array(each)) for name, (values, each) in encoded.items()]
-        return frame_rows(CHECKPOINT, Index.of(frames), columns, sum(map(checkpoint.size, frames)))
+        return frame_rows(CHECKPOINT, Index.of(frames), columns, sum(map(checkpoint_columns.size, frames)))
 
     def _bodies(
         self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]
@@ -235,7 +239,7 @@ class BatchEncoder:
         if len(body) and path not in self.arrow_references:
             k = int(np.flatnonzero(each)[0])
             first = magnitude[: each[k]] / inertia[body[: each[k]]]
-            self.arrow_references[path] = arrows.reference(first, self._natural_unit(path, batch[k]))
+            self.arrow_references[path] = drawing.reference(first, self._natural_unit(path, batch[k]))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
         origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
         encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
@@ -251,7 +255,7 @@ class BatchEncoder:
         if frame.dt <= 0:
             return 0.0
         drift = frame.velocity - np.average(frame.velocity, axis=0, weights=self.header.mass)
-        torque = self.header.mass * self.header.radius * arrows.magnitudes(drift) / frame.dt
+        torque = self.header.mass * self.header.radius * drawing.magnitudes(drift) / frame.dt
         return float(np.median(torque if path == TORQUE else torque / self.header.inertia))
 
     def _collisions(

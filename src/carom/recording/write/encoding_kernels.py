@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from carom.contact_table import CONTACT_ROW
 from carom.physics.parallel.intrinsics import pointer_to
 from carom.physics.parallel.jit import inline, inner, kernel, long_kernel
-from carom.recording.style.arrows import part_of_longest
+from carom.recording.layout.drawing import part_of_longest
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
@@ -107,7 +107,7 @@ def draw_arrows(
     origin: SingleArray,
     vector: SingleArray,
 ) -> None:
-    """Write arrows along the torques of the bodies listed, by the law of `carom.recording.style.arrows`.
+    """Write arrows along the torques of the bodies listed, by the law of `carom.recording.layout.drawing`.
 
     Parameters
     ----------

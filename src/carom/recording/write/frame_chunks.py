@@ -12,31 +12,30 @@ from numpy.typing import NDArray
 from carom.physics.frame import Frame
 from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.rrd.messages import Chunk
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
-from carom.recording.write.columns import any_values
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.rows import Rows
-from carom.recording.write.statics import identity, statics
+from carom.recording.write.rows import Rows, any_values
+from carom.recording.write.static_entities import identity, statics
 
 IDENTITY = "__properties/carom"
 _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
 
 
-def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Iterator[Chunk]:
+def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Iterator[Chunk]:
     """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
     for rows in encoder.rows(frames):
         if rows.path not in BY_EVENT and len(rows.steps):
             yield chunk_of(rows, clock)
 
 
-def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: Clock) -> Chunk:
+def checkpoints_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Chunk:
     """Encode the exact state of frames."""
     return chunk_of(encoder.checkpoints(frames), clock)
 
 
-def chunk_of(rows: Rows, clock: Clock) -> Chunk:
+def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
     """Return rows as a chunk, as if they had been recorded."""
     columns: dict[str, tuple[pa.Array, dict[bytes, bytes]]] = {}
     index = rows.index
@@ -51,7 +50,9 @@ def chunk_of(rows: Rows, clock: Clock) -> Chunk:
     return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))
 
 
-def statics_of(header: Header, clock: Clock, origin: NDArray[np.float64], reach: float, name: str) -> Iterator[Chunk]:
+def statics_of(
+    header: Header, clock: TimeScale, origin: NDArray[np.float64], reach: float, name: str
+) -> Iterator[Chunk]:
     """Encode what a recording of this name states once; see `statics`."""
     archetypes: list[tuple[str, rr.AsComponents]] = [
         (IDENTITY, any_values(identity(header, clock, origin))),

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 import rerun as rr
@@ -20,16 +21,146 @@ from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.read.continuation import Continuation
-from carom.recording.read.impacts import RecordedImpacts
 from carom.recording.read.recorded_header import recorded_curves
+from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
-from carom.recording.schema.clock import Clock
+from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar
-from carom.recording.write.address_reserve import AddressReserve
-from carom.recording.write.batch_queue import BatchQueue
-from carom.recording.write.checkpoint_plan import CheckpointPlan
+from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
+
+# A bounded queue between the physics thread and the recorder, read in batches. The reader sleeps until a batch is
+# full or due. `queue.Queue` would wake it for every frame, and each time it would take the interpreter lock from the
+# physics, which costs a tenth of a run of 1000 bodies (benchmarks/recording.py).
+
+_Item = TypeVar("_Item")
+
+
+class BatchQueue(Generic[_Item]):
+    """Holds at most ``capacity`` items. `take` returns ``batch`` of them, or after ``seconds`` as many as there are."""
+
+    def __init__(self, capacity: int, batch: int, seconds: float) -> None:
+        self._capacity = max(capacity, batch)
+        self._batch = batch
+        self._seconds = seconds
+        self._items: list[_Item] = []
+        self._changed = threading.Condition()
+        self._oldest = 0.0  # monotonic time when the first of the items was put in
+        self._closed = False
+        self._error: Exception | None = None
+
+    def wait_for_room(self) -> None:
+        """Wait while the queue is full; return at once after `fail`. Only the thread that puts items may call it."""
+        if len(self._items) < self._capacity:  # nobody else makes it longer
+            return
+        with self._changed:
+            self._changed.wait_for(lambda: self._error is not None or len(self._items) < self._capacity)
+
+    def put(self, item: _Item) -> None:
+        """Add an item; wait while the queue is full. Raises the error given to `fail`, if any."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._error is not None or len(self._items) < self._capacity)
+            if self._error is not None:
+                raise self._error
+            if not self._items:
+                self._oldest = time.monotonic()
+            self._items.append(item)
+            if len(self._items) in (1, self._batch):  # the first starts the reader's clock, the last fills a batch
+                self._changed.notify_all()
+
+    def close(self) -> None:
+        """Close the queue: after the remaining items, `take` returns an empty batch."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    def fail(self, error: Exception) -> None:
+        """Make every later `put` raise this error, because the reader has stopped."""
+        with self._changed:
+            self._error = error
+            self._changed.notify_all()
+
+    def take(self, within: float | None = None) -> list[_Item] | None:
+        """Wait for a batch; an empty one means that the queue is closed, None that no item came within a time in s."""
+        with self._changed:
+            latest = None if within is None else time.monotonic() + within
+            while not self._closed and len(self._items) < self._batch:
+                due = self._oldest + self._seconds if self._items else latest
+                left = None if due is None else due - time.monotonic()
+                if left is not None and left <= 0.0:
+                    if not self._items:
+                        return None
+                    break
+                self._changed.wait(left)
+            taken, self._items = self._items[: self._batch], self._items[self._batch :]
+            self._oldest = time.monotonic()
+            self._changed.notify_all()
+            return taken
+
+
+# Chooses which frames carry a checkpoint.
+
+
+class CheckpointPlan:
+    """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
+
+    The first frame always carries one, and so does the frame before a warning, until warnings alone have used up
+    another tenth. The choice depends on the frames alone, not on how they are batched, so that the same run always has
+    the same checkpoints.
+
+    Parameters
+    ----------
+    every_frame
+        Whether every frame carries one: what cannot be run again has its exact states nowhere else.
+    """
+
+    _SHARE = 0.1
+    _WARNINGS_AT_LEAST = 4
+
+    def __init__(self, every_frame: bool = False) -> None:
+        self._every_frame = every_frame
+        self._others = 0  # bytes of all frames so far, without checkpoints
+        self._regular = 0  # bytes of checkpoints
+        self._warned = 0
+        self._warnings = 0
+        self._before: Frame | None = None
+        self._last_kept = -1
+
+    def chosen(self, batch: Sequence[Frame]) -> list[Frame]:
+        """Return the frames of a batch that carry a checkpoint; the first may be the last frame of the batch before."""
+        if self._every_frame:
+            return list(batch)
+        kept: list[Frame] = []
+        for frame in batch:
+            self._others += _bytes_of(frame)
+            room, cost = self._SHARE * self._others, size(frame)
+            before, self._before = self._before, frame
+            if before and before.step != self._last_kept and self._may_warn(frame, before, room):
+                kept.append(before)
+                self._last_kept = before.step
+            if self._last_kept < 0 or self._regular + cost <= room:
+                self._regular += cost
+                kept.append(frame)
+                self._last_kept = frame.step
+        return kept
+
+    def _may_warn(self, frame: Frame, before: Frame, room: float) -> bool:
+        if not any(event.level == "WARN" for event in frame.events):
+            return False
+        cost = size(before)
+        if self._warnings >= self._WARNINGS_AT_LEAST and self._warned + cost > room:
+            return False
+        self._warnings += 1
+        self._warned += cost
+        return True
+
+
+def _bytes_of(frame: Frame) -> int:
+    """Estimate the bytes of a frame's row without its arrows: drawn bodies and contacts, and twenty scalars."""
+    return len(frame.position) * (12 if frame.orientation is None else 28) + 28 * len(frame.contacts) + 20 * 24
+
 
 FloatArray = NDArray[np.float64]
 
@@ -65,7 +196,7 @@ class Recorder:
         self._continued = continued
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
-        self._clock = continued.clock if continued else Clock.fitting(header.duration, header.shortest_dt_hint)
+        self._clock = continued.clock if continued else TimeScale.fitting(header.duration, header.shortest_dt_hint)
         room = queue_size or max(1, min(_QUEUE_FRAMES, _QUEUE_BYTES // frame_bytes))
         batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)

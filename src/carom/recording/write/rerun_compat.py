@@ -20,7 +20,7 @@ import rerun.blueprint as rrb
 import rerun.chunk as rrc
 
 from carom.errors import DamageError, RecordingError
-from carom.recording.layout.magnification import log_spaces
+from carom.recording.layout.canvas import log_spaces
 from carom.recording.rrd.messages import Chunk
 
 bindings: Any

@@ -12,11 +12,11 @@ import rerun as rr
 
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.frame import Frame
-from carom.recording.schema.clock import Clock
 from carom.recording.schema.header import Header
-from carom.recording.write.checkpoint_plan import CheckpointPlan
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
-from carom.recording.write.statics import statics
+from carom.recording.write.recorder import CheckpointPlan
+from carom.recording.write.static_entities import statics
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
 BATCH_FRAMES = 200
@@ -40,7 +40,7 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
         For each entity, in the order in which they are written.
     """
     rr.set_strict_mode(True)
-    clock = Clock()
+    clock = TimeScale()
     origin = np.average(frames[0].position, axis=0, weights=header.mass)
     once = {
         entity: sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
@@ -61,7 +61,7 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     }
 
 
-def _send(batch: list[Frame], stream: Stream, encoder: BatchEncoder, clock: Clock) -> tuple[Counter[str], Profile]:
+def _send(batch: list[Frame], stream: Stream, encoder: BatchEncoder, clock: TimeScale) -> tuple[Counter[str], Profile]:
     """Send a batch as the recorder does; return the bytes of each entity, and its time."""
     sizes, profile = Counter[str](), Profile()
     profile.start()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import socket
+import threading
+import warnings
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import monotonic
@@ -14,17 +17,74 @@ from numpy.typing import NDArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.continuation import Continuation
-from carom.recording.rrd.arrow_stream import release_memory
-from carom.recording.schema import checkpoint_columns as checkpoint
-from carom.recording.schema.clock import Clock
+from carom.recording.rrd.messages import release_memory
+from carom.recording.schema import checkpoint_columns
 from carom.recording.schema.header import Header, Scalar, application_id
-from carom.recording.write.columns import any_values
+from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
-from carom.recording.write.live import LiveView
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
-from carom.recording.write.rows import Index, Rows, joined, kind_of
-from carom.recording.write.statics import identity, statics
+from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of
+from carom.recording.write.static_entities import identity, statics
+
+# A second stream, to a running viewer. The viewer may close at any time; the recording continues.
+
+_PROBE = 2.0  # s
+_PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts as hung
+
+
+class LiveView:
+    """Sends the recorded data to a running viewer, too."""
+
+    def __init__(self, address: str, application_id: str, run_id: str) -> None:
+        host, port = _host_and_port(address)
+        _probe(host, port)  # without a listener, a sink would block for seconds, here and at exit
+        self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
+        self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
+
+    def streams(self) -> tuple[rr.RecordingStream, ...]:
+        """Return the stream to send to, or none once the viewer has closed."""
+        return () if self._stream is None else (self._stream,)
+
+    def flush(self) -> None:
+        """Wait until the viewer has received everything; stop sending if it has closed, since the queue would grow."""
+        if self._stream is None:
+            return
+        try:
+            self._stream.flush(timeout_sec=_PATIENCE)
+        except RuntimeError:
+            warnings.warn("the live viewer has gone; the recording goes on without it", stacklevel=2)
+            self._hang_up()
+
+    def close(self) -> None:
+        """Send the remaining data and disconnect."""
+        self.flush()
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        """Disconnect; a viewer that does not answer is left after `_PATIENCE`."""
+        if self._stream is not None:
+            disconnecting = threading.Thread(target=self._stream.disconnect, name="carom-live-end", daemon=True)
+            disconnecting.start()
+            disconnecting.join(_PATIENCE)
+            self._stream = None
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    host, separator, port = address.rpartition(":")
+    if not separator or not port.isdigit():
+        raise RecordingError(f"a live viewer's address is HOST:PORT, for example 127.0.0.1:9876, not {address!r}")
+    return host or "127.0.0.1", int(port)
+
+
+def _probe(host: str, port: int) -> None:
+    try:
+        socket.create_connection((host, port), timeout=_PROBE).close()
+    except OSError as error:
+        raise RecordingError(
+            f"no viewer listens at {host}:{port} ({error.strerror or error}); start one with: rerun --bind {host}"
+        ) from error
+
 
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
 
@@ -65,14 +125,14 @@ class Stream:
         self._header = header
         self._indexed: Index | None = None
         self._index: list[rr.TimeColumn] = []
-        self._waiting: dict[tuple[object, Clock], list[Rows]] = {}  # rows of batches to be joined, by kind
+        self._waiting: dict[tuple[object, TimeScale], list[Rows]] = {}  # rows of batches to be joined, by kind
         self._waiting_bytes = 0
         self._batches = 0
         self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
         # room for a batch in flight when the disk fills up, for the last checkpoint and for the end of the file
-        self._reserve = int(_ENCODED * batch_bytes) + checkpoint.largest_size(header) + _ENDING
+        self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
         self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()
         self._stream = rr.RecordingStream(self._application, recording_id=header.run_id)
@@ -84,7 +144,7 @@ class Stream:
         """Whether a live viewer is connected."""
         return self._live is not None
 
-    def send(self, rows: Rows, clock: Clock) -> None:
+    def send(self, rows: Rows, clock: TimeScale) -> None:
         """Send one entity's rows: to a live viewer at once, and to the file when its batch is due."""
         self.payload_bytes += rows.bytes
         if self._batches < PROMPT_BATCHES:
@@ -95,7 +155,7 @@ class Stream:
         if self._live is not None:
             self._send(rows, clock, tuple(self._live.streams()))
 
-    def _send(self, rows: Rows, clock: Clock, streams: Iterable[rr.RecordingStream]) -> None:
+    def _send(self, rows: Rows, clock: TimeScale, streams: Iterable[rr.RecordingStream]) -> None:
         if (index := rows.index) is not self._indexed:  # most entities of a batch share it
             self._indexed, self._index = index, clock.columns(index.steps, index.times, index.impacts)
         for stream in streams:
@@ -135,11 +195,11 @@ class Stream:
                 self.flush()
                 release_memory()
 
-    def send_event(self, event: Event, clock: Clock) -> None:
+    def send_event(self, event: Event, clock: TimeScale) -> None:
         """Send one line of the log."""
         self.send(event_rows([event]), clock)
 
-    def send_statics(self, clock: Clock, origin: NDArray[np.float64], reach: float) -> None:
+    def send_statics(self, clock: TimeScale, origin: NDArray[np.float64], reach: float) -> None:
         """Send everything static; at the start all bodies are within ``reach`` (m) of the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)

@@ -3,12 +3,91 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
+import os
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import TracebackType
+from typing import Self
 
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from carom.errors import RecordingError
 from carom.private_folder import is_fixed, temporary_folder
+from carom.recording.rrd.container import Container
+from carom.recording.rrd.messages import Chunk
+from carom.recording.schema.header import Scalar
+from carom.recording.write.durable_sink import FLUSH, DurableSink
+from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
+from carom.recording.write.rows import any_values
+
+# An exclusive lock on an output file, since two processes that write one file would destroy both recordings.
+
+_NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
+
+
+class Claim:
+    """Keeps other carom processes from writing a path, until it is released or the process ends.
+
+    The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced by another file
+    while it is claimed. A killed process leaves that file, which then locks nothing. File systems without locks, such
+    as some network ones, do not refuse the second writer.
+
+    Raises
+    ------
+    RecordingError
+        If another process writes the path, or it cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            real = path.resolve()
+            self._lock = real.with_name(f".{real.name}.lock")
+            self._descriptor = _locked(self._lock)
+        except BlockingIOError:
+            raise RecordingError(
+                f"{path}: another carom is writing it; wait for its end, or name another file"
+            ) from None
+        except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise RecordingError(f"cannot write {path}: {reason}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.release()
+
+    def release(self) -> None:
+        """Release the path."""
+        with contextlib.suppress(OSError):
+            self._lock.unlink()  # while still locked: a process that opened it meanwhile notices that it is gone
+        os.close(self._descriptor)
+
+
+def _locked(path: Path) -> int:
+    """Open and lock a file that is still there once it is locked; BlockingIOError if another has the lock."""
+    while True:
+        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in _NO_LOCKS:
+                os.close(descriptor)
+                raise
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(descriptor), path.stat()):
+                return descriptor
+        os.close(descriptor)
 
 
 @contextlib.contextmanager
@@ -45,3 +124,83 @@ def write_whole(path: Path, text: str) -> None:
     """Write a text; OSError if it cannot be written."""
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
+
+
+# `Writer`: writes an .rrd from the chunks of other files.
+
+
+class Writer:
+    """Writes one file under a temporary name, and renames it once it is complete.
+
+    Leaving the context closes the file and gives it its name; leaving it with an exception removes what there is.
+    """
+
+    def __init__(self, path: Path, application_id: str, recording_id: str) -> None:
+        rr.set_strict_mode(True)
+        self.path = path
+        self._claim = Claim(path)
+        self._application = application_id
+        self._part = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self._sink = DurableSink(self._part, 0)
+        except RecordingError:
+            self._claim.release()
+            raise
+        end_earlier_streams()
+        # the name and the start of the recording are among the chunks to be copied
+        self._stream = rr.RecordingStream(application_id, recording_id=recording_id, send_properties=False)
+        self._stream.set_sinks(rr.FileSink(self._sink.entry))
+        self._sink.opened()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """Close the file. RecordingError if not everything sent is in it."""
+        try:
+            self._stream.disconnect()
+            self._sink.close()
+            if error is None:
+                self._fail_if_full()
+                self._check()
+                self._part.replace(self.path)
+        finally:
+            self._part.unlink(missing_ok=True)
+            self._claim.release()
+
+    def send(self, chunk: Chunk) -> None:
+        """Send rows of an entity."""
+        for part in rerun_chunks(chunk.batch):
+            rr.send_chunks(part, recording=self._stream)
+
+    def send_columns(self, path: str, index: list[rr.TimeColumn], columns: rr.ComponentColumnList) -> None:
+        """Send new rows of an entity."""
+        self._stream.send_columns(path, index, columns)
+
+    def log(self, path: str, archetype: rr.AsComponents) -> None:
+        """Send static data."""
+        self._stream.log(path, archetype, static=True)
+
+    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
+        """Send a recording property."""
+        self._stream.send_property(name, any_values(values))
+
+    def send_layout(self, layout: rrb.Blueprint) -> None:
+        """Send the layout that the file opens with."""
+        send_layout(self._stream, self._application, layout)
+
+    def flush(self) -> None:
+        """Wait until everything sent is in the file; raises if it cannot be written."""
+        self._stream.flush(timeout_sec=FLUSH)
+        self._sink.drain()
+        self._fail_if_full()
+
+    def _check(self) -> None:
+        if not Container.open(self._part).finished:
+            raise RecordingError(f"{self.path} was written, but did not get its end")
+
+    def _fail_if_full(self) -> None:
+        if self._sink.error is not None:
+            raise RecordingError(f"cannot write {self.path}: {self._sink.error.strerror}")

@@ -8,8 +8,7 @@ import numpy as np
 
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
-from carom.recording.source.snapshot import Snapshot
-from carom.recording.source.source import Model, Plane, State
+from carom.recording.source.source import Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
 MOST_SHAPES = 64  # of a body that are looked at
@@ -61,15 +60,15 @@ class Box3D:
         self.read(snapshot)
         return snapshot.state
 
-    def memory(self) -> Snapshot:
+    def memory(self) -> StateMemory:
         """Return memory for one state, in the single precision of Box3D; see `BulkSource`."""
         n = len(self._group)
         block = np.empty(13 * n, np.float32)
         poses, rates = block[: 7 * n].reshape(n, 7), block[7 * n :].reshape(n, 6)
         state = State(0.0, poses[:, :3], rates[:, :3], poses[:, 3:], rates[:, 3:])
-        return Snapshot(state, block, (poses, rates))
+        return StateMemory(state, block, (poses, rates))
 
-    def read(self, into: Snapshot) -> None:
+    def read(self, into: StateMemory) -> None:
         """Let Box3D write into the snapshot, without a copy."""
         poses, rates = into.parts
         self._group.poses(poses)

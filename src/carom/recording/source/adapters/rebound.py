@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
-from carom.recording.source.snapshot import Snapshot
-from carom.recording.source.source import Model, State
+from carom.recording.source.source import Model, State, StateMemory
 from carom.scene.units.system import WITHOUT, units_of_rebound
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
@@ -64,12 +63,12 @@ class Rebound:
         self.read(snapshot)
         return snapshot.state
 
-    def memory(self) -> Snapshot:
+    def memory(self) -> StateMemory:
         """Return memory for one state; see `BulkSource`."""
         block = np.empty((self._n, len(READ)))
-        return Snapshot(State(0.0, block[:, :3], block[:, 3:]), block, (block.view(ROW)[:, 0],))
+        return StateMemory(State(0.0, block[:, :3], block[:, 3:]), block, (block.view(ROW)[:, 0],))
 
-    def read(self, into: Snapshot) -> None:
+    def read(self, into: StateMemory) -> None:
         """Copy positions and velocities from REBOUND's own memory, in one pass."""
         simulation = self._simulation
         if self._all != simulation.N:

@@ -19,7 +19,7 @@ _FINE = 1.0e-3  # s, length of the shortest step after scaling, if it needs scal
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class TimeScale:
     """Converts simulated seconds to times on the timeline.
 
     ``scale`` is a power of ten: one second on the timeline stands for ``scale`` seconds of simulated time.
@@ -28,7 +28,7 @@ class Clock:
     scale: float = 1.0
 
     @classmethod
-    def fitting(cls, duration: float, shortest_dt: float) -> Clock:
+    def fitting(cls, duration: float, shortest_dt: float) -> TimeScale:
         """Choose the scale: 1 if it can be, more for long scenes, less for very short steps.
 
         If both cannot be had, the duration fits and short steps are rounded.

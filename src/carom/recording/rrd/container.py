@@ -9,11 +9,11 @@ from typing import Any, BinaryIO, Self
 import pyarrow as pa
 
 from carom.errors import DamageError
-from carom.recording.rrd import framing, protobuf
-from carom.recording.rrd.arrow_stream import LARGEST, record_batch
+from carom.recording.rrd import framing, messages
 from carom.recording.rrd.framing import Message
 from carom.recording.rrd.messages import (
     BLUEPRINT,
+    LARGEST,
     Chunk,
     Entry,
     Store,
@@ -21,6 +21,7 @@ from carom.recording.rrd.messages import (
     decode,
     entry_of,
     read_body,
+    record_batch,
     store_named,
     store_of,
 )
@@ -83,13 +84,13 @@ class Container:
 
 def _scan(file: BinaryIO) -> list[Store]:
     """Index a file without a footer by decoding every message."""
-    index = Index()
+    index = ChunkIndex()
     for message in framing.messages(file):
         index.add(message, read_body(file, message))
     return index.stores()
 
 
-class Index:
+class ChunkIndex:
     """An index built message by message, for files without a footer."""
 
     def __init__(self) -> None:
@@ -118,13 +119,13 @@ class Index:
 def _manifests(footer: bytes, size: int) -> list[Store]:
     """Read the footer's entries of each store's chunks, in the order of the file."""
     stores = []
-    for manifest in protobuf.fields(memoryview(footer)).get(1, []):
+    for manifest in messages.fields(memoryview(footer)).get(1, []):
         if not isinstance(manifest, memoryview):
             raise DamageError("malformed footer")
-        parts = protobuf.fields(manifest)
-        table = protobuf.fields(protobuf.data(parts, 4))
-        batch = record_batch(protobuf.data(table, 2), protobuf.number(table, 3), protobuf.number(table, 4))
-        store = store_named(protobuf.data(parts, 1))
+        parts = messages.fields(manifest)
+        table = messages.fields(messages.data(parts, 4))
+        batch = record_batch(messages.data(table, 2), messages.number(table, 3), messages.number(table, 4))
+        store = store_named(messages.data(parts, 1))
         store.entries.extend(_entries(batch, size))
         stores.append(store)
     _refuse_overlap([entry for store in stores for entry in store.entries], size)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.recording.export.snapshot import Snapshot
+from carom.recording.export.export import Snapshot
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:

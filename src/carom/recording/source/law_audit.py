@@ -14,18 +14,114 @@ cluster.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.errors import RecordingError
+from carom.event import Event
+from carom.physics.contact.union_find import number_sets
 from carom.physics.diagnostics.energy import Energy
-from carom.recording.source.clusters import Clusters, clusters_of
-from carom.recording.source.faults import Fault, Finding, Tolerances
-from carom.recording.source.proximity import Moment, Near, lengths
+from carom.recording.source.proximity import EngineMoment, Near, lengths
 from carom.recording.source.source import Setup
 from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
+
+# Clusters: sets of bodies that cannot have touched each other between two moments.
+
+
+@dataclass(frozen=True, slots=True)
+class Clusters:
+    """Sets of bodies that met nothing outside their set between two moments."""
+
+    label: IntArray  # (n,)
+    count: int
+    touched: NDArray[np.bool_]  # (count,) whether anything in it may have touched
+    judged: NDArray[np.bool_]  # (count,) whether it holds no body whose laws are unknown
+    free: NDArray[np.bool_]  # (count,) whether it also met nothing fixed
+
+    def sum(self, values: FloatArray) -> FloatArray:
+        """Add up values of bodies, (n,) or (n, 3), by cluster."""
+        if values.ndim == 1:
+            return np.asarray(np.bincount(self.label, values, self.count), dtype=np.float64)
+        return np.stack([np.bincount(self.label, column, self.count) for column in values.T], axis=1)
+
+
+def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
+    """Divide the bodies into clusters; into one if ``whole``, since bodies that pull each other are one."""
+    n = len(setup)
+    anchored = np.zeros(n, bool)
+    i, j = near.pairs.T
+    plane = j >= n
+    anchored[i[plane]] = True
+    i, j = i[~plane], j[~plane]
+    loose = ~(setup.fixed[i] | setup.fixed[j])
+    anchored[i[setup.fixed[j]]] = True
+    anchored[j[setup.fixed[i]]] = True
+    touched = np.zeros(n, bool)
+    touched[near.pairs[near.pairs < n]] = True
+    if whole:
+        label, count = np.zeros(n, dtype=np.int64), 1
+        anchored |= setup.fixed.any()
+    else:
+        label = np.empty(n, dtype=np.int64)
+        count = number_sets(i[loose], j[loose], label)
+    strange = np.bincount(label, ~setup.judged, count) > 0
+    held = np.bincount(label, anchored | setup.fixed, count) > 0
+    return Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)
+
+
+# What the audit of another engine finds: broken laws, and what contacts did.
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """How much may be wrong before a law counts as broken."""
+
+    energy: float = 1e-3  # of the energy of the cluster, between two frames
+    drift: float = 1e-2  # of the energy scale, since the start
+    momentum: float = 1e-3  # of Σ m |v| of the cluster
+    angular_momentum: float = 1e-3  # of Σ (m |x| |v| + I |ω|) of the cluster
+    overlap: float = 0.05  # of the smaller radius
+
+    def __post_init__(self) -> None:
+        for each in fields(self):
+            value = getattr(self, each.name)
+            if not value >= 0.0:  # NaN would find nothing
+                raise RecordingError(f"the tolerance {each.name} is {value}; it must be 0 or more")
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A broken law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
+
+    law: str
+    step: int
+    time: float  # s
+    amount: float  # in units of the law's scale
+    text: str  # a sentence
+    bodies: tuple[int, ...] = ()  # from n on planes
+
+    @property
+    def event(self) -> Event:
+        """The fault as a line of the log."""
+        return Event(self.step, self.time, "WARN", self.text, f"law-{self.law}")
+
+
+@dataclass(slots=True)
+class AuditFinding:
+    """What the audit of one frame found."""
+
+    faults: list[Fault] = field(default_factory=list)
+    taken: float = 0.0  # J, by contacts; negative where they gave some back
+    unjudged: float = 0.0  # J, that clusters with a body that is not judged lost, to whatever
+    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
+    impacts: int = 0  # how many did
+    hardest: float = 0.0  # J
+    hardest_pair: tuple[int, int] = (0, 0)
+
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -40,7 +136,7 @@ MOST_NAMED = 8  # bodies in a sentence
 TOLD = 3  # events of one law
 
 
-class Audit:
+class LawAudit:
     """Judges moments one after the other.
 
     Parameters
@@ -69,8 +165,8 @@ class Audit:
         self.broken: list[tuple[float, str]] = []  # s and law, of each of these frames
 
     def see(
-        self, step: int, before: Moment, now: Moment, near: Near, potentials: tuple[float, float] | None
-    ) -> Finding:
+        self, step: int, before: EngineMoment, now: EngineMoment, near: Near, potentials: tuple[float, float] | None
+    ) -> AuditFinding:
         """Judge a moment.
 
         Parameters
@@ -84,7 +180,7 @@ class Audit:
         potentials
             J, of the bodies' own gravity at both; None without any.
         """
-        found = Finding()
+        found = AuditFinding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
         self._typical = max(self._typical, float(np.sqrt(np.mean(np.einsum("ij,ij->i", relative, relative)))))
         clusters = clusters_of(self._setup, near, whole=potentials is not None)
@@ -131,7 +227,9 @@ class Audit:
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
         return self.counts[fault.law] <= TOLD
 
-    def _momenta(self, place: tuple[int, float], before: Moment, now: Moment, clusters: Clusters) -> Iterator[Fault]:
+    def _momenta(
+        self, place: tuple[int, float], before: EngineMoment, now: EngineMoment, clusters: Clusters
+    ) -> Iterator[Fault]:
         """Compare the momenta of every free cluster."""
         m, dt = self._setup.mass, now.time - before.time
         mass = clusters.sum(m)
@@ -150,7 +248,7 @@ class Audit:
         tolerance = self._tolerances.angular_momentum
         yield from self._worst("angular-momentum", place, clusters, lengths(l1 - l0), scale, tolerance)
 
-    def _spin(self, moment: Moment, clusters: Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _spin(self, moment: EngineMoment, clusters: Clusters, mass: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return each cluster's angular momentum about its centre of mass, and Σ (m |x| |v| + I |ω|)."""
         m = self._setup.mass
         x = moment.position - m @ moment.position / m.sum()
@@ -189,11 +287,11 @@ class Audit:
     def _energy(
         self,
         place: tuple[int, float],
-        before: Moment,
-        now: Moment,
+        before: EngineMoment,
+        now: EngineMoment,
         clusters: Clusters,
         potentials: tuple[float, float] | None,
-        found: Finding,
+        found: AuditFinding,
     ) -> Iterator[Fault]:
         """Compare the energy of every cluster whose laws are known; book what contacts took."""
         setup, g = self._setup, self._setup.gravity
@@ -238,14 +336,14 @@ class Audit:
         left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
         self._owed = np.where(clusters.touched[label], self._owed * left[label] + (taken / members)[label], 0.0)
 
-    def _kinetic(self, moment: Moment) -> FloatArray:
+    def _kinetic(self, moment: EngineMoment) -> FloatArray:
         """Return the kinetic energy of every body, (n,) J."""
         energy = 0.5 * self._setup.mass * np.einsum("ij,ij->i", moment.velocity, moment.velocity)
         if len(moment.spin):
             energy = energy + 0.5 * self._setup.inertia * np.einsum("ij,ij->i", moment.spin, moment.spin)
         return np.asarray(energy, dtype=np.float64)
 
-    def _contacts(self, place: tuple[int, float], dt: float, near: Near, found: Finding) -> Iterator[Fault]:
+    def _contacts(self, place: tuple[int, float], dt: float, near: Near, found: AuditFinding) -> Iterator[Fault]:
         """Find overlaps, impacts, and impacts that were missed."""
         if len(near) == 0:
             return
@@ -281,7 +379,7 @@ class Audit:
         met &= near.gap_before <= closing * dt  # or it is another body that turned them
         self._impacts(near, np.where(met & known & (closing > still), closing, 0.0), found)
 
-    def _impacts(self, near: Near, closing: FloatArray, found: Finding) -> None:
+    def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:
         """Book the impacts, given their closing speeds in m/s; 0 for other pairs."""
         inverse = np.append(np.where(self._setup.fixed, 0.0, 1.0 / self._setup.mass), np.zeros(len(self._setup.planes)))
         weight = inverse[near.pairs].sum(axis=1)

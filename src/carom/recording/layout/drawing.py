@@ -1,0 +1,146 @@
+"""Arrows for vectors whose SI magnitudes are arbitrary and span decades.
+
+An arrow starts at its body's centre and sticks out of the sphere by
+
+    L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
+
+so its vector is ``(r + L) m̂`` (`encoding.draw_arrows`). L grows with m, is less than L_max and can be inverted:
+m = m_ref · (u / (1 - u))³ with u = L / L_max. Thanks to the cube root, six decades fit between 9 % and 91 % of L_max.
+m_ref is therefore taken from the first frame that has arrows and holds for the whole recording; even if it is wrong by
+a factor of 1000, the arrows are visible.
+
+A sphere's torque and angular acceleration are parallel (τ = I α). Torques are drawn short and thick, angular
+accelerations long and thin.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
+
+# Radii of lines and arrows, for scenes of any size. Rerun 0.41 draws lines with radii in half precision: those above
+# 65 504 units are not drawn at all, and those below 10⁻⁶ are rounded by more than 3 %. In such scenes lines get radii
+# in points of the screen, which Rerun takes from negative numbers.
+
+# How bodies are drawn: as ellipsoids, or if there are many as a mesh or points.
+
+MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
+
+
+def shape(header: Header) -> str:
+    """Return how bodies are drawn: "ellipsoids", or if there are many "mesh" (with orientations) or "points"."""
+    if header.bodies <= MOST_ELLIPSOIDS:
+        return "ellipsoids"
+    return "mesh" if header.has_orientation else "points"
+
+
+# Single precision, in which everything that is only drawn is recorded.
+
+FloatArray = NDArray[np.float64]
+
+
+def single(values: FloatArray) -> NDArray[np.float32]:
+    """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
+    with np.errstate(over="ignore"):
+        return values.astype(np.float32)
+
+
+_LEAST, _LARGEST = 1e-6, 6e4  # m
+_POINTS = 40.0  # of the screen, for the radius of a body
+
+
+def line_radii(share: ArrayLike, body: float) -> NDArray[np.float32]:
+    """Return radii for the viewer.
+
+    Parameters
+    ----------
+    share
+        (...) radii of lines in radii of a body.
+    body
+        m, the radius of the body.
+    """
+    shares = np.asarray(share, dtype=np.float64)
+    radii = shares * body
+    drawn = radii.min() >= _LEAST and radii.max() <= _LARGEST
+    return (radii if drawn else -_POINTS * shares).astype(np.float32)
+
+
+TORQUE_REACH = 2.0  # L_max in median body radii
+ANGULAR_ACCELERATION_REACH = 4.0
+_ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and set no scale
+
+
+def part_of_longest(magnitude: Any, unit: Any) -> Any:
+    """Return L / L_max of magnitudes in a unit, both numbers or arrays; 1 where the magnitude is infinite."""
+    s = np.cbrt(magnitude / unit)
+    return 1.0 - 1.0 / (1.0 + s)
+
+
+def longest(radius: NDArray[np.float64], reach: float) -> float:
+    """Return L_max in metres."""
+    return reach * float(np.median(radius))
+
+
+def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the lengths of ``(k, 3)`` vectors; the largest component is the unit, so that no square overflows."""
+    largest = np.abs(vectors).max(initial=0.0, where=np.isfinite(vectors))
+    if largest == 0.0:
+        return np.zeros(len(vectors))
+    unit = vectors / largest
+    return np.asarray(largest * np.sqrt(np.einsum("ki,ki->k", unit, unit)))
+
+
+def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
+    """Choose m_ref from the first magnitudes: their median, unless they are rounding noise."""
+    return max(float(np.median(magnitude)), _ROUND_OFF * natural_unit, np.finfo(np.float64).tiny)
+
+
+# The scale of drawn contacts and impacts: eight widths and colours for impulses of any size. A magnitude m is drawn
+# by u = s / (1 + s), s = (m / m_ref)^⅓, like the lengths of arrows (`arrows`). The eight levels of u have equal
+# widths. They save 6 of 8 bytes per contact in the file, because neighbours often have the same level.
+
+# Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.
+COLOURS = np.array(
+    [0x6A176EFF, 0x932667FF, 0xBC3754FF, 0xDD513AFF, 0xF37819FF, 0xFCA50AFF, 0xF6D746FF, 0xFCFFA4FF], dtype=np.uint32
+)
+LEVELS = len(COLOURS)
+_THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
+_SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radius of the point at an impact, in median body radii
+REACH = 2.0  # L_max of an arrow in median body radii
+
+
+def edge_radii(radius: FloatArray) -> NDArray[np.float32]:
+    """Return the radius of an edge at each level, (8,), as `line_radii` does."""
+    return line_radii(np.linspace(_THINNEST, _THICKEST, LEVELS), float(np.median(radius)))
+
+
+def point_radii(radius: FloatArray) -> NDArray[np.float32]:
+    """Return the radius of an impact's point at each level, (8,) m."""
+    return single(np.median(radius) * np.linspace(_SMALLEST, _LARGEST_IMPULSE, LEVELS))
+
+
+def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
+    """Return the level of each magnitude, 0 to 7; 0 for magnitudes up to zero."""
+    u = part_of_longest(np.maximum(magnitude, 0.0), reference)
+    levels: NDArray[np.int64] = np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
+    return levels
+
+
+# The longest arrow of each entity.
+
+_REACH = {  # L_max in median body radii
+    TORQUE: TORQUE_REACH,
+    ANGULAR_ACCELERATION: ANGULAR_ACCELERATION_REACH,
+    FORCE_NORMAL: REACH,
+    FORCE_FRICTION: REACH,
+}
+
+
+def arrow_length(header: Header, path: str) -> float:
+    """Return L_max (m) of the arrows at an entity."""
+    return longest(header.radius, _REACH[path])

@@ -1,1 +1,0 @@
-"""How things are drawn: lengths of arrows, widths of lines, shapes and colours."""

@@ -1,0 +1,334 @@
+"""Writes two recordings into one for comparison: the bodies of both, lines between counterparts, distances."""
+
+from __future__ import annotations
+
+import hashlib
+import uuid
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.components import FillMode
+
+from carom.recording.layout.blueprint import WINDOW
+from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.canvas import spatial_view
+from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Scalar
+from carom.recording.schema.paths import SIM_TIME
+from carom.recording.schema.series import THICK, THIN
+from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.whole_file import Writer
+from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
+from carom.scene.units.system import UnitSystem
+
+# The layout of files that carom writes as an answer: they open paused, with the viewer's panels collapsed.
+
+
+def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
+    """Lay out a 3D view of some entities, whose camera stands still, with panels on its right."""
+    bodies = spatial_view(name, replace(view, follows=False), contents)
+    return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
+
+
+def paused(root: rrb.Container) -> rrb.Blueprint:
+    """Lay out views that open paused, without the panels around them."""
+    return rrb.Blueprint(
+        root,
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=SIM_TIME, play_state="paused"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+FloatArray = NDArray[np.float64]
+
+PROPERTY = "diff"
+
+_A, _B, _LINES = "world/a/bodies", "world/b/bodies", "world/apart"
+_TEXT = "diff"
+_SERIES = {
+    "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
+    "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
+}
+_LARGEST = 100_000_000  # bytes of positions; of longer recordings every k-th frame is shown
+_BATCH = 4_000_000  # bytes
+_SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
+_HALO = 1.04  # scale of B's spheres, which those of A would hide at equal size
+
+
+@dataclass(frozen=True, slots=True)
+class MatchedFrames:
+    """A frame of both recordings."""
+
+    step: int
+    time: float  # s
+    a: FloatArray  # (n, 3) m
+    b: FloatArray  # (n, 3) m
+
+
+def write_overlay(
+    out: Path,
+    a: Recording,
+    b: Recording,
+    pairs: Iterable[MatchedFrames],
+    count: int,
+    series: Mapping[str, FloatArray],
+    text: str,
+) -> None:
+    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` has a value for each of them.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    radius = a.bodies.radius[a.shown]
+    origin = a.origin
+    clock = TimeScale(float(a.info["time_scale"]))
+    every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
+    shown = islice(pairs, 0, None, every)
+    logarithms = {name: _logarithm(values)[::every] for name, values in series.items()}
+    layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
+    extent: CameraFit | None = None
+    with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
+        writer.log(_A, _spheres(radius, palette.SKY, list(a.bodies.name), FillMode.Solid))
+        writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, list(a.bodies.name), FillMode.MajorWireframe))
+        writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
+        for path, name, dimension, colour in _SERIES.values():
+            writer.log(path, curve_style(_heading(name, dimension, a.units), colour))
+        own = {"title": f"{a.title}: two runs", **a.units.properties()}
+        writer.send_property("carom", {**own, "time_scale": clock.scale, "bodies": len(radius)})
+        writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
+        done = 0
+        while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
+            extent = extent or CameraFit(radius, batch[0].a - origin)
+            extent.look(batch[-1].a - origin)
+            extent.look(batch[-1].b - origin)
+            part = {name: values[done : done + len(batch)] for name, values in logarithms.items()}
+            _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
+            done += len(batch)
+        if extent is not None:
+            writer.send_layout(_layout(extent.view(), a.units))
+        writer.flush()
+
+
+def _send(
+    writer: Writer,
+    clock: TimeScale,
+    batch: list[MatchedFrames],
+    origin: FloatArray,
+    seen: float,
+    series: Mapping[str, FloatArray],
+) -> None:
+    index = clock.columns([pair.step for pair in batch], [pair.time for pair in batch])
+    each = [len(pair.a) for pair in batch]
+    a = np.concatenate([pair.a for pair in batch]) - origin
+    b = np.concatenate([pair.b for pair in batch]) - origin
+    writer.send_columns(_A, index, rr.Ellipsoids3D.columns(centers=a.astype(np.float32)).partition(each))
+    writer.send_columns(_B, index, rr.Ellipsoids3D.columns(centers=b.astype(np.float32)).partition(each))
+    apart = np.linalg.norm(b - a, axis=1) > seen
+    strips = np.stack([a[apart], b[apart]], axis=1).astype(np.float32)
+    lines = [int(np.count_nonzero(part)) for part in np.split(apart, np.cumsum(each)[:-1])]
+    writer.send_columns(_LINES, index, rr.LineStrips3D.columns(strips=list(strips)).partition(lines))
+    for name, values in series.items():
+        writer.send_columns(_SERIES[name][0], index, rr.Scalars.columns(scalars=values))
+    times = pa.array([pair.time for pair in batch])
+    columns = rr.AnyValues.columns(True, time=times, fingerprint=pa.array([0] * len(batch), pa.uint64()))
+    writer.send_columns(paths.FINGERPRINT, index, columns)
+
+
+def _logarithm(values: FloatArray) -> FloatArray:
+    """Take log₁₀; zeros become gaps in the line."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        logarithm = np.log10(values)
+    return np.where(np.isfinite(logarithm), logarithm, np.nan)
+
+
+def _spheres(radius: FloatArray, colour: int, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+    return rr.Ellipsoids3D.from_fields(
+        half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
+        colors=colour,
+        fill_mode=fill,
+        line_radii=rr.Radius.ui_points(0.9),
+        labels=names,
+        show_labels=False,
+    )
+
+
+def _document(a: Recording, b: Recording, text: str, every: int) -> str:
+    lines = [
+        f"# {a.title}: two runs",
+        text,
+        f"- Blue, solid: **A**, {a.path.name}",
+        f"- Orange, wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+        f"- Red lines join counterparts that are further apart than {_SEEN:.0%} of the median radius.",
+        "- The plots are logarithms: a difference that grows exponentially is a straight line.",
+    ]
+    return "\n".join([*lines, f"- Every {every}th frame is shown." if every > 1 else ""]) + "\n"
+
+
+def _heading(what: str, dimension: Dimension, units: UnitSystem) -> str:
+    unit = units.recorded_unit(dimension.unit)
+    return f"log₁₀ of {what}{f' ({unit})' if unit != '1' else ''}"
+
+
+def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
+    plots = [
+        rrb.TimeSeriesView(
+            name=_heading(name, dimension, units),
+            origin="/",
+            contents=[path],
+            plot_legend=rrb.PlotLegend(visible=False),
+            axis_x=whole_time(),
+        )
+        for path, name, dimension, _ in _SERIES.values()
+    ]
+    panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
+    return beside_bodies("A blue, B orange", [_A, _B, _LINES], view, panels)
+
+
+# Writes several runs of one scene into one recording: trajectories over a reference, and distances from it.
+
+TRADEOFF_PROPERTY = "tradeoff"
+
+PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, not paths
+SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
+
+
+@dataclass(frozen=True, slots=True)
+class ComparedTrajectory:
+    """One run: its name, the positions of its bodies, and their distance from the reference."""
+
+    name: str
+    position: FloatArray  # (K, n, 3) m
+    distance: FloatArray  # (K',) of the size of the system; K' ≤ K, up to where there is a reference
+    family: str = ""  # the engine that made it, whose runs share a colour
+
+
+def write_trajectories(
+    path: Path, title: str, time: FloatArray, radius: FloatArray, trajectories: list[ComparedTrajectory]
+) -> None:
+    """Write a recording of several runs.
+
+    Parameters
+    ----------
+    path
+        The ``.rrd``, in place of an earlier one.
+    time
+        (K,) s.
+    radius
+        (n,) m.
+    trajectories
+        The reference first, which is drawn grey. Each family of the others has a colour, and each run without a family;
+        of those that share one, the first has a wide curve.
+
+    Raises
+    ------
+    RecordingError
+        If it cannot be written.
+    """
+    clock = TimeScale.fitting(float(time[-1]), float(time[0]))
+    origin = trajectories[0].position[0].mean(axis=0)
+    layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
+    colours, widths = _styles(trajectories)
+    names = [f"{number:02d}-{_entity(trajectory.name)}" for number, trajectory in enumerate(trajectories)]
+    with Writer(path, f"carom-{paths.SCHEMA_VERSION}-{layout[:12]}", str(uuid.uuid4())) as writer:
+        writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
+        about: dict[str, Scalar] = {
+            "title": f"{title}: settings over the reference",
+            "time_scale": clock.scale,
+            "bodies": len(radius),
+        }
+        writer.send_property("carom", about)
+        writer.send_property(TRADEOFF_PROPERTY, {"courses": "; ".join(each.name for each in trajectories)})
+        for name, trajectory, colour, width in zip(names, trajectories, colours, widths, strict=True):
+            _send_trajectories(writer, name, trajectory, colour, width, time, radius, origin, clock)
+        index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
+        frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
+        writer.send_columns(paths.FINGERPRINT, index, frames)
+        legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
+        axis = time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width)
+        writer.send_layout(_trajectory_layout(_view(radius, trajectories[0].position - origin), axis))
+        writer.flush()
+
+
+def _styles(trajectories: list[ComparedTrajectory]) -> tuple[list[int], list[float]]:
+    """Return the colour of each run, and the width of its curve."""
+    hues = [colour for name, colour in palette.LINES.items() if name != "grey"]
+    families: dict[str, int] = {}
+    colours, widths = [palette.LINES["grey"]], [THIN]
+    for run in trajectories[1:]:
+        number = families.setdefault(run.family or run.name, len(families))
+        colour = hues[number % len(hues)]
+        widths.append(THIN if colour in colours else THICK)
+        colours.append(colour)
+    return colours, widths
+
+
+def _send_trajectories(
+    writer: Writer,
+    name: str,
+    trajectory: ComparedTrajectory,
+    colour: int,
+    width: float,
+    time: FloatArray,
+    radius: FloatArray,
+    origin: FloatArray,
+    clock: TimeScale,
+) -> None:
+    position = (trajectory.position - origin).astype(np.float32)
+    count, n, _ = position.shape
+    index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
+    bodies = f"world/{name}/bodies"
+    writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour))
+    columns = rr.Points3D.columns(positions=position.reshape(-1, 3)).partition(np.full(count, n))
+    writer.send_columns(bodies, index, columns)
+    if n <= PATHS_UP_TO:
+        writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
+    if len(trajectory.distance):
+        writer.log(f"distance/{name}", curve_style(trajectory.name, colour, width))
+        decades = np.log10(np.maximum(trajectory.distance, SMALLEST))
+        shown = clock.columns(list(range(1, len(decades) + 1)), time[: len(decades)].tolist())
+        writer.send_columns(f"distance/{name}", shown, rr.Scalars.columns(scalars=decades))
+
+
+def _view(radius: FloatArray, position: FloatArray) -> View:
+    """Place the camera so that it sees all positions, (K, n, 3) m."""
+    camera = CameraFit(radius, position[0])
+    for moment in position:
+        camera.look(moment)
+    return replace(camera.view(), follows=False)
+
+
+def _trajectory_layout(view: View, time: rrb.TimeAxis) -> rrb.Blueprint:
+    return paused(
+        rrb.Vertical(
+            spatial_view("Settings over the reference", view, [f"/{paths.WORLD}/**"]),
+            rrb.TimeSeriesView(
+                name="log10 of the distance from the reference, over the size",
+                origin="/distance",
+                plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
+                axis_x=time,
+            ),
+            row_shares=[3, 2],
+        )
+    )
+
+
+def _entity(name: str) -> str:
+    """Make a name that needs no escapes in an entity path."""
+    words = "".join(character if character.isascii() and character.isalnum() else " " for character in name).split()
+    return "-".join(words) or "as-written"
