@@ -1,4 +1,4 @@
-"""Plots of single bodies: the rows for the viewer, and a view for each unit."""
+"""Plots of single bodies: position, velocity and spin over time, requested as ``top.z, top.omega``."""
 
 from __future__ import annotations
 
@@ -25,8 +25,6 @@ from carom.scene.wording import body_called
 if TYPE_CHECKING:
     from carom.physics.status import StepStatus
 
-
-# Position, velocity and spin of single bodies over time, requested as ``top.z, top.omega``.
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

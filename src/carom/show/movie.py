@@ -1,4 +1,4 @@
-"""The pictures of a movie: a recording at many times."""
+"""Movies: pictures of a recording at many times, as .mp4 by ffmpeg or .gif by Pillow. Needs `carom[movie]`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,6 @@ from carom.show.presentation import asked
 from carom.show.request import Request
 from carom.show.supplement import Supplement
 from carom.show.viewer import Viewer
-
-# Writes pictures into a movie: .mp4 by ffmpeg, .gif by Pillow. Needs `carom[movie]`.
 
 _QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")  # thin lines on a dark ground stay legible
 _HUNDREDTHS = 100  # of a second: the unit of time of a GIF

@@ -1,4 +1,4 @@
-"""Writes two recordings into one for comparison: the bodies of both, lines between counterparts, distances."""
+"""Writes several runs into one recording: two for comparison, or trajectories over a reference."""
 
 from __future__ import annotations
 
@@ -29,8 +29,6 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
-
-# The layout of files that carom writes as an answer: they open paused, with the viewer's panels collapsed.
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
@@ -199,8 +197,6 @@ def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
     panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
     return beside_bodies("A blue, B orange", [_A, _B, _LINES], view, panels)
 
-
-# Writes several runs of one scene into one recording: trajectories over a reference, and distances from it.
 
 TRADEOFF_PROPERTY = "tradeoff"
 

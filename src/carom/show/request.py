@@ -1,4 +1,4 @@
-"""`Request`: what a person asks to see of a recording."""
+"""What a person asks to see of a recording: a moment, an event by its name, the two ends of a contact."""
 
 from __future__ import annotations
 
@@ -47,9 +47,6 @@ class Request:
         """Refuse two moments."""
         if self.at is not None and self.event is not None:
             raise RecordingError("give a time (at) or an event, not both")
-
-
-# `Pair`: the two ends of the contact in the close-up view, and how it is chosen.
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,8 +106,6 @@ def pair_of_step(frame: Frame, bodies: int) -> Pair | None:
 def _numbers(text: object) -> list[int]:
     return [int(part) for part in str(text).split(",") if part.strip().isdigit()]
 
-
-# `NamedEvent`: an event that is asked for by name: its time, its step and the bodies that meet.
 
 _IMPACT = "impact:"  # before the number of an impact
 _FIRST_CONTACT = "first-contact"  # a kind of event

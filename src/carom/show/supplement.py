@@ -1,4 +1,7 @@
-"""`Supplement`: rows and a layout that a viewer gets on top of a recording; the file does not change."""
+"""`Supplement`: rows and a layout that a viewer gets on top of a recording; the file does not change.
+
+Among them are trails, the paths of a few bodies up to the moment that is shown, and other colours of the bodies.
+"""
 
 from __future__ import annotations
 
@@ -58,8 +61,6 @@ class Supplement:
             stream.flush(timeout_sec=FLUSH)
             stream.disconnect()
 
-
-# Trails: the paths of a few bodies up to the moment that is shown, in rows that the viewer gets on top of the file.
 
 _MOST_BODIES = 40
 _MOST_FRAMES = 2000  # longer paths take every k-th frame
@@ -123,8 +124,6 @@ def has_trails(recording: Recording) -> bool:
     """Return whether a recording has few enough bodies for their paths to be legible."""
     return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
 
-
-# Other colours for the bodies of a recording, in rows that the viewer gets on top of the file.
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

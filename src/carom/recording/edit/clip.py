@@ -1,4 +1,4 @@
-"""Cuts frames out of a recording into a file that opens, inspects, renders and replays like the whole."""
+"""Cuts frames, and some bodies, out of a recording into a file that opens, inspects, renders and replays."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import bodies_called
-
-# `Selection`: keeps the rows of some bodies in a chunk, and removes the others.
 
 SingleArray = NDArray[np.float32]
 IntArray = NDArray[np.int64]

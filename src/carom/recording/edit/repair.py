@@ -29,8 +29,6 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-# Makes a layout for a recording without one: the run was killed before it sent one, or it was lost.
-
 _LOOKS = 50  # frames by which the camera is placed
 
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from carom.runs.window import Watcher
 
 
-# `Snapshot`: the state of the bodies at the end of a step, as it is exported.
-
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 

@@ -1,4 +1,4 @@
-"""The 3D view of the bodies as solids."""
+"""The two 3D views: the bodies as solids, and the collision graph with arrows and the bodies as thin wires."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
-
-# Overrides by which views draw contacts and impacts: edges by their impulses, and recent impacts only.
 
 _OF_LATE = 1 / 300  # of the duration, for which an impact stays visible
 
@@ -51,8 +49,6 @@ def recent_impacts(header: Header) -> Overrides:
     end = rr.TimeRangeBoundary.cursor_relative()
     return {paths.IMPACTS: rrb.VisibleTimeRanges(timeline=SIM_TIME, start=start, end=end)}
 
-
-# Trails in a view: all pieces up to the cursor.
 
 TRAILS = "trails"
 
@@ -131,8 +127,6 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
         },
     )
 
-
-# The 3D view of the collision graph: edges and arrows, and the bodies as thin wires.
 
 _GHOST = 0x8A93A630
 _WIRE = 0x8A93A6FF  # bodies behind arrows and edges

@@ -1,4 +1,4 @@
-"""Sizes of the views of a layout on the screen, by which cameras and legends are placed."""
+"""What the views of a layout share: sizes on the screen, additions, magnified spaces, and the frame of 3D views."""
 
 from __future__ import annotations
 
@@ -56,12 +56,9 @@ class Canvas:
         return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE))
 
 
-# `Additions`: the parts of a layout that are not in the file; the viewer gets them in a `Supplement`.
-
-
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """Parts to show in addition; by default none."""
+    """Parts of a layout that are not in the file: the viewer gets them in a `Supplement`. By default none."""
 
     close: CloseUp | None = None
     trails: bool = False
@@ -106,9 +103,6 @@ def _origins(part: rrb.Container | rrb.View) -> set[str]:
     return set().union(*(_origins(inner) for inner in part.contents))
 
 
-# What all 3D views have in common: their space, the position of the eye and the dark background.
-
-
 def spatial_view(
     name: str,
     view: View,
@@ -136,9 +130,6 @@ def spatial_view(
         ),
         overrides=overrides,
     )
-
-
-# What surrounds the bodies in a 3D view.
 
 
 def surroundings(header: Header) -> list[str]:

@@ -1,6 +1,7 @@
-"""Arrows for vectors whose SI magnitudes are arbitrary and span decades.
+"""How bodies, lines, arrows and impulses are drawn, for scenes of any size.
 
-An arrow starts at its body's centre and sticks out of the sphere by
+**Arrows** stand for vectors whose SI magnitudes are arbitrary and span decades. An arrow starts at its body's
+centre and sticks out of the sphere by
 
     L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
 
@@ -11,6 +12,14 @@ a factor of 1000, the arrows are visible.
 
 A sphere's torque and angular acceleration are parallel (τ = I α). Torques are drawn short and thick, angular
 accelerations long and thin.
+
+**Impulses** of contacts and impacts have eight widths and colours. A magnitude is drawn by u = s / (1 + s), like the
+length of an arrow, and the eight levels of u have equal widths. They save 6 of 8 bytes per contact in the file, because
+neighbours often have the same level.
+
+**Lines**: Rerun 0.41 draws lines with radii in half precision: those above 65 504 units are not drawn at all, and those
+below 10⁻⁶ are rounded by more than 3 %. In such scenes lines get radii in points of the screen, which Rerun takes from
+negative numbers.
 """
 
 from __future__ import annotations
@@ -23,11 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
 
-# Radii of lines and arrows, for scenes of any size. Rerun 0.41 draws lines with radii in half precision: those above
-# 65 504 units are not drawn at all, and those below 10⁻⁶ are rounded by more than 3 %. In such scenes lines get radii
-# in points of the screen, which Rerun takes from negative numbers.
-
-# How bodies are drawn: as ellipsoids, or if there are many as a mesh or points.
+FloatArray = NDArray[np.float64]
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 
@@ -37,11 +42,6 @@ def shape(header: Header) -> str:
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
     return "mesh" if header.has_orientation else "points"
-
-
-# Single precision, in which everything that is only drawn is recorded.
-
-FloatArray = NDArray[np.float64]
 
 
 def single(values: FloatArray) -> NDArray[np.float32]:
@@ -70,8 +70,6 @@ def line_radii(share: ArrayLike, body: float) -> NDArray[np.float32]:
     return (radii if drawn else -_POINTS * shares).astype(np.float32)
 
 
-TORQUE_REACH = 2.0  # L_max in median body radii
-ANGULAR_ACCELERATION_REACH = 4.0
 _ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and set no scale
 
 
@@ -100,9 +98,18 @@ def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
     return max(float(np.median(magnitude)), _ROUND_OFF * natural_unit, np.finfo(np.float64).tiny)
 
 
-# The scale of drawn contacts and impacts: eight widths and colours for impulses of any size. A magnitude m is drawn
-# by u = s / (1 + s), s = (m / m_ref)^⅓, like the lengths of arrows (`arrows`). The eight levels of u have equal
-# widths. They save 6 of 8 bytes per contact in the file, because neighbours often have the same level.
+_REACH = {  # L_max in median body radii
+    TORQUE: 2.0,
+    ANGULAR_ACCELERATION: 4.0,
+    FORCE_NORMAL: 2.0,
+    FORCE_FRICTION: 2.0,
+}
+
+
+def arrow_length(header: Header, path: str) -> float:
+    """Return L_max (m) of the arrows at an entity."""
+    return longest(header.radius, _REACH[path])
+
 
 # Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 COLOURS = np.array(
@@ -111,7 +118,6 @@ COLOURS = np.array(
 LEVELS = len(COLOURS)
 _THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
 _SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radius of the point at an impact, in median body radii
-REACH = 2.0  # L_max of an arrow in median body radii
 
 
 def edge_radii(radius: FloatArray) -> NDArray[np.float32]:
@@ -129,18 +135,3 @@ def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
     u = part_of_longest(np.maximum(magnitude, 0.0), reference)
     levels: NDArray[np.int64] = np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
     return levels
-
-
-# The longest arrow of each entity.
-
-_REACH = {  # L_max in median body radii
-    TORQUE: TORQUE_REACH,
-    ANGULAR_ACCELERATION: ANGULAR_ACCELERATION_REACH,
-    FORCE_NORMAL: REACH,
-    FORCE_FRICTION: REACH,
-}
-
-
-def arrow_length(header: Header, path: str) -> float:
-    """Return L_max (m) of the arrows at an entity."""
-    return longest(header.radius, _REACH[path])

@@ -1,4 +1,7 @@
-"""The plots of the recorded series, without series that stay at 0 or constant."""
+"""The plots of the recorded series: outlines of the curves, legends that cover no curve, and the views.
+
+Series that stay at 0 or constant are left out.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +18,6 @@ from rerun.components import AggregationPolicy
 from carom.recording.layout.canvas import Area
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import PLOTS, THIN, Plot, Series, all_plots, recorded
-
-# The outline of a recorded series: of constant size, and sufficient to lay out a plot.
 
 FloatArray = NDArray[np.float64]
 
@@ -97,9 +98,6 @@ class CurveOutline:
         self._time = self._time[pairs]
         self._low = np.minimum.reduceat(self._low, pairs)
         self._high = np.maximum.reduceat(self._high, pairs)
-
-
-# The style of a curve in a plot.
 
 
 def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:

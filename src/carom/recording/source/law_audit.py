@@ -29,8 +29,6 @@ from carom.scene.units.dimension import ENERGY, VELOCITY
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names, bodies_called
 
-# Clusters: sets of bodies that cannot have touched each other between two moments.
-
 
 @dataclass(frozen=True, slots=True)
 class Clusters:
@@ -71,9 +69,6 @@ def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
     strange = np.bincount(label, ~setup.judged, count) > 0
     held = np.bincount(label, anchored | setup.fixed, count) > 0
     return Clusters(label, count, np.bincount(label, touched, count) > 0, ~strange, ~strange & ~held)
-
-
-# What the audit of another engine finds: broken laws, and what contacts did.
 
 
 @dataclass(frozen=True, slots=True)

@@ -290,8 +290,6 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
     )
 
 
-# `Snapshot`: memory for a state, which is used again and again; and how a source fills it.
-
 _LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` go through Python
 _ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
 

@@ -1,4 +1,4 @@
-"""Encodes contacts and impacts: columns beside the edges, arrows, and a row for each impact."""
+"""Encodes contacts and impacts: columns beside the edges of the collision graph, arrows, and a row for each impact."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL, IMPACT_EN
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, orientations_at, positions_at
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, frame_rows, vector_column
-
-# What each contact of a frame did, as columns beside the edges of the collision graph, and as arrows.
 
 
 class BatchContacts:
@@ -243,7 +241,7 @@ class ContactEncoder:
     def rows(self, index: Index) -> Iterable[Rows]:
         """Return arrows and impacts of the batch whose columns were asked for last."""
         header, kept, impacts = self._header, self._kept, self._impacts
-        longest = drawing.longest(header.radius, drawing.REACH)
+        longest = drawing.arrow_length(header, FORCE_NORMAL)
         # also where none is drawn, which clears those of the frame before
         yield from force_rows(
             index, self._contacts, self._middle, kept.arrows, longest, self._origin, header.has_friction

@@ -29,8 +29,6 @@ from carom.recording.rrd.framing import MessageSplitter
 if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
-# Reserved disk space, so that a recording can still be closed properly when the disk is full.
-
 
 class DiskReserve:
     """An unnamed file beside the recording. Releasing it frees the space for the end of the recording."""

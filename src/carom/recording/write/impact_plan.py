@@ -1,4 +1,4 @@
-"""Chooses how many impacts of each frame are recorded, and how many of its contacts get arrows."""
+"""Impacts in a recording: how many of each frame, their rows, and where the bodies are at their moments."""
 
 from __future__ import annotations
 
@@ -253,8 +253,6 @@ def _size(bodies: int, moved: float, edges: int, oriented: bool, turned: bool) -
     arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if turned else 0.0
     return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)
 
-
-# Impacts, each as a row at its own time, and the bodies at the moments of some of them.
 
 _INDEX_BYTES = 24  # of a row: step, time and number
 

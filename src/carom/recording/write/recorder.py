@@ -1,4 +1,4 @@
-"""`Recorder`: takes frames from the physics and writes them to an .rrd in its own thread."""
+"""`Recorder`: writes frames of the physics to an .rrd in its own thread, with a checkpoint from time to time."""
 
 from __future__ import annotations
 
@@ -98,9 +98,6 @@ class BatchQueue(Generic[_Item]):
             self._oldest = time.monotonic()
             self._changed.notify_all()
             return taken
-
-
-# Chooses which frames carry a checkpoint.
 
 
 class CheckpointPlan:

@@ -1,4 +1,4 @@
-"""`Rows`: one entity's part of a batch, as Rerun's `send_columns` takes it, and the size of its arrays."""
+"""`Rows`: one entity's part of a batch, as Rerun's `send_columns` accepts it, and its columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Static data, logged once: texts, sizes, colours, names of series."""
+"""What is logged once: texts, sizes, colours, names of series, and the document at /scene."""
 
 from __future__ import annotations
 
@@ -219,11 +219,8 @@ def _states(colours: dict[str, int]) -> rr.StateConfiguration:
     return rr.StateConfiguration(values=list(colours), colors=np.array(list(colours.values()), dtype=np.uint32))
 
 
-# The text at /scene, in Markdown: the run, the scales and the colours.
-
-
 def scene_document(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    """Return the document."""
+    """Return the text at /scene, in Markdown: the run, the scales and the colours."""
     parts = [f"# {header.title}", header.description.strip(), _run(header), _data(header)]
     parts.append(_scales(header, clock, origin))
     return "\n\n".join(part for part in [*parts, _legend(header), _contacts(header)] if part) + "\n"

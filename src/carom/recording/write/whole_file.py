@@ -1,4 +1,7 @@
-"""Files that appear when they are complete: a full disk or an interrupt leaves the one that was there."""
+"""Output files: locked against other processes, and complete when they appear.
+
+A full disk or an interrupt leaves the file that was there.
+"""
 
 from __future__ import annotations
 
@@ -126,11 +129,8 @@ def write_whole(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
-# `Writer`: writes an .rrd from the chunks of other files.
-
-
 class Writer:
-    """Writes one file under a temporary name, and renames it once it is complete.
+    """Writes an .rrd from the chunks of other files under a temporary name, and renames it once it is complete.
 
     Leaving the context closes the file and gives it its name; leaving it with an exception removes what there is.
     """

@@ -1,4 +1,7 @@
-"""Writes the files of a page that shows a recording in Rerun's web viewer, without requests to other hosts."""
+"""Writes the files of a page that shows a recording in Rerun's web viewer, and the index page of a published folder.
+
+The pages make no requests to other hosts.
+"""
 
 from __future__ import annotations
 
@@ -106,8 +109,6 @@ def _web_assembly(program: mmap.mmap) -> slice:
         end = place + size
     return slice(start, end)
 
-
-# The index page of a published folder.
 
 INDEX, STYLE = "index.html", "index.css"
 
