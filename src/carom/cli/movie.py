@@ -74,7 +74,7 @@ def movie(
     _check(path, pixels, length, rate)
     _check_view(view, event, bodies)
     with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
-        from carom.show.movie import require_encoder, write_movie
+        from carom.show.movie_file import require_encoder, write_movie
 
     recording = Recording.open(file)
     first, last = _ends(recording, *(simulated_or_none(time, recording.units) for time in (start, end)))
