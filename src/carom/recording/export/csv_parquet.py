@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 import pyarrow.csv as pc
 import pyarrow.parquet as pq
 
-from carom.recording.export.export import Snapshot
 from carom.recording.read.body_states import state_table
+
+if TYPE_CHECKING:
+    from carom.recording.export.export import Snapshot
 
 
 def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:

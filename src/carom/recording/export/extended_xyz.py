@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.recording.export.export import Snapshot
+if TYPE_CHECKING:
+    from carom.recording.export.export import Snapshot
+
 
 # the names under which OVITO knows the quantities
 _COLUMNS = {"position": "pos", "velocity": "velo", "orientation": "orientation", "angular_velocity": "omega"}

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carom.recording.export.export import Snapshot
+if TYPE_CHECKING:
+    from carom.recording.export.export import Snapshot
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.recording.export.export import Snapshot
+if TYPE_CHECKING:
+    from carom.recording.export.export import Snapshot
 
 
 def write_vtk(path: Path, snapshot: Snapshot) -> None:
