@@ -128,7 +128,8 @@ def spoiled(path: Path, change: Callable[[Space], None]) -> Recording:
 def test_errors_are_judged_again_at_the_same_instants(interval: float | None, stops: bool, tmp_path: Path) -> None:
     """At multiples of an interval, or, in recordings of earlier versions, at the frames; also where a run stopped."""
     record = {"every": "step" if stops else 0.31, "check_every": 1000}
-    space = Spoiled(cloud(12, time={"duration": 1.0}, record=record, expect={"energy_error": 1.0}))
+    scene = cloud(12, time={"duration": 1.0}, record=record, expect={"energy_error": 1.0})
+    space = Spoiled(scene, record_contacts=True)
     space.change = Space.stop if stops else lambda space: None
     space.check_interval = interval
     simulate(space, tmp_path / "run.rrd")
