@@ -16,6 +16,7 @@ from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK, END
 from carom.recording.rrd.messages import RECORDING, decode
+from carom.runs.impact_check import ROOM
 from carom.runs.replay import replay
 from carom.scene.schema import Scene
 from edited_recordings import (
@@ -87,16 +88,19 @@ def mutants_of(parts: list[tuple[int, bytes]]) -> Iterator[Mutant]:
             yield f"{path} with another {name}", places, partial(altered, name)
 
 
-def mutated(source: Path, out: Path, parts: list[tuple[int, bytes]], mutant: Mutant) -> Recording:
+def mutated(source: Path, out: Path, parts: list[tuple[int, bytes]], mutant: Mutant) -> Recording | None:
     """Write a recording with one change; without an index where this would name chunks that are gone."""
     _, places, change = mutant
     if change is None:
         kept = [part for place, part in enumerate(parts) if place not in places and part[0] != END]
         return Recording.open(assembled(source, out, kept, footer=False))
     new = list(parts)
-    for place in places:
-        body = parts[place][1]
-        new[place] = CHUNK, repacked(body, stream(change(decode(body)[1].batch)))
+    batches = [decode(parts[place][1])[1].batch for place in places]
+    changes = [change(batch) for batch in batches]
+    if changes == batches:
+        return None  # of empty lists, say
+    for place, batch in zip(places, changes, strict=True):
+        new[place] = CHUNK, repacked(parts[place][1], stream(batch))
     return Recording.open(assembled(source, out, new))
 
 
@@ -106,15 +110,20 @@ def said(recording: Recording) -> tuple[object, ...]:
 
 
 def silent(source: Path, out: Path, mutants: list[Mutant]) -> list[str]:
-    """Return the changes after which a replay says the same as before."""
+    """Return the changes after which a replay says the same as before.
+
+    Of another version's recording it says so anyway: nobody knows how many impacts have the bodies drawn at them.
+    """
     parts, found = messages_of(source), list[str]()
-    before = {True: said(Recording.open(source)), False: said(mutated(source, out, parts, ("nothing", [], None)))}
+    unfinished = assembled(source, out, [part for part in parts if part[0] != END], footer=False)
+    before = {True: said(Recording.open(source)), False: said(Recording.open(unfinished))}
+    named = [what for what in replay(Recording.open(source)).not_compared if what == ROOM]
     assert before[True][0] and before[False][0]
     for mutant in mutants:
         try:
             recording = mutated(source, out, parts, mutant)
-            if said(recording) == before[recording.finished]:
-                found.append(mutant[0])
+            if recording and said(recording) == before[recording.finished]:
+                found += [mutant[0]] if not (named and mutant[0].startswith("world/bodies ")) else []
         except (RecordingError, SceneError, PhysicsError):
             continue
     return found

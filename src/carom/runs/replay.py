@@ -39,6 +39,7 @@ from carom.scene.wording import body_called
 _OUTCOME = "the outcome and its numbers (of a part of a run, or a repaired or resumed recording)"
 _EXTREMES = "the extremes and the end in /events, which another version recorded"
 _UNSTATED = "the outcome and its numbers (the run could not write them, since the disk was full or it failed)"
+_NO_OUTCOME = "the outcome and its numbers, which are not there"
 _MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
@@ -271,7 +272,10 @@ class _Comparison:
         version is only named.
         """
         recording, skipped = self._recording, self.check.skipped
-        if self.last < self.last_recorded or not recording.closing:
+        if self.last < self.last_recorded:
+            return None
+        if not recording.closing:
+            skipped[_NO_OUTCOME] = None
             return None
         if self.begin > 0 or recording.clip or not is_whole(recording):
             skipped[_OUTCOME] = None
