@@ -24,8 +24,7 @@ from carom.runs.memory import keep_freed_memory
 
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
-from carom.recording.rrd.index import Container  # noqa: E402
-
+from carom.recording.rrd.container import Container  # noqa: E402
 from carom.recording.write import recorder as recorders  # noqa: E402
 from carom.recording.write import stream as streams  # noqa: E402
 from carom.runs.run import header_of, recording_space  # noqa: E402
