@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     from carom.plan.pulls import further as further
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
+    from carom.recording.export.export import Snapshot as Snapshot
     from carom.recording.read.body_lookup import body_number as body_number
     from carom.recording.read.body_lookup import names_of as names_of
     from carom.recording.read.frame_rows import RecordedPositions as RecordedPositions
@@ -239,6 +240,7 @@ _HOMES = {
     "carom.scene.data.body_sources": "DataFiles HeldBodies",
     "carom.scene.integrators": "INTEGRATORS",
     "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
+    "carom.recording.export.export": "Snapshot",
     "carom.scene.data.formats": "Arrays DataFormat DataTable",
     "carom.scene.forces": "BodyForce PairForce",
     "carom.scene.load": "load_scene scene_from_dict scene_from_text",

@@ -1,4 +1,4 @@
-"""`carom centre`: where the centre of mass of a recording is."""
+"""`carom centre`: the centre of mass of a recording."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ def centre(file: RecordingArgument, as_json: JsonOption = False) -> None:
 
     recording = Recording.open(file)
     mass = recording.bodies.mass
-    found = {}
+    centres = {}
     for name, step in (("start", 0), ("end", int(recording.checkpoint_steps[-1]))):
         position = recording.checkpoint(step).position
-        found[name] = [float(sum(mass * position[:, k]) / sum(mass)) for k in range(3)]
-    say(json.dumps(found) if as_json else "\n".join(f"{name}: {place}" for name, place in found.items()))
+        centres[name] = [float(sum(mass * position[:, k]) / sum(mass)) for k in range(3)]
+    say(json.dumps(centres) if as_json else "\n".join(f"{name}: {place}" for name, place in centres.items()))

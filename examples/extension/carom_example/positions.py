@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from carom.recording.export.export import Snapshot
+from carom.extend import Snapshot
 
 
 def write_positions(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
