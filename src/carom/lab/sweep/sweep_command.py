@@ -314,14 +314,13 @@ def refuse_plot(plot: tuple[str, str]) -> None:
 
 def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
     """Draw a figure into the sweep's folder; return its path."""
-    from carom.lab.sweep.sweep_table import chosen, known
+    from carom.lab.sweep.sweep_table import chosen, figure, known
 
     x, y = _axes(plot)
-    with needing("plot", "carom sweep --plot", "matplotlib"):
-        from carom.lab.sweep.sweep_table import figure
     rows, stored = _rows(folder)
     path = folder / f"{y}-over-{x}.png"
-    figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
+    with needing("plot", "carom sweep --plot", "matplotlib"):
+        figure(chosen(rows, conditions, None), known(x, rows), known(y, rows), stored["varied"], stored["title"], path)
     return path
 
 
