@@ -109,12 +109,12 @@ def test_the_pair_is_at_rest_in_the_end() -> None:
 
 @pytest.mark.slow
 def test_the_bounces_come_when_kepler_says_and_end_when_their_series_does() -> None:
-    # An impact is found up to dt late, and comes out of its overlap at half the speed, so twice as late again: each
-    # bounce delays the rest by up to 3 dt. The series ends when a step sees no approach faster than 2 a dt; 11 bounces
-    # come before.
+    # Impacts are resolved at their own times, and frames are dt apart: the lowest frame is within dt of the bounce. The
+    # last bounce that rises by more than 1e-6 m takes 8 ms, 2 dt, and those after it together as long again; the last
+    # frame that shows it is up to dt earlier.
     dt = 0.004
     time, distance, _ = separations(max_dt=dt, target_dx=1e-6, duration=90.0)
     lowest = [k for k in range(1, len(distance) - 1) if distance[k - 1] > distance[k] <= distance[k + 1]]
-    assert np.all(np.abs(time[lowest[:4]] - BOUNCES) <= np.array([1.0, 4.0, 7.0, 10.0]) * dt)
+    assert np.all(np.abs(time[lowest[:4]] - BOUNCES) <= dt)
     moving = np.flatnonzero(np.abs(distance - 4.0) > 1e-6)
-    assert abs(time[moving[-1]] - AT_REST) <= 34 * dt
+    assert abs(time[moving[-1]] - AT_REST) <= 5 * dt
