@@ -79,7 +79,7 @@ def fault_of(command: str, path: tuple[int, str, str], folder: Path, environment
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=900,
     )
     both = ran.stdout + ran.stderr
     if ran.returncode == code and said in both and "Traceback" not in both:
