@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.kd_tree import KdTree
+from carom.physics.contact.broad_phase.search import KdTree
 from carom.physics.contact.constraint_graph import colour_contacts
 from carom.physics.contact.law import IMPULSES, materials_of
 from carom.physics.contact.solve_order import solve_order_of

@@ -6,11 +6,13 @@ import contextlib
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from carom.errors import PhysicsError, RecordingError
 from carom.event import Event
@@ -31,7 +33,6 @@ from carom.runs.expectation import Verdict, judge
 from carom.runs.interrupts import Interrupts
 from carom.runs.memory import garbage_sought_seldom
 from carom.runs.output import claimed_output, default_output, refuse_name
-from carom.runs.progress_bar import progress_bar
 from carom.scene.extensions import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
@@ -118,7 +119,7 @@ def run(
     watchers = [watch] if watch else []
     with (
         claimed_output(Path(path), force) as claim,
-        progress_bar(loaded) if progress else contextlib.nullcontext() as bar,
+        _progress_bar(loaded) if progress else contextlib.nullcontext() as bar,
     ):
         watchers += [bar] if bar else []
         space = recording_space(loaded, threads)
@@ -423,3 +424,18 @@ def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -
         if verdict.worst is not None:
             summary |= {f"{key}.time": verdict.worst.time, f"{key}.between": verdict.worst.between}
     return summary
+
+
+@contextmanager
+def _progress_bar(scene: Scene) -> Iterator[Callable[[StepStatus], None]]:
+    """Show a progress bar in a terminal or a notebook, and yield the function that moves it."""
+    end, units = scene.time.duration, scene.unit_system
+    columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[now]}")
+    with Progress(*columns, TimeRemainingColumn()) as shown:
+        task = shown.add_task(scene.title, total=end, now="")
+
+        def move(status: StepStatus) -> None:
+            now = f"t = {units.text(status.time, TIME, '.5g')}, step {status.step}, {status.contacts} contacts"
+            shown.update(task, completed=min(status.time, end), now=now)
+
+        yield move

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
-from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.broad_phase.pair_list import PairList
+from carom.physics.contact.broad_phase.search import KdTree
 from carom.physics.contact.constraint_graph import (
     OVERFLOW,
     colour_bodies,

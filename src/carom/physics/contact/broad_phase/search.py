@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
-from carom.physics.contact.broad_phase.kd_tree import KdTree
 from carom.physics.contact.broad_phase.pair_list import PairList
 from carom.physics.parallel.thread_team import SOLO, Team
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from carom.physics.placement.neighbours import overlapping_pairs
 
 
 class Search(Protocol):
@@ -22,6 +17,18 @@ class Search(Protocol):
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
         ...
+
+
+class KdTree:
+    """The reference engine's broad phase: 2 to 8 times slower than `HierarchicalGrid` (benchmarks/contacts.py)."""
+
+    def __init__(self, radius: FloatArray, box: FloatArray) -> None:
+        self._radius = radius
+        self._box = box if box[0] > 0.0 else None
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
+        return overlapping_pairs(position, self._radius * scale + 0.5 * skin, self._box)
 
 
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
