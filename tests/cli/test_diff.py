@@ -17,7 +17,7 @@ from small_scenes import pair
 @pytest.fixture
 def other(tmp_path: Path) -> Path:
     """The recording `run.rrd` once more, with other numbers behind its bits and in its scene."""
-    scripted = ScriptedRun(20, scene_toml='title = "A scripted-go-round"\nseed = 3\n')
+    scripted = ScriptedRun(20, scene_toml='title = "A merry-go-round"\nseed = 3\n')
     with Recorder(tmp_path / "other.rrd", scripted.header) as recorder:
         for frame in scripted.frames(100):
             moved = frame.position + (1e-3 if frame.step >= 40 else 0.0)

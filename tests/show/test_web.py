@@ -75,7 +75,7 @@ def test_the_page_comes_with_the_recording_its_layout_and_all_of_the_viewer(link
     assert answer(link, site.RECORDING) == (200, recorded.read_bytes())
     assert answer(link, "moment.rbl")[1].startswith(b"RRF") and answer(link, "moment.rrd")[1].startswith(b"RRF")
     assert gzip.decompress(answer(link, "re_viewer.wasm.gz")[1]).startswith(b"\0asm")
-    assert b"<title>A scripted-go-round</title>" in answer(link, site.PAGE)[1]
+    assert b"<title>A merry-go-round</title>" in answer(link, site.PAGE)[1]
     for name in site.FILES:
         assert answer(link, name)[0] == 200
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pytest
+import rerun as rr
 
 from carom.event import Event
 from carom.physics.checkpoint import Books
@@ -16,13 +18,16 @@ from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.frame import Frame
+from carom.recording.schema import paths
 from carom.recording.schema.header import Header
+from carom.recording.write import encoder
+from carom.recording.write.rows import Index, Rows
 
 RUN_ID = "5e0f5d0e-9c0b-4f53-8a4c-1d2d6b1f3a77"
 
 
 class ScriptedRun:
-    """A scripted-go-round of bodies: a frame for every step, deterministic, cheap."""
+    """A merry-go-round of bodies: a frame for every step, deterministic, cheap."""
 
     def __init__(self, bodies: int = 60, *, spins: bool = True, collides: bool = True, seed: int = 1, **header: Any):
         random = np.random.default_rng(seed)
@@ -35,9 +40,9 @@ class ScriptedRun:
         self.spin = random.normal(0, 1.0, (bodies, 3)) if spins else None
         self.collides = collides
         values: dict[str, Any] = {
-            "title": "A scripted-go-round",
+            "title": "A merry-go-round",
             "description": "Bodies on circles that pass through each other.",
-            "scene_toml": 'title = "A scripted-go-round"\n',
+            "scene_toml": 'title = "A merry-go-round"\n',
             "seed": seed,
             "run_id": RUN_ID,
             "names": [f"body-{k}" for k in range(bodies)],
@@ -163,3 +168,16 @@ class ScriptedRun:
         rate = np.linalg.norm(self.spin, axis=1, keepdims=True)
         half = 0.5 * rate * time
         return np.concatenate([self.spin / rate * np.sin(half), np.cos(half)], axis=1)
+
+
+def write_events_without_kinds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let recorders write events as they did before events had kinds."""
+
+    def without_kinds(events: Sequence[Event]) -> Rows:
+        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
+        return Rows(
+            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
+        )
+
+    monkeypatch.setattr(encoder, "event_rows", without_kinds)
+    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)

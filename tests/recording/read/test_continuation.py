@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
-import rerun as rr
 
 from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
-from carom.recording.write.rows import Index, Rows
-from scripted_run import ScriptedRun
+from scripted_run import ScriptedRun, write_events_without_kinds
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
 FRAMES = 20
@@ -48,14 +43,7 @@ def test_a_resumed_run_keeps_events_by_their_kind_whatever_their_text_says(
 def test_a_resumed_run_drops_the_closing_events_of_a_recording_without_kinds(
     tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_kinds(events: Sequence[Event]) -> Rows:
-        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return Rows(
-            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
-        )
-
-    monkeypatch.setattr(encoder, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
+    write_events_without_kinds(monkeypatch)
     event = Event(5, 0.25, "WARN", "Energy rose by 2e-3 of the energy scale.", "energy-rise")
     recording = recorded(tmp_path / "old.rrd", scripted, event)
     assert [(event.kind, event.text) for event in recording.warnings()] == [("energy-rise", event.text)]

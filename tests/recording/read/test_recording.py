@@ -1,19 +1,14 @@
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import rerun as rr
 
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.recording import Recording
-from carom.recording.schema import paths
-from carom.recording.write import encoder
 from carom.recording.write.recorder import Recorder
-from carom.recording.write.rows import Index, Rows
-from scripted_run import ScriptedRun
+from scripted_run import ScriptedRun, write_events_without_kinds
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
 HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}
@@ -132,14 +127,7 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, scrip
 def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
     tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def without_kinds(events: Sequence[Event]) -> Rows:
-        columns = rr.TextLog.columns(text=[e.text for e in events], level=[e.level for e in events])
-        return Rows(
-            paths.EVENTS, Index(np.array([e.step for e in events]), np.array([e.time for e in events])), columns, 0
-        )
-
-    monkeypatch.setattr(encoder, "event_rows", without_kinds)
-    monkeypatch.setattr("carom.recording.write.stream.event_rows", without_kinds)
+    write_events_without_kinds(monkeypatch)
     with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
         for frame in scripted.frames(50):
             recorder.put(frame)
