@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint as Checkpoint
     from carom.physics.contact.law import LAW as LAW
     from carom.physics.diagnostics.extremes import Extremes as Extremes
-    from carom.physics.forces.kernel_forces import KernelForce as KernelForce
     from carom.physics.forces.kernel_forces import forces_of_packages as forces_of_packages
     from carom.physics.look_ahead.find_step import with_promise as with_promise
     from carom.physics.parallel.cores import cores as cores
@@ -274,7 +273,7 @@ _HOMES = {
     "carom.physics.contact.law": "LAW",
     "carom.physics.diagnostics.extremes": "Extremes",
     "carom.physics.look_ahead.find_step": "with_promise",
-    "carom.physics.forces.kernel_forces": "KernelForce forces_of_packages",
+    "carom.physics.forces.kernel_forces": "forces_of_packages",
     "carom.physics.parallel.cores": "cores",
     "carom.physics.parallel.jit": "kernel",
     "carom.physics.periodic_box": "minimum_images",

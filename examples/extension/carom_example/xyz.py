@@ -15,7 +15,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     lines = path.read_text(encoding="utf-8").splitlines()
     count = int(lines[0])
     if len(lines) < count + 2:
-        raise SceneError(f"{called}: it says that it has {count} bodies, and has {len(lines) - 2}")
+        raise SceneError(f"{called}: the first line gives {count} bodies, but {len(lines) - 2} follow")
     rows = [line.split() for line in lines[2 : 2 + count]]
     numbers = np.array([[float(word) for word in row[1:4]] for row in rows])
     columns = {"name": np.array([row[0] for row in rows]), "x": numbers[:, 0], "y": numbers[:, 1], "z": numbers[:, 2]}

@@ -113,7 +113,7 @@ def inexact_impacts(scene: Scene) -> str:
 
 
 def ended_bounces(scene: Scene) -> str:
-    """Say which bounces end at rest; empty if none does, or nothing bounces."""
+    """Return which bounces end at rest, as a sentence; empty if none does, or nothing bounces."""
     contact = contact_parts.contact(scene)
     bounces = contact_parts.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and contact_parts.resting(scene, contact).modelled):

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from carom.lab.sweep.sweep_table import Row
 
 
-# MERGED from sweep_progress: What a person sees while a sweep is under way.
 class SweepProgress(LiveLine):
     """Runs done, runs failed and time left; and a line that stays for each failure."""
 
@@ -253,7 +252,6 @@ def _document(ending: Ending, figure: Path | None) -> dict[str, Any]:
     }
 
 
-# MERGED from sweep_look: Looking at a sweep: its table, a figure, and Rerun's catalogue.
 PIPE_WIDTH = 160  # characters of the table where the output is not a terminal
 SHOWN = ("energy.final", "energy.max_error", "contacts.total", "contacts.max_overlap", "wall_time")
 

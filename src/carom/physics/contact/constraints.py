@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.aligned import CACHE_LINE, record
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.parallel.index import from_front
@@ -19,7 +20,6 @@ from carom.physics.parallel.jit import inline
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
@@ -145,7 +145,7 @@ class ConstraintSystem(NamedTuple):
     pieces: IntArray  # (k, 2) first contact, and the one after the last
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: Records  # (m,) CONTACT
-    held: Flags  # (m,) whether each contact is held; impacts and open gaps are not
+    held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
@@ -166,7 +166,7 @@ class ConstraintSystem(NamedTuple):
     island: IntArray  # (n + p,) workspace, the root of each one's island
     islands: Records  # (n + p,) ISLAND, workspace
     active: IntArray  # (b,) bodies and planes with a contact
-    pressed: Flags  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
+    pressed: BoolArray  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
     found: Records  # (k,) PIECE_FINDINGS
     sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
     settings: Records  # (1,) SETTINGS

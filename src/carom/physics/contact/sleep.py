@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import SleepCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
@@ -41,7 +42,6 @@ from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
 ASLEEP = -1.0  # in place of the time for which a body has been slow
@@ -114,7 +114,7 @@ class Sleepers:
         return self._count == self._movable
 
     @property
-    def asleep(self) -> Flags:
+    def asleep(self) -> BoolArray:
         """(n,) which bodies sleep."""
         return np.asarray(self._calm == ASLEEP)
 
@@ -141,7 +141,7 @@ class Sleepers:
         """Return the pairs with an end that is awake; the contacts of the others are not computed."""
         return pairs[self.have_awake_end(pairs)] if self._count else pairs
 
-    def have_awake_end(self, pairs: IntArray) -> Flags:
+    def have_awake_end(self, pairs: IntArray) -> BoolArray:
         """Tell which pairs have an end that is neither fixed nor asleep."""
         return _has_awake_end(pairs, self._still)
 
@@ -229,7 +229,7 @@ class Sleepers:
         lost[0, FRICTION] = energy
         return lost
 
-    def _disturbed(self, pairs: IntArray) -> Flags:
+    def _disturbed(self, pairs: IntArray) -> BoolArray:
         """Return which sleepers are disturbed, (n,)."""
         ends, limit = self._bodies.ends, self._sleep.speed / self._sleep.after
         found = np.zeros(len(self._calm), dtype=np.bool_)
@@ -266,7 +266,7 @@ def _stop(calm: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
 
 
 @kernel
-def _has_awake_end(pairs: IntArray, still: Flags) -> Flags:
+def _has_awake_end(pairs: IntArray, still: BoolArray) -> BoolArray:
     """Tell which pairs have an end that is neither fixed nor asleep."""
     found = np.empty(len(pairs), dtype=np.bool_)
     for c in range(len(pairs)):
@@ -277,13 +277,13 @@ def _has_awake_end(pairs: IntArray, still: Flags) -> Flags:
 @kernel
 def _look(
     pairs: IntArray,
-    still: Flags,
+    still: BoolArray,
     calm: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
     reference: FloatArray,
     limit: float,
-    disturbed: Flags,
+    disturbed: BoolArray,
 ) -> None:
     """Mark sleepers that move, whose acceleration has changed by more than a limit, or that are near an awake body."""
     n = len(calm)
@@ -304,7 +304,7 @@ def _look(
 
 
 @kernel
-def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: Flags, woken: Flags) -> None:
+def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: BoolArray, woken: BoolArray) -> None:
     """Mark all bodies of the islands of disturbed ones."""
     n = len(disturbed)
     parent = np.arange(n)
@@ -318,7 +318,7 @@ def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: Flags, woken: 
 
 
 @kernel
-def _kick_energy(woken: Flags, acceleration: FloatArray, inverse_mass: FloatArray, kick: float) -> float:
+def _kick_energy(woken: BoolArray, acceleration: FloatArray, inverse_mass: FloatArray, kick: float) -> float:
     """Return Σ ½ m (a h)² of the woken bodies, in J."""
     energy = 0.0
     for i in range(len(woken)):
@@ -361,7 +361,7 @@ def _fall_asleep(
     inverse_inertia: FloatArray,
     after: float,
     calm: FloatArray,
-    slept: Flags,
+    slept: BoolArray,
 ) -> float:
     """Mark the bodies of islands that fall asleep, also in ``calm``; return their kinetic energy in J."""
     n = len(calm)

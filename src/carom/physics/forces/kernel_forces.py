@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.parallel.foreign import chosen_by_type, identity_of, leaf
 from carom.physics.parallel.jit import kernel, long_kernel
@@ -24,8 +24,6 @@ from carom.physics.periodic_box import minimum_image
 from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
 from carom.scene.schema import Scene
 
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 Parameters = tuple[Records, ...]  # (1,) records, one for each force
 
 BODIES_PER_TASK = 2000  # about 10 µs of work, for one body each
@@ -128,7 +126,7 @@ def energy_of(forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray)
 
 
 def _functions(record: Any) -> tuple[bool, _Compiled]:
-    """Tell whether a record, given as a type, is of a force between bodies; and return its functions."""
+    """Return whether the type of a record belongs to a force between bodies, and the functions of the force."""
     marker = next(iter(record.dtype.fields))
     return marker.startswith(_PAIR), _compiled[marker]
 

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.search import Search
@@ -44,7 +45,6 @@ from carom.scene.start import HalfSpaces
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
-Flags = NDArray[np.bool_]
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_CONTACTS = 16  # per body at one moment, on average
@@ -208,8 +208,8 @@ class EventDrivenDrift:
         scale: float,
         skin: float,
         held: ImpulseCache,
-        pressed: Flags,
-        asleep: Flags | None,
+        pressed: BoolArray,
+        asleep: BoolArray | None,
         along: FloatArray | None = None,
     ) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve their impacts.
@@ -267,7 +267,7 @@ class EventDrivenDrift:
         count = resolve_touching(T, pairs, self._log)
         return Impacts.of(self._log[:count].copy())
 
-    def _straighten(self, held: ImpulseCache, asleep: Flags | None) -> None:
+    def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
         """Make the paths of bodies that contacts hold, and of sleepers, straight; they are not free."""
         body = self._trajectories.body
         straighten(held.pairs, held.place, held.contacts, body)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.parallel.jit import inner, kernel, long_kernel
@@ -25,7 +26,6 @@ from carom.physics.vector import add, along, between, vector
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
-Flags = NDArray[np.bool_]
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
 TOUCHING = 1e-9  # of the radius, the first standoff of an exhausted body
@@ -133,7 +133,7 @@ def write_reaches(
 
 
 @kernel
-def begin(T: Trajectories, dt: float, kick: float, bends: bool, pressed: Flags) -> None:
+def begin(T: Trajectories, dt: float, kick: float, bends: bool, pressed: BoolArray) -> None:
     """Begin a drift.
 
     Parameters

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.aligned import Room, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import MIN_PER_TASK, SETTINGS, SHARED_FROM, ConstraintSystem
@@ -33,7 +34,6 @@ from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
@@ -231,7 +231,7 @@ class ContactSolver:
         return self._lead(IMPACTS, self._system, max_iterations)
 
     @property
-    def pressed(self) -> Flags:
+    def pressed(self) -> BoolArray:
         """(n + p,) whether contacts have pressed each body since the last step; others meet in impacts."""
         return self._workspace.pressed
 

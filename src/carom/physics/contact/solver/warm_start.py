@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.physics.aligned import columns
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem, contacts_of, ends_of
@@ -24,7 +25,6 @@ from carom.physics.parallel.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 Records = NDArray[np.void]
 
 
@@ -86,7 +86,7 @@ class ImpulseCache:
 
 @long_kernel
 def mark_pressed(
-    lo: int, hi: int, pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, pressed: Flags
+    lo: int, hi: int, pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, pressed: BoolArray
 ) -> None:
     """Mark the moving ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
     for c in range(lo, hi):
