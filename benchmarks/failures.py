@@ -16,7 +16,7 @@ from carom.lab.fork.ensemble import ensemble
 from carom.lab.fork.fork import fork
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
-from carom.physics.parallel.cores import cores
+from carom.physics.jit.cores import cores
 from carom.recording.read.recording import Recording
 from carom.runs.run import run
 from carom.runs.workers import LocalWorkers

@@ -28,8 +28,8 @@ from numpy.typing import NDArray
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
-from carom.physics.parallel.jit import long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.thread_team import Team
 from measurement import medians, merge
 
 FloatArray = NDArray[np.float64]

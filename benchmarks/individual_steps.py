@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.forces.gravity.tree_build import Boxes
-from carom.physics.parallel.thread_team import SOLO
+from carom.physics.jit.thread_team import SOLO
 
 FloatArray = NDArray[np.float64]
 

@@ -40,9 +40,9 @@ if TYPE_CHECKING:
     from carom.physics.contact.law import LAW as LAW
     from carom.physics.diagnostics.extremes import Extremes as Extremes
     from carom.physics.forces.kernel_forces import forces_of_packages as forces_of_packages
+    from carom.physics.jit.cores import cores as cores
+    from carom.physics.jit.decorators import kernel as kernel
     from carom.physics.look_ahead.find_step import with_promise as with_promise
-    from carom.physics.parallel.cores import cores as cores
-    from carom.physics.parallel.jit import kernel as kernel
     from carom.physics.periodic_box import minimum_images as minimum_images
     from carom.physics.placement import place as place
     from carom.physics.reference_api import BodyProxy as BodyProxy
@@ -274,8 +274,8 @@ _HOMES = {
     "carom.physics.diagnostics.extremes": "Extremes",
     "carom.physics.look_ahead.find_step": "with_promise",
     "carom.physics.forces.kernel_forces": "forces_of_packages",
-    "carom.physics.parallel.cores": "cores",
-    "carom.physics.parallel.jit": "kernel",
+    "carom.physics.jit.cores": "cores",
+    "carom.physics.jit.decorators": "kernel",
     "carom.physics.periodic_box": "minimum_images",
     "carom.physics.placement": "place",
     "carom.physics.reference_api": "BodyProxy CollisionContext",

@@ -178,7 +178,7 @@ PUSHING = {"contact.solver.position_correction.audit_corrections"}  # correction
 FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.target"}
 TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
 FAST_MULTIPOLE = ("forces.gravity.box_walk.", "forces.gravity.expansions.")
-OPTIONAL = ("contact.continuous.", "forces.drag.", *TREE)  # modules
+OPTIONAL = ("contact.events.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
 LATE = {"timing": "end-of-step"}

@@ -10,7 +10,7 @@ import pytest
 
 from carom.errors import PhysicsError
 from carom.physics.batch_step import BatchStepper
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.physics.pull_time import PullTime, step_of_largest
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from carom.physics import parallel
-from carom.physics.parallel.cores import cores
+from carom.physics import jit as parallel
+from carom.physics.jit.cores import cores
 from carom.physics.space import Space
 from carom.runs import compiling_process
 from carom.runs.warmup import SCENES

@@ -13,7 +13,7 @@ from carom.physics.contact.constraint_graph import colour_contacts
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.scene.matter import PairCoefficients
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene

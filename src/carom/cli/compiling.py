@@ -17,7 +17,7 @@ def announce_compilation(say: Callable[[str], None] | None = None, helped: bool 
     helped
         Whether that process has been started.
     """
-    from carom.physics.parallel.jit import cache_folder, on_compilation
+    from carom.physics.jit.decorators import cache_folder, on_compilation
     from carom.runs.compiling_process import start_compiling
 
     text = "Compiling kernels, once on this machine (about 15 s) …"

@@ -19,8 +19,8 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
-from carom.physics.parallel.intrinsics import pointer_to
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
+from carom.physics.jit.intrinsics import pointer_to
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

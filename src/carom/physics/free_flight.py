@@ -26,7 +26,7 @@ from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
-from carom.physics.parallel.jit import borrowing, entry_of, inline, unowned
+from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target

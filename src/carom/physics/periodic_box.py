@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 from carom.physics.vector import Vector
 
 FloatArray = NDArray[np.float64]

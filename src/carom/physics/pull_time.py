@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 

@@ -18,8 +18,8 @@ from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch import batch_integrator_of
-from carom.physics.parallel.cores import cores
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.cores import cores
+from carom.physics.jit.thread_team import Team
 from carom.physics.schedule import Checks, Pause, Schedule, at, every
 from carom.physics.status import StepStatus
 from carom.physics.step import KickDriftStepper

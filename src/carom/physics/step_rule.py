@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.parallel.jit import borrowing, inline, kernel, long_kernel
+from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel
 from carom.physics.pull_time import step_of_largest, step_of_pairs
 
 FloatArray = NDArray[np.float64]

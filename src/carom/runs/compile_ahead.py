@@ -28,7 +28,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import FrameStore
-from carom.physics.parallel.thread_team import SOLO, load_helpers
+from carom.physics.jit.thread_team import SOLO, load_helpers
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep

@@ -11,8 +11,8 @@ import sys
 import threading
 from pathlib import Path
 
-from carom.physics import parallel
-from carom.physics.parallel.cores import cores
+from carom.physics import jit as parallel
+from carom.physics.jit.cores import cores
 
 
 def start_compiling() -> subprocess.Popen[bytes] | None:

@@ -20,7 +20,7 @@ from carom.physics.contact.constraint_graph import (
     colour_contacts,
 )
 from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from small_scenes import random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.contact.continuous.held_group import MOST_BODIES, MOST_CONTACTS, Group, find_impulses
+from carom.physics.contact.events.held_group import MOST_BODIES, MOST_CONTACTS, Group, find_impulses
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 

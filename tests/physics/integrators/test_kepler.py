@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.integrators.kepler import LANE_ROWS, LANES, revolve, revolve_all
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
 
 FloatArray = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.intrinsics import lowest_bit
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.intrinsics import lowest_bit
 
 IntArray = NDArray[np.int64]
 FloatArray = NDArray[np.float64]

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray
 from carom.physics.aligned import CACHE_LINE, record
 from carom.physics.diagnostics.ledger import TERMS
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.index import from_front
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -13,7 +13,7 @@ from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.law import LAW, Materials, material_index
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
-from carom.physics.parallel.jit import inline, kernel, long_kernel
+from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]

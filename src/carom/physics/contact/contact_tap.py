@@ -23,7 +23,7 @@ from carom.physics.aligned import Room, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_rows import NOT_HELD, Ends, Found, Held, merge, pick_impacts, write_log
-from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
+from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.impact_store import ImpactStore
 from carom.physics.contact.law import IMPULSES, Materials
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts

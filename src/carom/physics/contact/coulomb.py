@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 REACHED = 1e-9  # of μ_k λ_n; sums over iterations and kicks miss it by rounding, about 1e-15 each
 

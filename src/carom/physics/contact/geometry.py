@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, long_kernel
-from carom.physics.parallel.lanes import where
+from carom.physics.jit.decorators import inline, long_kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.lanes import where
 from carom.physics.periodic_box import nearest_image
 
 FloatArray = NDArray[np.float64]

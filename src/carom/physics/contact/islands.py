@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
 from carom.physics.contact.union_find import join, join_shared, root_of
-from carom.physics.parallel.atomics import atomic_load, atomic_max
-from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.atomics import atomic_load, atomic_max
+from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.periodic_box import sizes
 from carom.physics.vector import between
 

@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact import coulomb
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 

@@ -15,7 +15,7 @@ from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.islands import largest_values
 from carom.physics.contact.solver.begin_contacts import TOUCHING
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 
 @inline

@@ -24,8 +24,8 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.contact_tap import ContactTap, Impulses
-from carom.physics.contact.continuous.drift import NO_IMPACTS, EventDrivenDrift, Impacts
-from carom.physics.contact.continuous.next_impact import step_by_impacts
+from carom.physics.contact.events.drift import NO_IMPACTS, EventDrivenDrift, Impacts
+from carom.physics.contact.events.next_impact import step_by_impacts
 from carom.physics.contact.law import Materials
 from carom.physics.contact.limits import limits_of, still_closing
 from carom.physics.contact.near_pairs import NearPairs
@@ -42,7 +42,7 @@ from carom.physics.contact.statistics import NO_CONTACTS
 from carom.physics.contact.support import borne
 from carom.physics.contact.torques import Torques
 from carom.physics.diagnostics.run_monitor import Profile
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.thread_team import Team
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.continuous.drift import NO_IMPACTS, Impacts
+from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts

@@ -34,8 +34,8 @@ from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.contact.union_find import join_islands, root_of
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
-from carom.physics.parallel.jit import kernel
-from carom.physics.parallel.thread_team import SOLO
+from carom.physics.jit.decorators import kernel
+from carom.physics.jit.thread_team import SOLO
 from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces

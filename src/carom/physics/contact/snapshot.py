@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraint_graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
-from carom.physics.contact.continuous.drift import Impacts
-from carom.physics.parallel.jit import kernel
+from carom.physics.contact.events.drift import Impacts
+from carom.physics.jit.decorators import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraint_graph import OVERFLOW
-from carom.physics.parallel.jit import kernel
-from carom.physics.parallel.lanes import WIDTH
+from carom.physics.jit.decorators import kernel
+from carom.physics.jit.lanes import WIDTH
 
 IntArray = NDArray[np.int64]
 

@@ -15,13 +15,13 @@ from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
-from carom.physics.contact.continuous.drift import Impacts
+from carom.physics.contact.events.drift import Impacts
 from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

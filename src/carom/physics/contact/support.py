@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.solver.warm_start import ImpulseCache
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.parallel.atomics import atomic_replace
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, inner, kernel
+from carom.physics.jit.atomics import atomic_replace
+from carom.physics.jit.decorators import inline, inner, kernel
+from carom.physics.jit.index import from_front
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

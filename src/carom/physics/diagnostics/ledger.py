@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from carom.arrays import FloatArray
 from carom.physics.aligned import columns
-from carom.physics.parallel.jit import inline, kernel
+from carom.physics.jit.decorators import inline, kernel
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
 TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same, as fields of records

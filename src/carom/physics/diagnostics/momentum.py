@@ -21,7 +21,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
 from carom.physics.vector import square, vector
 
 

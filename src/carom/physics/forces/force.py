@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.continuous.drift import Impacts
+from carom.physics.contact.events.drift import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.schema import Scene

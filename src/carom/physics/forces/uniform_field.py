@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.thread_team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.schema import Scene
 

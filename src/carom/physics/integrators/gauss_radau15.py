@@ -42,7 +42,7 @@ from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first
 from carom.physics.integrators.radau_nodes import TERMS, WIDTH
 from carom.physics.integrators.radau_step import Motion, accelerate, attempt, motion_of, move, shorten
 from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
-from carom.physics.parallel.jit import borrowing, entry_of, unowned
+from carom.physics.jit.decorators import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.integrators.orbit_arrays import Orbits
-from carom.physics.parallel.jit import unowned
+from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
 
 FloatArray = NDArray[np.float64]

@@ -22,7 +22,7 @@ from math import factorial
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import unowned
+from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from carom.physics.integrators.kepler import LANES
 from carom.physics.integrators.orbit_arrays import Orbits
-from carom.physics.parallel.jit import unowned
+from carom.physics.jit.decorators import unowned
 from carom.physics.vector import add, between, vector, write
 
 FloatArray = NDArray[np.float64]

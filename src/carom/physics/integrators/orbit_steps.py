@@ -12,7 +12,7 @@ from carom.physics.integrators.mutual_pull import kick
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.integrators.orbit_encounters import meets
 from carom.physics.integrators.symplectic_corrector import correct, drift
-from carom.physics.parallel.jit import long_kernel, unowned
+from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.step_rule import END_TOLERANCE
 
 FloatArray = NDArray[np.float64]

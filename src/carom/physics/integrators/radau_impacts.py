@@ -24,10 +24,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.continuous.trajectories import ROUNDING
+from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.integrators.radau_nodes import TERMS
 from carom.physics.integrators.radau_step import Motion, acceleration_at_start
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 
 FloatArray = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from carom.physics.integrators.radau_nodes import (
     TO_DIFFERENCE,
     WIDTH,
 )
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 
 FloatArray = NDArray[np.float64]
 

@@ -32,7 +32,7 @@ from carom.physics.integrators.radau_step import (
     stops,
 )
 from carom.physics.integrators.radau_tolerance import tolerance
-from carom.physics.parallel.jit import borrowing, unowned
+from carom.physics.jit.decorators import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene

@@ -23,7 +23,7 @@ from carom.physics.integrators.jacobi import from_jacobi
 from carom.physics.integrators.kepler import revolve_all
 from carom.physics.integrators.mutual_pull import kick
 from carom.physics.integrators.orbit_arrays import Orbits
-from carom.physics.parallel.jit import unowned
+from carom.physics.jit.decorators import unowned
 
 FloatArray = NDArray[np.float64]
 

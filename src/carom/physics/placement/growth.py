@@ -26,10 +26,10 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import SceneError
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.continuous.event_queue import put
-from carom.physics.contact.continuous.time_of_impact import time_of_impact
-from carom.physics.contact.continuous.trajectories import both_ways
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.contact.events.event_queue import put
+from carom.physics.contact.events.time_of_impact import time_of_impact
+from carom.physics.contact.events.trajectories import both_ways
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.periodic_box import minimum_images, nearest_image
 from carom.physics.placement.neighbours import Surroundings
 from carom.physics.placement.region import half_extent

@@ -12,8 +12,8 @@ from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW
-from carom.physics.parallel.intrinsics import pointer_to
-from carom.physics.parallel.jit import inline, inner, kernel, long_kernel
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
+from carom.physics.jit.intrinsics import pointer_to
 from carom.recording.layout.drawing import part_of_longest
 
 FloatArray = NDArray[np.float64]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from carom.physics.aligned import record
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.periodic_box import minimum_image, minimum_images
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import single

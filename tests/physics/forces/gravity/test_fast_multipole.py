@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from carom.physics.forces.gravity.expansions import BRANCH
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree_build import LEAF
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from gravity_shapes import SHAPES, Shape, ball, errors, masses, plummer, pulled_by, summed, total_pull

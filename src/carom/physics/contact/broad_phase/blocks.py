@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.thread_team import Team
 
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]

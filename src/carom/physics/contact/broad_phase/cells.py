@@ -25,10 +25,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.parallel.prefetch import AHEAD, prefetch
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.jit.prefetch import AHEAD, prefetch
+from carom.physics.jit.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
 from carom.physics.contact.broad_phase.near import are_near
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import borrowing, inline, kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import borrowing, inline, kernel
+from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.periodic_box import sizes
 from carom.physics.vector import between
 

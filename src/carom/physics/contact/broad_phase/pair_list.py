@@ -18,9 +18,9 @@ from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.contact.constraints import ends_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import borrowing, kernel, long_kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.decorators import borrowing, kernel, long_kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.periodic_box import minimum_image, sizes
 from carom.physics.vector import between
 

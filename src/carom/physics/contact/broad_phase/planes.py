@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.constraint_graph import first_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import long_kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.thread_team import Team
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]

@@ -7,7 +7,7 @@ from typing import Protocol
 from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.broad_phase.pair_list import PairList
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
 
 

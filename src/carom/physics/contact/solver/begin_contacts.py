@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.diagnostics.ledger import clear_terms
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.jit.decorators import inline, long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

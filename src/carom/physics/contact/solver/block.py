@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from carom.physics.contact.constraints import SETTINGS, ConstraintSystem
-from carom.physics.parallel.intrinsics import address_in
-from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import BYTE, DOUBLE, NOTHING, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
-from carom.physics.parallel.prefetch import AHEAD, fetch_line
-from carom.physics.parallel.record_lanes import RecordLanes
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.intrinsics import address_in
+from carom.physics.jit.lanes import BYTE, DOUBLE, NOTHING, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
+from carom.physics.jit.prefetch import AHEAD, fetch_line
+from carom.physics.jit.record_lanes import RecordLanes
 
 VELOCITY, CHANGE = range(2)  # lines of a body
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
+from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.jit.index import from_front
+from carom.physics.jit.prefetch import AHEAD, prefetch_record
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -20,7 +20,7 @@ from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import LAW, material_index
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_of, change_of_velocity, relative_velocity, slip
-from carom.physics.parallel.jit import inline, kernel, unowned
+from carom.physics.jit.decorators import inline, kernel, unowned
 
 # The closing speed that a contact may keep. Chosen so that the columns of test_convergence.py stand. With a tenth
 # of PART_OF_REST cloud-collapse takes twice as long, and none of its errors changes by a tenth.

@@ -27,8 +27,8 @@ from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of, m
 from carom.physics.contact.solver.workspace import Workspace
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
-from carom.physics.parallel.jit import entry_of, kernel
-from carom.physics.parallel.thread_team import ALONE, Team
+from carom.physics.jit.decorators import entry_of, kernel
+from carom.physics.jit.thread_team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 

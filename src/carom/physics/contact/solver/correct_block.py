@@ -21,8 +21,8 @@ from carom.physics.contact.solver.overlap_push import (
 )
 from carom.physics.contact.solver.pushed_body import NEVER
 from carom.physics.contact.solver.velocity import velocity_along
-from carom.physics.parallel.intrinsics import instruction
-from carom.physics.parallel.lanes import DOUBLE, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
+from carom.physics.jit.intrinsics import instruction
+from carom.physics.jit.lanes import DOUBLE, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
 
 AMOUNTS = 1  # line of `CONTACT_STATE` that has the ledger, the pushes and the flags
 

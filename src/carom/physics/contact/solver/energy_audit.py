@@ -18,7 +18,7 @@ from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
 from carom.physics.diagnostics.ledger import copy_terms
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 
 
 @unowned

@@ -21,7 +21,7 @@ from typing import Any
 from carom.physics.contact.constraints import ConstraintSystem, ends_of
 from carom.physics.contact.union_find import join_islands
 from carom.physics.diagnostics.ledger import copy_terms
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 
 
 @unowned

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from carom.physics.contact.law import LAW
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 
 @inline

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
-from carom.physics.contact.continuous.trajectories import ROUNDING
+from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import (
     LAW,
@@ -37,7 +37,7 @@ from carom.physics.contact.law import (
 from carom.physics.contact.solver.body_state import prefetch_ends, push, turn
 from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE, tolerated
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import inline, long_kernel, unowned
+from carom.physics.jit.decorators import inline, long_kernel, unowned
 from carom.physics.vector import between
 
 FloatArray = NDArray[np.float64]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import BODIES_PER_BLOCK, ConstraintSystem
 from carom.physics.contact.solver.repeat_change import repeat_change
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.index import from_front
 
 Records = NDArray[np.void]
 

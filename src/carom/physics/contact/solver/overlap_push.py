@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 # Of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times the energy in
 # the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms).

@@ -43,8 +43,8 @@ from carom.physics.contact.solver.position_correction import correct_positions
 from carom.physics.contact.solver.prepare import prepare
 from carom.physics.contact.solver.solve import solve_straight, solve_turning
 from carom.physics.contact.solver.warm_start import warm_start
-from carom.physics.parallel.jit import layout_of
-from carom.physics.parallel.task import code_for, kind_for
+from carom.physics.jit.decorators import layout_of
+from carom.physics.jit.task import code_for, kind_for
 
 Phase = Callable[[int, int, ConstraintSystem], None]
 

@@ -37,9 +37,9 @@ from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.line_search import step_length
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.solve import HOLD_CONVERGED
-from carom.physics.parallel.jit import borrowing, inline, inner
-from carom.physics.parallel.task import assign, do, kind_of, lay_out, raise_fault
-from carom.physics.parallel.thread_team import lead_phase
+from carom.physics.jit.decorators import borrowing, inline, inner
+from carom.physics.jit.task import assign, do, kind_of, lay_out, raise_fault
+from carom.physics.jit.thread_team import lead_phase
 
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]

@@ -41,9 +41,9 @@ from carom.physics.contact.solver.overlap_push import (
     separates,
 )
 from carom.physics.contact.solver.velocity import velocity_along
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import inline, kernel, long_kernel, unowned
-from carom.physics.parallel.lanes import WIDTH
+from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.index import from_front
+from carom.physics.jit.lanes import WIDTH
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import vector
 

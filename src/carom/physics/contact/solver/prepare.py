@@ -10,7 +10,7 @@ from carom.physics.contact.law import inverse_tangent_mass
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.parallel.jit import inline, unowned
+from carom.physics.jit.decorators import inline, unowned
 
 LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
 # rounding is 1e-16 of that velocity

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.index import from_front
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.index import from_front
 from carom.physics.vector import vector, write
 
 FloatArray = NDArray[np.float64]

@@ -13,9 +13,9 @@ from numba import types
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.constraints import BODY_STATE
 from carom.physics.contact.solver.block import CHANGE, VELOCITY
-from carom.physics.parallel.intrinsics import address_in, instruction
-from carom.physics.parallel.lanes import BIT, DOUBLE, WIDTH, Lanes, mask_of, spread
-from carom.physics.parallel.record_lanes import line_of
+from carom.physics.jit.intrinsics import address_in, instruction
+from carom.physics.jit.lanes import BIT, DOUBLE, WIDTH, Lanes, mask_of, spread
+from carom.physics.jit.record_lanes import line_of
 
 MOTION = 6  # fields of each line: v and ω, or p and t; after them come masses and inertias
 

@@ -37,8 +37,8 @@ from carom.physics.contact.solver.body_state import accumulate_push, accumulate_
 from carom.physics.contact.solver.friction import friction
 from carom.physics.contact.solver.solve_block import solve_block
 from carom.physics.contact.solver.velocity import bias_of, relative_velocity, slip
-from carom.physics.parallel.jit import inline, unowned
-from carom.physics.parallel.lanes import WIDTH
+from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.lanes import WIDTH
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
 

@@ -16,8 +16,8 @@ from carom.physics.contact.solver.block import CHANGE, VELOCITY, Block
 from carom.physics.contact.solver.body_state import torque_of
 from carom.physics.contact.solver.friction import friction
 from carom.physics.contact.solver.velocity import bias_along_arc, relative_velocity, slip
-from carom.physics.parallel.intrinsics import instruction
-from carom.physics.parallel.lanes import (
+from carom.physics.jit.intrinsics import instruction
+from carom.physics.jit.lanes import (
     Lanes,
     added_in_order,
     either,
@@ -27,7 +27,7 @@ from carom.physics.parallel.lanes import (
     read_doubles,
     spread,
 )
-from carom.physics.parallel.record_lanes import RecordLanes
+from carom.physics.jit.record_lanes import RecordLanes
 
 Vector = Sequence[Lanes]
 

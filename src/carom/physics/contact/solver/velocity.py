@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import where
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.lanes import where
 
 
 @inline

@@ -19,9 +19,9 @@ from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintS
 from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends
-from carom.physics.parallel.jit import inline, kernel, long_kernel, unowned
-from carom.physics.parallel.prefetch import AHEAD, prefetch_record
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.prefetch import AHEAD, prefetch_record
+from carom.physics.jit.thread_team import Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -10,7 +10,7 @@ from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.pull import Pull
 from carom.physics.forces.gravity.tree import TreeGravity
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.thread_team import Team
 from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene

@@ -47,9 +47,9 @@ from carom.physics.forces.gravity.taylor import (
     evaluate,
     pull_of_bodies,
 )
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import long_kernel, unowned
-from carom.physics.parallel.vectors import LANES
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.jit.vectors import LANES
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -29,8 +29,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.jit import inline, kernel, long_kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.jit.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.taylor import AXIS, CENTRE, FROM, LOWER, MASS, MOVE_POLES, POLES, POWER, SHARE, TO
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

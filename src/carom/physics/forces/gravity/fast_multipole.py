@@ -21,8 +21,8 @@ from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.expansions import BOX, describe, expand
 from carom.physics.forces.gravity.taylor import CENTRE, LOCAL, POLES
 from carom.physics.forces.gravity.tree_build import RANGE, Boxes
-from carom.physics.parallel.thread_team import SOLO, Team
-from carom.physics.parallel.vectors import LANES
+from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.vectors import LANES
 
 FloatArray = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import long_kernel
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import long_kernel
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -26,8 +26,8 @@ import numpy as np
 from numba import types
 from numba.core import cgutils
 
-from carom.physics.parallel.intrinsics import instruction
-from carom.physics.parallel.vectors import LANES, Vectors
+from carom.physics.jit.intrinsics import instruction
+from carom.physics.jit.vectors import LANES, Vectors
 
 Index = tuple[int, int, int]
 

@@ -18,7 +18,7 @@ from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.multipole import CENTRE, MOMENTS, expand
 from carom.physics.forces.gravity.tree_build import GROUP, RANGE, Boxes
 from carom.physics.forces.gravity.tree_walk import Lists, PullLaw, Tree, pull
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 

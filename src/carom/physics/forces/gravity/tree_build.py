@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.atomics import atomic_add, atomic_load, atomic_store
-from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.thread_team import SOLO, Team
+from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
+from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.thread_team import SOLO, Team
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

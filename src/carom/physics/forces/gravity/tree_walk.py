@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import own_potential
-from carom.physics.parallel.atomics import atomic_add
-from carom.physics.parallel.jit import long_kernel, unowned
-from carom.physics.parallel.prefetch import prefetch_to_read
+from carom.physics.jit.atomics import atomic_add
+from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.jit.prefetch import prefetch_to_read
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

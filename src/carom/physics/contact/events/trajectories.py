@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.parallel.jit import inner, kernel, long_kernel
+from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import add, along, between, vector
 

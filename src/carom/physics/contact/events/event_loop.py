@@ -17,14 +17,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.continuous.event_queue import put
-from carom.physics.contact.continuous.held_group import MOST_CONTACTS, hold_group
-from carom.physics.contact.continuous.time_of_impact import (
+from carom.physics.contact.events.event_queue import put
+from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
+from carom.physics.contact.events.time_of_impact import (
     time_of_impact,
     time_of_impact_in_box,
     time_of_impact_on_parabola,
 )
-from carom.physics.contact.continuous.trajectories import (
+from carom.physics.contact.events.trajectories import (
     MOST_HOLDS,
     ROUNDING,
     Neighbours,
@@ -39,7 +39,7 @@ from carom.physics.contact.continuous.trajectories import (
 from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
 from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
-from carom.physics.parallel.jit import inner, long_kernel
+from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.rotation import turn_one
 from carom.physics.vector import add, along, between, vector
 

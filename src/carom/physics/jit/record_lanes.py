@@ -13,7 +13,7 @@ import numpy as np
 from llvmlite import ir
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.lanes import (
+from carom.physics.jit.lanes import (
     BYTE,
     DOUBLE,
     NOTHING,

@@ -15,10 +15,10 @@ from numba import types
 from numpy.typing import NDArray
 
 from carom.physics.aligned import aligned_empty, record
-from carom.physics.parallel.intrinsics import address_in, instruction
-from carom.physics.parallel.jit import inline
-from carom.physics.parallel.lanes import WIDTH, WORD, added_in_order, in_lanes, read_doubles, read_flags, where
-from carom.physics.parallel.record_lanes import RecordLanes
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.intrinsics import address_in, instruction
+from carom.physics.jit.lanes import WIDTH, WORD, added_in_order, in_lanes, read_doubles, read_flags, where
+from carom.physics.jit.record_lanes import RecordLanes
 
 FloatArray = NDArray[np.float64]
 

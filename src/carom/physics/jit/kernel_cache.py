@@ -28,7 +28,7 @@ import xxhash
 from numba.core import caching, config, serialize
 from numba.core.compiler import CompileResult
 
-from carom.physics.parallel.sources import sources_of
+from carom.physics.jit.sources import sources_of
 from carom.private_folder import is_own
 
 CHECKSUM = 16  # bytes, before the others

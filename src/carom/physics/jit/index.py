@@ -6,7 +6,7 @@ compiler knows that the index is not negative. Then a sweep of the position corr
 
 from __future__ import annotations
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 LARGEST = 2**63 - 1
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from llvmlite import ir
 
-from carom.physics.parallel.jit import inline
+from carom.physics.jit.decorators import inline
 
 WIDTH = 8  # doubles in a cache line
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)

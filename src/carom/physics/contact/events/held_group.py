@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.continuous.trajectories import (
+from carom.physics.contact.events.trajectories import (
     ROUNDING,
     Neighbours,
     Trajectories,
@@ -36,7 +36,7 @@ from carom.physics.contact.continuous.trajectories import (
     centre,
     contact_geometry,
 )
-from carom.physics.parallel.jit import inline, inner, kernel
+from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.periodic_box import nearest_image
 from carom.physics.vector import along, between, vector
 

@@ -18,18 +18,20 @@ from typing import Any
 import pytest
 
 import carom
-from carom.physics.parallel import kernel_cache
-from carom.physics.parallel.kernel_cache import CHECKSUM
-from carom.physics.parallel.sources import imports_of
+from carom.physics.jit import kernel_cache
+from carom.physics.jit.kernel_cache import CHECKSUM
+from carom.physics.jit.sources import imports_of
 
 COUNT = 8
-KERNELS = "from carom.physics.parallel.jit import kernel\nfrom pack.part import {part}\n" + "".join(
+KERNELS = "from carom.physics.jit.decorators import kernel\nfrom pack.part import {part}\n" + "".join(
     f"@kernel\ndef f{k}(x: float) -> float:\n    return {{part}}(x) + {k}.0\n" for k in range(COUNT)
 )
-PART = "from carom.physics.parallel.jit import inner\n@inner\ndef {part}(x: float) -> float:\n    return {factor} * x\n"
+PART = (
+    "from carom.physics.jit.decorators import inner\n@inner\ndef {part}(x: float) -> float:\n    return {factor} * x\n"
+)
 CALL = f"""
 import json
-from carom.physics.parallel.jit import Compilations, cache_folder
+from carom.physics.jit.decorators import Compilations, cache_folder
 from pack import kernels
 with Compilations() as compilations:
     values = [getattr(kernels, f"f{{k}}")(1.0) for k in range({COUNT})]
@@ -77,7 +79,7 @@ def test_a_kernel_that_a_killed_process_had_begun_is_compiled_by_another(tmp_pat
     kernel = tmp_path / "kernel.nbc"
     claim = f"""
 import pathlib, sys
-from carom.physics.parallel import kernel_cache
+from carom.physics.jit import kernel_cache
 print(kernel_cache._claim(pathlib.Path({str(kernel)!r})), flush=True)
 sys.stdin.read()
 """
@@ -135,7 +137,8 @@ def test_a_kernel_is_compiled_anew_when_one_that_it_calls_has_changed_in_another
 
 RECORD = "from typing import NamedTuple\nclass Ball(NamedTuple):\n    {first}: float\n    {second}: float\n"
 HEAVIER = (
-    "from carom.physics.parallel.jit import kernel\n@kernel\ndef doubled(ball) -> float:\n    return 2.0 * ball.mass\n"
+    "from carom.physics.jit.decorators import kernel\n@kernel\n"
+    "def doubled(ball) -> float:\n    return 2.0 * ball.mass\n"
 )
 
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
 from carom.physics.periodic_box import nearest_image
 
 MOST_PASSES = 100

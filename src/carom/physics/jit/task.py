@@ -16,8 +16,8 @@ from llvmlite import ir
 from numba import types
 from numba.core import callconv, cgutils
 
-from carom.physics.parallel.intrinsics import instruction
-from carom.physics.parallel.jit import compile_for
+from carom.physics.jit.decorators import compile_for
+from carom.physics.jit.intrinsics import instruction
 
 WORD = ir.IntType(64)
 PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])  # address of the job, first piece, one after the last

@@ -30,9 +30,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.atomics import atomic_add, atomic_load, atomic_store
-from carom.physics.parallel.jit import kernel, long_kernel
-from carom.physics.parallel.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
+from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
+from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
 
 IntArray = NDArray[np.int64]
 

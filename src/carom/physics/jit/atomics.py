@@ -6,7 +6,7 @@ from typing import Any
 
 from numba import types
 
-from carom.physics.parallel.intrinsics import element_address, instruction
+from carom.physics.jit.intrinsics import element_address, instruction
 
 
 @instruction

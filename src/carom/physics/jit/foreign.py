@@ -15,7 +15,7 @@ import numba
 import xxhash
 from numba import extending
 
-from carom.physics.parallel.sources import sources_of
+from carom.physics.jit.sources import sources_of
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.parallel.jit import kernel
+from carom.physics.jit.decorators import kernel
 
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]

@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.continuous.time_of_impact import time_of_impact
-from carom.physics.contact.continuous.trajectories import ROUNDING
-from carom.physics.parallel.jit import inline, kernel
+from carom.physics.contact.events.time_of_impact import time_of_impact
+from carom.physics.contact.events.trajectories import ROUNDING
+from carom.physics.jit.decorators import inline, kernel
 from carom.physics.vector import between, vector
 
 FloatArray = NDArray[np.float64]

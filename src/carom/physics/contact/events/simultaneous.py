@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ends_of
-from carom.physics.contact.continuous.event_loop import MAX_ELASTIC, MAX_IN_COLLAPSE, collide
-from carom.physics.contact.continuous.held_group import MOST_CONTACTS, hold_group
-from carom.physics.contact.continuous.trajectories import MOST_HOLDS, ROUNDING, Trajectories, arrive
+from carom.physics.contact.events.event_loop import MAX_ELASTIC, MAX_IN_COLLAPSE, collide
+from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
+from carom.physics.contact.events.trajectories import MOST_HOLDS, ROUNDING, Trajectories, arrive
 from carom.physics.contact.law import LAW, material_index
-from carom.physics.parallel.jit import inline, long_kernel
+from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.vector import between, vector
 
 FloatArray = NDArray[np.float64]

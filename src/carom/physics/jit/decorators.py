@@ -14,8 +14,8 @@ import numpy as np
 from numba import types
 from numba.core import event
 
-from carom.physics.parallel import kernel_cache
-from carom.physics.parallel.compilation import hasten
+from carom.physics.jit import kernel_cache
+from carom.physics.jit.compilation import hasten
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -19,8 +19,8 @@ from numba.core.types import Function
 from numba.core.typing.templates import AbstractTemplate, Signature
 from numba.extending import intrinsic
 
-from carom.physics.parallel.compilation import QuickFlags, hasten
-from carom.physics.parallel.jit import Compilations, entry_of, kernel
+from carom.physics.jit.compilation import QuickFlags, hasten
+from carom.physics.jit.decorators import Compilations, entry_of, kernel
 
 
 def double(x: float) -> float:

@@ -16,7 +16,7 @@ from llvmlite import ir
 from numba import types
 
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.parallel.intrinsics import element_address, instruction
+from carom.physics.jit.intrinsics import element_address, instruction
 
 AHEAD = 16  # contacts; 8 cost the same in the cache, and 45 instead of 38 ns if the bodies do not fit into it
 

@@ -19,10 +19,10 @@ from carom.arrays import BoolArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.search import Search
-from carom.physics.contact.continuous.event_loop import IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
-from carom.physics.contact.continuous.event_queue import put
-from carom.physics.contact.continuous.simultaneous import resolve_touching
-from carom.physics.contact.continuous.trajectories import (
+from carom.physics.contact.events.event_loop import IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
+from carom.physics.contact.events.event_queue import put
+from carom.physics.contact.events.simultaneous import resolve_touching
+from carom.physics.contact.events.trajectories import (
     DRIFT,
     TRAJECTORY,
     Neighbours,
@@ -38,8 +38,8 @@ from carom.physics.contact.law import Materials
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
-from carom.physics.parallel.jit import entry_of, kernel
-from carom.physics.parallel.thread_team import Team
+from carom.physics.jit.decorators import entry_of, kernel
+from carom.physics.jit.thread_team import Team
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
