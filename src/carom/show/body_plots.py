@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
@@ -25,9 +25,6 @@ from carom.scene.wording import body_called
 if TYPE_CHECKING:
     from carom.physics.status import StepStatus
 
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MOST = 12  # curves that are told apart
 

@@ -13,6 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
@@ -21,8 +22,6 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.show.overlays import beside_bodies
-
-FloatArray = NDArray[np.float64]
 
 MOST_EDGES = 200  # that are drawn, of the largest shares
 _MOST_NODES = 16  # of the graph; more are a hairball
@@ -85,7 +84,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
         writer.flush()
 
 
-def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float], NDArray[np.float32]]:
+def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float], SingleArray]:
     """Return steps, times (s) and drawn positions (k, n, 3) of the frames of the window and the one after it."""
     drawn = drawn_paths(recording, range(len(recording.bodies.radius)))
     table = recording.fingerprints()
@@ -96,7 +95,7 @@ def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float
     return drawn.steps[first:last].tolist(), times[first:last].tolist(), drawn.position[first:last]
 
 
-def _shown(causes: Causes) -> NDArray[np.int64]:
+def _shown(causes: Causes) -> IntArray:
     """Return the bodies to draw as solids: those asked about, and those with a share of at least 1 %."""
     ends = [end for edge in causes.edges if edge.share >= _LIMITS[0] for end in (edge.i, edge.j)]
     large = np.flatnonzero(causes.share >= _LIMITS[0]).tolist()
@@ -114,8 +113,8 @@ def _bodies(
     writer: Writer,
     index: list[rr.TimeColumn],
     recording: Recording,
-    bodies: NDArray[np.int64],
-    position: NDArray[np.float32],
+    bodies: IntArray,
+    position: SingleArray,
     colours: NDArray[np.uint32],
     *,
     solid: bool,
@@ -146,10 +145,10 @@ def _edges(
     index: list[rr.TimeColumn],
     edges: Sequence[CauseEdge],
     times: FloatArray,
-    position: NDArray[np.float32],
+    position: SingleArray,
 ) -> None:
     """Draw each edge from its first impulse on."""
-    strips: list[NDArray[np.float32]] = []
+    strips: list[SingleArray] = []
     colours: list[int] = []
     widths: list[float] = []
     each: list[int] = []

@@ -14,6 +14,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, SingleArray
 from carom.physics.frame import Frame
 from carom.physics.periodic_box import minimum_images
 from carom.recording.layout.bodies_view import faint_bodies
@@ -32,8 +33,6 @@ from carom.scene.units.system import UnitSystem
 from carom.show.request import Pair
 from carom.show.shown_step import ShownStep
 from carom.show.supplement import Static
-
-FloatArray = NDArray[np.float64]
 
 ROOT = "close_up"
 BODIES, EDGE, NORMAL, IMPULSE, SPIN = (f"{ROOT}/{name}" for name in ("bodies", "edge", "normal", "impulse", "spin"))
@@ -159,9 +158,7 @@ class CloseUp:
             turned = np.concatenate(turns).astype(np.float32) if turns else None
             yield from self._placed(Index.of(frames), position, turned)
 
-    def _placed(
-        self, index: Index, position: NDArray[np.floating], turned: NDArray[np.float32] | None
-    ) -> Iterable[Rows]:
+    def _placed(self, index: Index, position: NDArray[np.floating], turned: SingleArray | None) -> Iterable[Rows]:
         """Place the bodies at (frames, b, 3) m, and two points around them whose distance sets that of the camera."""
         placed = _nearest_images(position.astype(np.float64), self.box)
         centres = single(placed.reshape(-1, 3))

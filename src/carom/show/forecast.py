@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from carom.arrays import ColourArray, FloatArray
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.plot_views import curve_style, whole_time
 from carom.recording.read.recording import Recording
@@ -20,9 +20,6 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import LENGTH
 from carom.show.overlays import beside_bodies
-
-FloatArray = NDArray[np.float64]
-Colours = NDArray[np.uint32]
 
 _BODIES, _TEXT = "world/bodies", "fork"
 _BAND = (
@@ -53,12 +50,12 @@ class Forecast:
     chances: FloatArray  # (c, 4) times of forks in s, and the probability of the outcome: low, measured, high
 
 
-def shades(spread: FloatArray, radius: FloatArray) -> Colours:
+def shades(spread: FloatArray, radius: FloatArray) -> ColourArray:
     """Return colours of bodies by the spread of their positions (m), from blue, known, to red, unknown."""
     with np.errstate(divide="ignore"):
         decade = np.ceil(np.log10(spread / (_SURE * radius)))
     place = np.clip(np.nan_to_num(decade, nan=0.0, neginf=0.0), 0, len(_SHADES) - 1).astype(np.int64)
-    colours: Colours = _SHADES[place]
+    colours: ColourArray = _SHADES[place]
     return colours
 
 

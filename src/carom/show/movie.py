@@ -11,8 +11,8 @@ from contextlib import ExitStack
 from itertools import cycle
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
@@ -28,8 +28,6 @@ from carom.show.presentation import asked
 from carom.show.request import Request
 from carom.show.supplement import Supplement
 from carom.show.viewer import Viewer
-
-FloatArray = NDArray[np.float64]
 
 FORMATS = (".mp4", ".gif")
 

@@ -13,9 +13,9 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.components import FillMode
 
+from carom.arrays import FloatArray
 from carom.recording.layout.blueprint import WINDOW
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.canvas import spatial_view
@@ -48,8 +48,6 @@ def paused(root: rrb.Container) -> rrb.Blueprint:
         auto_layout=False,
     )
 
-
-FloatArray = NDArray[np.float64]
 
 PROPERTY = "diff"
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError, RecordingError
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.ledger import terms_of
@@ -23,8 +23,6 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.impact_plan import orientations_at, positions_at
 from carom.show.request import Pair
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Watcher = Callable[[StepStatus], None]
 
 PATIENCE = 60.0  # s of repeated steps, for a step without a frame

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from carom.arrays import ColourArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.layout import colouring
 from carom.recording.layout.bodies_view import TRAILS
@@ -106,7 +106,7 @@ class Trails:
         columns = rr.LineStrips3D.columns(strips=list(strips)).partition([bodies] * pieces)
         yield Rows(TRAILS, Index(self._steps[1:], self._times[1:]), columns, strips.nbytes)
 
-    def _points(self, parts: int) -> NDArray[np.float32]:
+    def _points(self, parts: int) -> SingleArray:
         """Return the points of all pieces, (pieces, parts + 1, n, 3) m."""
         begin, end = self._position[:-1], self._position[1:]
         if self._box is not None:
@@ -116,7 +116,7 @@ class Trails:
         from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow to import, and most commands draw no trails
 
         times = self._times[:-1, np.newaxis] + np.diff(self._times)[:, np.newaxis] * np.linspace(0.0, 1.0, parts + 1)
-        curve: NDArray[np.float32] = CubicSpline(self._times, self._position)(times).astype(np.float32)
+        curve: SingleArray = CubicSpline(self._times, self._position)(times).astype(np.float32)
         return curve
 
 
@@ -124,10 +124,6 @@ def has_trails(recording: Recording) -> bool:
     """Return whether a recording has few enough bodies for their paths to be legible."""
     return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
 
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Colours = NDArray[np.uint32]
 
 _MOST = 30_000_000  # bodies times frames
 _CONTACT_ENDS = "LineStrips3D:strips"
@@ -170,7 +166,7 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
     ]
 
 
-def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, Colours]]:
+def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:
     """Take speeds from distances between frames; those of repeated steps are exact."""
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
@@ -187,7 +183,7 @@ def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator
         yield frame.step, frame.time, colouring.speed_colours(exact, reference)
 
 
-def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iterator[tuple[int, float, Colours]]:
+def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:
     colours_of = colouring.graph_colours if by == "graph" else colouring.island_colours
     drawn = drawn_paths(recording, range(n))
     steps, times = _times(recording, drawn.steps)
@@ -205,9 +201,9 @@ def _times(recording: Recording, steps: IntArray) -> tuple[list[int], list[float
     return steps.tolist(), times.tolist()
 
 
-def _contact_ends(recording: Recording) -> dict[int, NDArray[np.float32]]:
+def _contact_ends(recording: Recording) -> dict[int, SingleArray]:
     """Return the ends of the drawn edges, (m, 2, 3), by step."""
-    found: dict[int, NDArray[np.float32]] = {}
+    found: dict[int, SingleArray] = {}
     entries = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.first_step is not None]
     for chunk in recording.chunks(entries):
         if _CONTACT_ENDS not in chunk.components:
@@ -219,7 +215,7 @@ def _contact_ends(recording: Recording) -> dict[int, NDArray[np.float32]]:
     return found
 
 
-def _pairs(ends: NDArray[np.float32] | None, position: NDArray[np.float32]) -> IntArray:
+def _pairs(ends: SingleArray | None, position: SingleArray) -> IntArray:
     """Find the bodies that edges join: the ends of an edge equal their centres bit by bit, or lie on a plane."""
     if ends is None or len(ends) == 0:
         return np.zeros((0, 2), dtype=np.int64)

@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from carom import Recording, Scene
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError, SceneError
 from carom.extend import (
     DEEPEST,
@@ -190,9 +189,7 @@ def _alone(
     return min(found, key=lambda pair: pair.time, default=None)
 
 
-def _times_differ(
-    a: Recording, b: Recording, one: NDArray[np.float64], other: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _times_differ(a: Recording, b: Recording, one: FloatArray, other: FloatArray) -> BoolArray:
     """Compare times, which are recorded in whole units: nanoseconds, scaled."""
     units = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
     rounding = 0.0 if units[0] == units[1] else max(units)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom import Recording
-from carom.arrays import FloatArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images
 
@@ -28,18 +28,18 @@ _SURE = 3.0  # standard errors by which a rate must differ from 0
 class DistanceCurve:
     """The difference frame by frame."""
 
-    step: NDArray[np.int64]  # (k,)
+    step: IntArray  # (k,)
     time: FloatArray  # (k,) s
     rms: FloatArray  # (k,) m, of the distances between counterparts
     floor: FloatArray  # (k,) m; a smaller difference may be the rounding of recorded positions
     energy: FloatArray  # (k,) J, second minus first
-    differs: NDArray[np.bool_]  # (k,) whether the fingerprints differ, or else the positions
+    differs: BoolArray  # (k,) whether the fingerprints differ, or else the positions
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
     of_bits: bool = True  # whether fingerprints were compared; of another engine those have other columns
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> BoolArray:
         """Which frames show a difference: other bits, and more than rounding explains, (k,)."""
         return self.differs & (self.rms > self.floor)
 
@@ -207,7 +207,7 @@ class FrameAlignment:
             raise RecordingError(f"{a.path} and {b.path} have no frame in common")
         self._first, self._second = first, second
 
-    def _reaches_the_end(self, common: NDArray[np.int64]) -> bool:
+    def _reaches_the_end(self, common: IntArray) -> bool:
         """Tell whether frames of the first recording go on to the last time that both have.
 
         Runs with other steps may have the same number at the start only, or by chance.

@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom import Scene
+from carom.arrays import IntArray
 from carom.extend import Coefficients, Source, State, engine_package
 from carom.extend import mujoco as source_of
 from carom.lab.compared_run import Setting
@@ -90,7 +90,7 @@ class _InOrder:
         Of the bodies of the scene.
     """
 
-    def __init__(self, source: Source, place: NDArray[np.int64], names: Sequence[str]) -> None:
+    def __init__(self, source: Source, place: IntArray, names: Sequence[str]) -> None:
         self._source, self._place = source, place
         model = source.model
         by_body = ("mass", "radius", "inertia", "fixed", "judged")

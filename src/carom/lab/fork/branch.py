@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom import Recording, Scene, Space
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, SingleArray
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
     TIME,
@@ -280,7 +279,7 @@ class PerturbedResult:
     """How far the bodies of a perturbed branch are from those of the unperturbed one."""
 
     seed: int
-    apart: NDArray[np.float32]  # (k, n) m
+    apart: SingleArray  # (k, n) m
     outcome: bool | None
 
 

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, Records
 from carom.lab.why.cone import components, directions, gained
 from carom.lab.why.history import History, Step
-
-Rows = NDArray[np.void]
 
 _AT_REST = 1e-3  # of the impulses that hold a body, in a step
 
@@ -106,7 +103,7 @@ class Account:
         """Return the share of the velocity that causes of these kinds gave."""
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
-    def take(self, step: Step, rows: Rows, kicks: list[FloatArray], impacts: Rows, contacts: Rows) -> None:
+    def take(self, step: Step, rows: Records, kicks: list[FloatArray], impacts: Records, contacts: Records) -> None:
         """Go back over a step, or its beginning.
 
         Parameters
@@ -140,7 +137,7 @@ class Account:
         self.by_forces = self.by_forces + first + last
         self.start_velocity = step.before[self.body].copy()
 
-    def _divide(self, rows: Rows, forces: FloatArray, start: FloatArray) -> FloatArray:
+    def _divide(self, rows: Records, forces: FloatArray, start: FloatArray) -> FloatArray:
         """Divide the share of the velocity that is left, as `Cone` does; return those of impulses, (k,).
 
         The forces changed the velocity by (3,) m/s from ``start``, at the beginning of the step.
@@ -172,13 +169,13 @@ class Account:
             bearing = bearing | struck
         return shares
 
-    def _impulses(self, rows: Rows) -> FloatArray:
+    def _impulses(self, rows: Records) -> FloatArray:
         """Return the impulses on this body, (k, 3) N s."""
         impulses = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
         impulses[rows["i"] == self.body] *= -1.0
         return impulses
 
-    def _lost_at_rest(self, contacts: Rows, impacts: Rows) -> dict[int, float]:
+    def _lost_at_rest(self, contacts: Records, impacts: Records) -> dict[int, float]:
         """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
         lost: dict[int, float] = {}
         if len(contacts) == 0:
@@ -192,7 +189,9 @@ class Account:
         """Return the other end of a contact."""
         return int(row["i"]) if row["j"] == self.body else int(row["j"])
 
-    def _undo(self, rows: Rows, shares: FloatArray, after: FloatArray, kick: FloatArray, impacts: Rows) -> FloatArray:
+    def _undo(
+        self, rows: Records, shares: FloatArray, after: FloatArray, kick: FloatArray, impacts: Records
+    ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
         Contacts at rest act while a force does. Their work is along the mean velocity without its ``kick``, (3,) m/s,
@@ -211,12 +210,12 @@ class Account:
                 self._add(row, impulse, size, float(impulse @ mean), share, impacts)
         return before
 
-    def _velocity_after(self, step: Step, rows: Rows, kicked: FloatArray) -> FloatArray:
+    def _velocity_after(self, step: Step, rows: Records, kicked: FloatArray) -> FloatArray:
         """Return the velocity right after the last of the impulses, given the kicks before it, (3,) m/s in all."""
         now: FloatArray = step.before[self.body] + kicked + self._impulses(rows).sum(axis=0) / self.mass
         return now
 
-    def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Rows) -> None:
+    def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Records) -> None:
         partner = self._other(row)
         time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
@@ -233,7 +232,7 @@ class Account:
             self._held[partner] = cause, step
         self.causes.append(cause)
 
-    def _find_impact(self, cause: Cause, impacts: Rows) -> None:
+    def _find_impact(self, cause: Cause, impacts: Records) -> None:
         """Add what is known of a cause if it was an impact."""
         low, high = min(self.body, cause.partner), max(self.body, cause.partner)
         own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
@@ -247,19 +246,19 @@ def _loss(row: np.void) -> float:
     return float(row["restitution_loss"] + row["friction_loss"])
 
 
-def _sizes(impacts: Rows) -> FloatArray:
+def _sizes(impacts: Records) -> FloatArray:
     """Return the magnitudes of the impulses of impacts, (k,) N s."""
     squares = (impacts[name] ** 2 for name in ("normal_impulse", "friction_x", "friction_y", "friction_z"))
     return np.asarray(np.sqrt(sum(squares)))
 
 
-def impulses_on(body: int, rows: Rows) -> Rows:
+def impulses_on(body: int, rows: Records) -> Records:
     """Return the impulses on a body."""
-    own: Rows = rows[(rows["i"] == body) | (rows["j"] == body)]
+    own: Records = rows[(rows["i"] == body) | (rows["j"] == body)]
     return own
 
 
-def impacts_by_step(history: History) -> dict[int, Rows]:
+def impacts_by_step(history: History) -> dict[int, Records]:
     """Return the impacts of a window by their steps."""
     impacts = history.impacts
     steps, first = np.unique(impacts["step"], return_index=True)

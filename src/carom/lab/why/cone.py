@@ -27,10 +27,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
-
-Rows = NDArray[np.void]
 
 _ROUNDS = 16  # bodies that a share passes on through in one instant
 NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
@@ -77,7 +75,7 @@ class Cone:
     inverse_mass: FloatArray
     count: int  # of bodies
     shares: FloatArray  # (n,) of the answer, that each body carries at the present moment
-    reached: NDArray[np.bool_]  # (n,) whether it could have had an effect
+    reached: BoolArray  # (n,) whether it could have had an effect
     since: FloatArray  # (n,) s, the last moment at which it could; NaN for bodies outside
     from_forces: FloatArray  # (n,) share that forces on each body gave
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
@@ -92,7 +90,7 @@ class Cone:
             carried[body], since[body] = share, time
         return cls(inverse_mass, count, carried, ~np.isnan(since), since, np.zeros(count))
 
-    def take(self, step: Step, rows: Rows, velocity: FloatArray, kicked: bool) -> None:
+    def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> None:
         """Go back over a step, or its beginning.
 
         Parameters
@@ -127,7 +125,7 @@ class Cone:
             if len(some):
                 self._strike(some, inside[instant][impact[instant]], before)
 
-    def reach(self, rows: Rows) -> NDArray[np.bool_]:
+    def reach(self, rows: Records) -> BoolArray:
         """Add the bodies that touch one of the cone in an instant, directly or not; return which rows are of these."""
         if len(rows) == 1:  # the usual case, five times as fast
             i, j = int(rows["i"][0]), int(rows["j"][0])
@@ -139,7 +137,7 @@ class Cone:
             return np.array([inside])
         known = np.append(self.reached, np.zeros(len(self.inverse_mass) - self.count, dtype=bool))
         while True:
-            own: NDArray[np.bool_] = known[rows["i"]] | known[rows["j"]]
+            own: BoolArray = known[rows["i"]] | known[rows["j"]]
             new = np.unique(np.concatenate((rows["i"][own], rows["j"][own])))
             new = new[(new < self.count) & (self.inverse_mass[new] > 0.0)]
             new = new[~known[new]]
@@ -148,7 +146,7 @@ class Cone:
             known[new] = self.reached[new] = True
             self.since[new] = rows["time"][0]
 
-    def closed(self) -> NDArray[np.bool_]:
+    def closed(self) -> BoolArray:
         """Return which bodies touched one of the cone before the moment, directly or not, (n,).
 
         A body outside the cone can still matter, if it kept one of the cone from touching another. The others cannot.
@@ -156,20 +154,20 @@ class Cone:
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *self.pairs])
         graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(self.count, self.count))
         _, label = connected_components(graph, directed=False)
-        inside: NDArray[np.bool_] = np.isin(label, label[self.reached])
+        inside: BoolArray = np.isin(label, label[self.reached])
         return inside
 
     def passed_to(self, bodies: tuple[int, ...]) -> list[float]:
         """Return the shares of the answer that other bodies passed on to some bodies, one for each impact."""
         return [to for p in self.passages for end, to in ((p.i, p.to_i), (p.j, p.to_j)) if end in bodies and to > 0.0]
 
-    def _undo(self, rows: Rows, velocity: FloatArray) -> None:
+    def _undo(self, rows: Records, velocity: FloatArray) -> None:
         """Undo the effect of impulses on velocities, (n, 3) m/s."""
         J, body = _vectors(rows), rows["j"] < self.count
         np.add.at(velocity, rows["i"], self.inverse_mass[rows["i"], None] * J)
         np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
 
-    def _bear(self, rows: Rows, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
+    def _bear(self, rows: Records, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
         """Pass on what the forces of a step, and the contacts that it held, gave; velocities (n, 3) m/s."""
         n, m = self.count, len(rows)
         bodies = np.flatnonzero(self.shares > NEGLIGIBLE)
@@ -192,7 +190,7 @@ class Cone:
             _, returned = self._divide(rows, flow, none, before)
             self._note(rows, flow, flow - returned, holds=True)
 
-    def _strike(self, rows: Rows, inside: NDArray[np.bool_], velocity: FloatArray) -> None:
+    def _strike(self, rows: Records, inside: BoolArray, velocity: FloatArray) -> None:
         """Undo the impacts of an instant, and pass shares on over those that are of the cone; velocities (n, 3) m/s."""
         ends, local = np.unique(np.concatenate((rows["i"], rows["j"])), return_inverse=True)
         bodies = ends < self.count
@@ -233,7 +231,7 @@ class Cone:
         self._note(rows, passed, passed - back_again, holds=False)
 
     def _divide(
-        self, rows: Rows, flow: FloatArray, further: FloatArray, before: FloatArray
+        self, rows: Records, flow: FloatArray, further: FloatArray, before: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Divide what passes over contacts between their ends; return what goes on, and what went back.
 
@@ -280,7 +278,7 @@ class Cone:
         bodies = ends < self.count
         np.add.at(self.shares, ends[bodies], parts[bodies])
 
-    def _note(self, rows: Rows, passed: FloatArray, kept: FloatArray, holds: bool) -> None:
+    def _note(self, rows: Records, passed: FloatArray, kept: FloatArray, holds: bool) -> None:
         m, size = len(rows), np.sqrt((_vectors(rows) ** 2).sum(axis=1))
         for k, row in enumerate(rows):
             i, j, time = int(row["i"]), int(row["j"]), float(row["time"])
@@ -324,7 +322,7 @@ def components(vectors: FloatArray, along: FloatArray) -> FloatArray:
     return result
 
 
-def _vectors(rows: Rows) -> FloatArray:
+def _vectors(rows: Records) -> FloatArray:
     """Return impulses on j, (k, 3) N s."""
     return np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
 

@@ -6,10 +6,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom import Recording, Scene, Space
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, Records
 from carom.contact_table import CONTACT_ROW, OPEN
 from carom.errors import RecordingError
 from carom.extend import (
@@ -26,7 +25,6 @@ from carom.extend import (
     space_of,
 )
 
-Rows = NDArray[np.void]
 Watcher = Callable[[StepStatus], None]
 
 IMPULSE = np.dtype(
@@ -56,9 +54,9 @@ class Step:
     began: float  # s
     before: FloatArray  # (n, 3) m/s, velocities at its beginning
     after: FloatArray  # (n, 3) m/s, and at its end
-    impulses: Rows  # (k,) `IMPULSE`, in order
+    impulses: Records  # (k,) `IMPULSE`, in order
     kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies asked about
-    contacts: Rows  # (m,) `CONTACT_ROW`, the contacts of these bodies
+    contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
 
 
 @dataclass(slots=True)
@@ -68,7 +66,7 @@ class History:
     begin: Checkpoint
     inverse_mass: FloatArray  # (n + p,) 1/kg
     steps: list[Step] = field(default_factory=list)
-    impacts: Rows = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
+    impacts: Records = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
     differs: int | None = None  # the first recorded step whose bits are others
 
     @classmethod
@@ -112,7 +110,7 @@ def _audited(scene: Scene) -> Scene:
     return scene.model_copy(update={"expect": scene.expect.model_copy(update={"contact_audit": _AUDIT})})
 
 
-def _impulses(space: Space, touching: Rows) -> Rows:
+def _impulses(space: Space, touching: Records) -> Records:
     """Return the impulses of the last step, and at its end the contacts that touch and gave none."""
     parts = [*_given(space)]
     last = max((int(part["instant"][-1]) for part in parts if len(part)), default=0)
@@ -127,7 +125,7 @@ def _impulses(space: Space, touching: Rows) -> Rows:
     return joined
 
 
-def _given(space: Space) -> Iterator[Rows]:
+def _given(space: Space) -> Iterator[Records]:
     """Yield the impulses that are not zero. Those at the end of a step belong to one instant."""
     instant, time = -1, -np.inf
     for some in space.impulses():

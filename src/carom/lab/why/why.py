@@ -7,10 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom import Recording
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import TIME, tolerance
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
@@ -45,12 +44,12 @@ class Answer:
         return "forces" if self.cone.from_forces.sum() > self.cone.shares.sum() else "start"
 
     @property
-    def bodies(self) -> NDArray[np.int64]:
+    def bodies(self) -> IntArray:
         """The bodies of the cone: only these could have had an effect, but for forces between bodies."""
         return np.flatnonzero(self.cone.reached)
 
     @property
-    def closed(self) -> NDArray[np.int64]:
+    def closed(self) -> IntArray:
         """The cone, and the bodies that touched one of it, directly or not: without any others all would be the same.
 
         This holds bit for bit where no forces act between bodies and steps have a fixed length.
@@ -67,8 +66,6 @@ class Answer:
         """The body at the beginning of the chain."""
         return self.chain[-1].by if self.chain else self.question.bodies[0]
 
-
-Rows = NDArray[np.void]
 
 MOST_BODY_STEPS = 100_000  # that are run again without being asked for more; about a second of 500 bodies in a pile
 
@@ -192,7 +189,7 @@ class _Backwards:
         for step in history.steps[end - 1 :: -1] if end > 0 else []:
             self._take(history, step, step.impulses, step.kicks, step.after.copy())
 
-    def _take(self, history: History, step: Step, rows: Rows, kicks: list[FloatArray], velocity: FloatArray) -> None:
+    def _take(self, history: History, step: Step, rows: Records, kicks: list[FloatArray], velocity: FloatArray) -> None:
         impacts = self._impacts.get(step.step, history.impacts[:0])
         contacts = step.contacts if rows is step.impulses else step.contacts[:0]
         for place, account in enumerate(self._accounts):
@@ -200,7 +197,7 @@ class _Backwards:
             account.take(step, impulses_on(account.body, rows), own, impacts, contacts)
         self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
 
-    def _shares(self, late: Rows, velocity: FloatArray) -> dict[int, float]:
+    def _shares(self, late: Records, velocity: FloatArray) -> dict[int, float]:
         """Divide the answer between the bodies asked about: of an impact, as their speeds along the impulse."""
         bodies = self._question.bodies
         if len(bodies) == 1 or not len(late):
@@ -212,7 +209,7 @@ class _Backwards:
         return {b: float(s) / total if total > 0.0 else 0.5 for b, s in zip(bodies, speeds, strict=True)}
 
 
-def _moment(question: Question, history: History) -> tuple[Step, Rows, list[FloatArray], Rows]:
+def _moment(question: Question, history: History) -> tuple[Step, Records, list[FloatArray], Records]:
     """Return the step asked about, its impulses and kicks before the moment, and the impulses from it on."""
     time = question.units.text(question.time, TIME, ".9g")
     if not history.steps:

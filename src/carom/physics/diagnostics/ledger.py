@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, Records
 from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
 
@@ -72,7 +71,7 @@ class Ledger:
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 
-def terms_of(records: NDArray[np.void]) -> FloatArray:
+def terms_of(records: Records) -> FloatArray:
     """Return the terms that records hold, (m, 3) J, as a view."""
     return columns(records, TERMS)
 

@@ -12,8 +12,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.read.entities import reading
 from carom.recording.read.moment import tolerance
@@ -28,9 +28,6 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import bodies_called
-
-SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
 
 _ROUNDING = 8 * float(np.finfo(np.float32).eps)  # of a few float32 operations on a coordinate
 
@@ -54,9 +51,7 @@ class Selection:
         How many bodies there are.
     """
 
-    def __init__(
-        self, numbers: Sequence[int], shown: Sequence[int], box: NDArray[np.float64] | None, bodies: int
-    ) -> None:
+    def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: FloatArray | None, bodies: int) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
         self._places = np.searchsorted(np.asarray(shown), self._numbers)  # among those that the source shows
         self._shown = len(shown)
@@ -85,7 +80,7 @@ class Selection:
                 return _masked(chunk, [self._among(k, lines) for k, lines in zip(steps, strips, strict=True)])
         return chunk
 
-    def _joins(self, ends: IntArray) -> NDArray[np.bool_]:
+    def _joins(self, ends: IntArray) -> BoolArray:
         """Tell which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
         return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
@@ -105,7 +100,7 @@ class Selection:
                 rows = _vectors(chunk, name)
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
-    def _among(self, step: int, lines: SingleArray) -> NDArray[np.bool_]:
+    def _among(self, step: int, lines: SingleArray) -> BoolArray:
         """Tell which of a frame's lines (m, 2, 3) join kept bodies, or a kept body and a plane."""
         centres = self._centres.pop(step)
         kept = centres[self._places]
@@ -141,7 +136,7 @@ def _vectors(chunk: Chunk, name: str) -> list[SingleArray]:
     return found
 
 
-def _masked(chunk: Chunk, masks: list[NDArray[np.bool_]]) -> Chunk:
+def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
     """Keep the same items of every component's lists."""
     mask = np.concatenate([np.zeros(0, dtype=np.bool_), *masks])
     each = np.array([np.count_nonzero(row) for row in masks], dtype=np.int64)
@@ -250,7 +245,7 @@ def clip(
             if not exact:
                 writer.log(paths.STATIC_STATE, rr.AnyValues(**_properties_of(recording, shown)))
             writer.send_property(PROPERTY, _identity(recording, cut, shown, exact))
-            numbers = list[NDArray[np.int64]]()
+            numbers = list[IntArray]()
             for chunk in _moving(recording, cut):
                 if chunk.entity_path == paths.CHECKPOINT and not exact:
                     continue
@@ -318,10 +313,8 @@ def _properties_of(recording: Recording, shown: Sequence[int]) -> dict[str, Any]
     return {"name": names, **values}
 
 
-def _identity(
-    recording: Recording, cut: _Cut, shown: Sequence[int], exact: bool
-) -> dict[str, Scalar | NDArray[np.int64]]:
-    identity: dict[str, Scalar | NDArray[np.int64]] = {
+def _identity(recording: Recording, cut: _Cut, shown: Sequence[int], exact: bool) -> dict[str, Scalar | IntArray]:
+    identity: dict[str, Scalar | IntArray] = {
         "source": recording.path.name,
         "recording_id": recording.store.store_id,
         "from": cut.start,
@@ -348,7 +341,7 @@ def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
             yield rows
 
 
-def _at_impacts(recording: Recording, numbers: Sequence[NDArray[np.int64]]) -> Iterator[Chunk]:
+def _at_impacts(recording: Recording, numbers: Sequence[IntArray]) -> Iterator[Chunk]:
     """Read the bodies at the moments of impacts that the clip has."""
     if not numbers:
         return

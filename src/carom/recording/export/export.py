@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom import registry
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
 from carom.recording.export.vtk import write_vtk, write_vtk_series
 from carom.recording.read.body_states import AXES
@@ -23,10 +24,6 @@ from carom.recording.schema.paths import STEP
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.runs.window import Watcher
-
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +90,7 @@ def snapshots(
         raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
 
 
-def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
+def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
     """Yield the exact states of some frames, which cannot be run again."""
     own = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
     kept = recording.checkpoint_times
@@ -105,9 +102,7 @@ def _kept(recording: Recording, steps: NDArray[np.int64]) -> Iterator[Snapshot]:
         yield Snapshot(recording.checkpoint(step), *own)
 
 
-def _own(
-    recording: Recording, fixed: NDArray[np.bool_]
-) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
+def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
     """Return the numbers, masses and radii of the bodies that are shown, and their other columns.
 
     These are moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default.

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from carom.arrays import FloatArray, Int32Array
 
 if TYPE_CHECKING:
     from carom.recording.export.export import Snapshot
@@ -44,6 +45,6 @@ def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, st
     path.write_text(json.dumps({"file-series-version": "1.0", "files": files}, indent=1), encoding="utf-8")
 
 
-def _bytes(values: NDArray[np.float64] | NDArray[np.int32]) -> bytes:
+def _bytes(values: FloatArray | Int32Array) -> bytes:
     """Return values as VTK reads them, most significant byte first."""
     return values.astype(values.dtype.newbyteorder(">")).tobytes() + b"\n"

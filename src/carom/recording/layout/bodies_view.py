@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.blueprint.api import VisualizerLike
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
+from carom.arrays import SingleArray
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings
 from carom.recording.layout.drawing import arrow_length, shape
@@ -94,7 +94,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
             return {}
 
 
-def _points(radii: NDArray[np.float32], centres: str, colours: str) -> VisualizerLike:
+def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
     mappings = _from({"Points3D:positions": centres, "Points3D:colors": colours})
     return rr.Points3D.from_fields(radii=radii).visualizer(mappings=mappings)
 

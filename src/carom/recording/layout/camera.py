@@ -16,14 +16,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.recording.schema.header import Header
 
 if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
-FloatArray = NDArray[np.float64]
 
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
 
@@ -224,7 +223,7 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
     return float(values[order[np.searchsorted(beyond, _ESCAPING)]])
 
 
-def _shown(radius: FloatArray) -> slice | NDArray[np.int64]:
+def _shown(radius: FloatArray) -> slice | IntArray:
     """Return which of many bodies stand for all."""
     if len(radius) <= _MOST:
         return slice(None)
@@ -234,14 +233,14 @@ def _shown(radius: FloatArray) -> slice | NDArray[np.int64]:
     return np.flatnonzero(chosen)
 
 
-def _near(position: FloatArray) -> NDArray[np.bool_]:
+def _near(position: FloatArray) -> BoolArray:
     """Return which bodies have finite positions and, if there are more than a few, are not much farther out."""
-    finite: NDArray[np.bool_] = np.all(np.isfinite(position), axis=1)
+    finite: BoolArray = np.all(np.isfinite(position), axis=1)
     if np.count_nonzero(finite) <= _FEW:
         return finite
     out = np.full(len(position), np.inf)
     out[finite] = np.linalg.norm(position[finite] - np.median(position[finite], axis=0), axis=1)
-    near: NDArray[np.bool_] = np.less_equal(out, _FAR * float(np.median(out[finite])))
+    near: BoolArray = np.less_equal(out, _FAR * float(np.median(out[finite])))
     return near
 
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import ColourArray, FloatArray, IntArray
 from carom.physics.contact.constraint_graph import colour_bodies
 from carom.recording.schema import palette
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Colours = NDArray[np.uint32]
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
 _SPEEDS = np.array(
@@ -19,7 +15,7 @@ _SPEEDS = np.array(
 )
 
 
-def speed_colours(speed: FloatArray, reference: float) -> Colours:
+def speed_colours(speed: FloatArray, reference: float) -> ColourArray:
     """Return colours of speeds (m/s) from violet to yellow; the reference is in the middle."""
     share = speed / (speed + reference) if reference > 0.0 else np.zeros(len(speed))
     return _SPEEDS[np.minimum((len(_SPEEDS) * np.nan_to_num(share)).astype(np.int64), len(_SPEEDS) - 1)]
@@ -30,12 +26,12 @@ def speeds(velocity: FloatArray, mass: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(velocity - np.average(velocity, axis=0, weights=mass), axis=1))
 
 
-def graph_colours(pairs: IntArray, bodies: int) -> Colours:
+def graph_colours(pairs: IntArray, bodies: int) -> ColourArray:
     """Return the colours of the reference engine: touching bodies differ, and bodies without contacts are grey."""
     return palette.node_colours(colour_bodies(np.ascontiguousarray(pairs, dtype=np.int64), bodies)[1])
 
 
-def island_colours(pairs: IntArray, bodies: int) -> Colours:
+def island_colours(pairs: IntArray, bodies: int) -> ColourArray:
     """Return a colour for each island of bodies connected by contacts; bodies without contacts are grey."""
     from scipy.sparse import coo_array  # noqa: PLC0415 - 0.1 s to import, and seldom needed
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415

@@ -27,12 +27,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
-
-FloatArray = NDArray[np.float64]
 
 MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
 
@@ -44,7 +43,7 @@ def shape(header: Header) -> str:
     return "mesh" if header.has_orientation else "points"
 
 
-def single(values: FloatArray) -> NDArray[np.float32]:
+def single(values: FloatArray) -> SingleArray:
     """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
     with np.errstate(over="ignore"):
         return values.astype(np.float32)
@@ -54,7 +53,7 @@ _LEAST, _LARGEST = 1e-6, 6e4  # m
 _POINTS = 40.0  # of the screen, for the radius of a body
 
 
-def line_radii(share: ArrayLike, body: float) -> NDArray[np.float32]:
+def line_radii(share: ArrayLike, body: float) -> SingleArray:
     """Return radii for the viewer.
 
     Parameters
@@ -79,12 +78,12 @@ def part_of_longest(magnitude: Any, unit: Any) -> Any:
     return 1.0 - 1.0 / (1.0 + s)
 
 
-def longest(radius: NDArray[np.float64], reach: float) -> float:
+def longest(radius: FloatArray, reach: float) -> float:
     """Return L_max in metres."""
     return reach * float(np.median(radius))
 
 
-def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def magnitudes(vectors: FloatArray) -> FloatArray:
     """Return the lengths of ``(k, 3)`` vectors; the largest component is the unit, so that no square overflows."""
     largest = np.abs(vectors).max(initial=0.0, where=np.isfinite(vectors))
     if largest == 0.0:
@@ -93,7 +92,7 @@ def magnitudes(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(largest * np.sqrt(np.einsum("ki,ki->k", unit, unit)))
 
 
-def reference(magnitude: NDArray[np.float64], natural_unit: float) -> float:
+def reference(magnitude: FloatArray, natural_unit: float) -> float:
     """Choose m_ref from the first magnitudes: their median, unless they are rounding noise."""
     return max(float(np.median(magnitude)), _ROUND_OFF * natural_unit, np.finfo(np.float64).tiny)
 
@@ -120,18 +119,18 @@ _THINNEST, _THICKEST = 0.06, 0.30  # radius of an edge, in median body radii
 _SMALLEST, _LARGEST_IMPULSE = 0.12, 0.60  # radius of the point at an impact, in median body radii
 
 
-def edge_radii(radius: FloatArray) -> NDArray[np.float32]:
+def edge_radii(radius: FloatArray) -> SingleArray:
     """Return the radius of an edge at each level, (8,), as `line_radii` does."""
     return line_radii(np.linspace(_THINNEST, _THICKEST, LEVELS), float(np.median(radius)))
 
 
-def point_radii(radius: FloatArray) -> NDArray[np.float32]:
+def point_radii(radius: FloatArray) -> SingleArray:
     """Return the radius of an impact's point at each level, (8,) m."""
     return single(np.median(radius) * np.linspace(_SMALLEST, _LARGEST_IMPULSE, LEVELS))
 
 
-def level(magnitude: FloatArray, reference: float) -> NDArray[np.int64]:
+def level(magnitude: FloatArray, reference: float) -> IntArray:
     """Return the level of each magnitude, 0 to 7; 0 for magnitudes up to zero."""
     u = part_of_longest(np.maximum(magnitude, 0.0), reference)
-    levels: NDArray[np.int64] = np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
+    levels: IntArray = np.minimum((LEVELS * u).astype(np.int64), LEVELS - 1)
     return levels

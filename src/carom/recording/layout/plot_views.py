@@ -12,14 +12,12 @@ from types import MappingProxyType
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.components import AggregationPolicy
 
+from carom.arrays import FloatArray, IntArray
 from carom.recording.layout.canvas import Area
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import PLOTS, THIN, Plot, Series, all_plots, recorded
-
-FloatArray = NDArray[np.float64]
 
 _SPANS = 512  # the edge of a legend is then known to a few pixels
 _CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
@@ -159,7 +157,7 @@ def place_legend(legends: Sequence[str], curves: Sequence[CurveOutline], plot: A
     return min(places, key=_length)
 
 
-def time_beside_legend(legends: Sequence[str], nanoseconds: NDArray[np.int64], width: float) -> rrb.TimeAxis:
+def time_beside_legend(legends: Sequence[str], nanoseconds: IntArray, width: float) -> rrb.TimeAxis:
     """Return a time axis that is long enough for a legend to the right of all curves.
 
     Parameters

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.read.body_lookup import body_number, shown_body
 from carom.recording.read.entities import Entities, Values, reading, values_of
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
     from carom.recording.read.recording import Recording
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 AXES = {
     "position": ("x", "y", "z"),  # m
@@ -51,7 +49,7 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     return pa.table(columns).replace_schema_metadata(told)
 
 
-def state_table(states: Sequence[Checkpoint], which: slice | int | NDArray[np.int64]) -> pa.Table:
+def state_table(states: Sequence[Checkpoint], which: slice | int | IntArray) -> pa.Table:
     """Tabulate states, step by step: those of all bodies, of some, or of one."""
     each = 1 if isinstance(which, int) else len(states[0].position[which])
     columns: dict[str, Any] = {

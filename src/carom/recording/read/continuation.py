@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.recording.read.entities import EVENTS, flat, optional_text
 from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
@@ -57,7 +57,7 @@ class Continuation:
             found, acceleration=found.acceleration[:0].copy(), angular_velocity=None, contacts=None, integrator=None
         )
 
-    def first_position(self) -> NDArray[np.float64]:
+    def first_position(self) -> FloatArray:
         """Where the bodies were at the first checkpoint, (n, 3) m."""
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
 

@@ -17,6 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import looks_recorded
@@ -105,8 +106,8 @@ def join_rows(
     DamageError
         If a row has wrong or missing values, or rows are not in the order of their steps.
     """
-    steps: list[NDArray[np.int64]] = []
-    times: list[NDArray[np.int64]] = []
+    steps: list[IntArray] = []
+    times: list[IntArray] = []
     found: dict[str, list[pa.Array]] = {name: [] for name in columns}
     last, text = -(2**63), 0
     for chunk in chunks:

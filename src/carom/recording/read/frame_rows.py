@@ -8,16 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import reading
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk, Entry
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
-
-FloatArray = NDArray[np.float64]
 
 _KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
 
@@ -82,9 +80,9 @@ class _Rows:
 class DrawnPaths(NamedTuple):
     """Where some bodies are drawn in all frames."""
 
-    steps: NDArray[np.int64]  # (k,)
-    position: NDArray[np.float32]  # (k, b, 3) m from the recording's origin
-    orientation: NDArray[np.float32] | None  # (k, b, 4) xyzw; None where none are recorded
+    steps: IntArray  # (k,)
+    position: SingleArray  # (k, b, 3) m from the recording's origin
+    orientation: SingleArray | None  # (k, b, 4) xyzw; None where none are recorded
 
 
 def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
@@ -109,7 +107,7 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
     return DrawnPaths(np.concatenate(steps), np.concatenate(positions), oriented)
 
 
-def _numbers(column: pa.Array) -> NDArray[np.float32]:
+def _numbers(column: pa.Array) -> SingleArray:
     while pa.types.is_nested(column.type):
         column = column.flatten()
     if column.type != pa.float32():
@@ -130,7 +128,7 @@ class RecordedRows:
         self._entries = {
             path: [e for e in entries if e.entity_path == path] for path in {e.entity_path for e in entries}
         }
-        self._chunks: dict[str, OrderedDict[int, tuple[Chunk, NDArray[np.int64]]]] = {
+        self._chunks: dict[str, OrderedDict[int, tuple[Chunk, IntArray]]] = {
             path: OrderedDict() for path in self._entries
         }
 
@@ -149,7 +147,7 @@ class RecordedRows:
                     found += [Chunk(path, chunk.batch.slice(int(row), 1)) for row in np.flatnonzero(steps == step)]
         return found
 
-    def block(self, path: str, wanted: NDArray[np.int64]) -> Chunk | None:
+    def block(self, path: str, wanted: IntArray) -> Chunk | None:
         """Return an entity's rows of some rising steps, if they follow each other in one chunk and nowhere else."""
         first, last = int(wanted[0]), int(wanted[-1])
         entries = enumerate(self._entries.get(path, ()))
@@ -162,13 +160,13 @@ class RecordedRows:
         is_block = np.array_equal(steps[begin : begin + len(wanted)], wanted) and not np.any(np.diff(steps) <= 0)
         return Chunk(path, chunk.batch.slice(begin, len(wanted))) if is_block else None
 
-    def steps(self, path: str) -> Iterator[NDArray[np.int64]]:
+    def steps(self, path: str) -> Iterator[IntArray]:
         """Return the steps that an entity has rows of, chunk by chunk."""
         with reading(self._recording.path):
             for number in range(len(self._entries.get(path, ()))):
                 yield self._chunk(path, number)[1]
 
-    def _chunk(self, path: str, number: int) -> tuple[Chunk, NDArray[np.int64]]:
+    def _chunk(self, path: str, number: int) -> tuple[Chunk, IntArray]:
         kept = self._chunks[path]
         if number not in kept:
             (chunk,) = self._recording.chunks([self._entries[path][number]])

@@ -6,8 +6,8 @@ from functools import cached_property, reduce
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, SingleArray
 from carom.errors import DamageError, RecordingError
 from carom.event import Event
 from carom.recording.read.entities import EVENTS, FINGERPRINTS, MOMENTA, SCALARS, STATES, join_rows
@@ -103,7 +103,7 @@ class FrameTables(Statics):
         return found
 
     @named
-    def drawn_positions(self, step: int) -> NDArray[np.float32] | None:
+    def drawn_positions(self, step: int) -> SingleArray | None:
         """Return the drawn centres of a frame, (n, 3) m from `origin`; None if there is no such frame."""
         for chunk in self._entities.chunks_at(step, paths.BODIES):
             rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
@@ -113,7 +113,7 @@ class FrameTables(Statics):
         return None
 
     @named
-    def drawn_box(self, path: str) -> NDArray[np.float64]:
+    def drawn_box(self, path: str) -> FloatArray:
         """Return the size of the walls or of the periodic box as drawn, (3,) m."""
         half = np.asarray(self._entities.static(path)["Boxes3D:half_sizes"], dtype=np.float64)
         if half.shape != (3,) or not np.all((half > 0.0) & np.isfinite(half)):

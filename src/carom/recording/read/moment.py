@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.scene.units.dimension import TIME
 
@@ -75,7 +75,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
     return first, last
 
 
-def _refuse_outside(recording: Recording, times: NDArray[np.float64], first: float, last: float, asked: str) -> None:
+def _refuse_outside(recording: Recording, times: FloatArray, first: float, last: float, asked: str) -> None:
     """Refuse an interval (s) outside of the frames and of the step that the first one ends."""
     begins, ends = float(times[0]), float(times[-1])
     if last < begins and not recording.is_overlay:
@@ -119,5 +119,5 @@ def frame_of(recording: Recording, at: float) -> int | None:
     return row if row == 0 or goal > times[-1] or goal > began else None
 
 
-def _column(table: pa.Table, name: str) -> NDArray[np.float64]:
+def _column(table: pa.Table, name: str) -> FloatArray:
     return np.asarray(table[name].to_numpy(), dtype=np.float64)

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, MODES
 from carom.errors import DamageError, RecordingError, SceneError
 from carom.recording.read.entities import reading
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
     from carom.runs.window import Watcher
 
-
-FloatArray = NDArray[np.float64]
-
-IntArray = NDArray[np.int64]
 
 SCHEMA = pa.schema(
     [
@@ -64,7 +61,7 @@ def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
     return pa.table(arrays, schema=SCHEMA).replace_schema_metadata({SOURCE: source})
 
 
-def table_of_rows(rows: NDArray[np.void], source: str) -> pa.Table:
+def table_of_rows(rows: Records, source: str) -> pa.Table:
     """Make a table of rows, (k,) `CONTACT_ROW`."""
     plain = ("step", "time", "i", "j", "x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse")
     columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in plain}
@@ -108,7 +105,7 @@ def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
     return table.filter(pa.array(join_some(pairs, recording.shown, int(recording.info["bodies"]))))
 
 
-def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> NDArray[np.bool_]:
+def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> BoolArray:
     """Tell which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
     among = np.isin(pairs, chosen)
     return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
@@ -182,9 +179,7 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
     return table_of(columns, "recorded")
 
 
-def _of_impacts(
-    recording: Recording, columns: dict[str, Any], struck: NDArray[np.bool_], apart: NDArray[np.bool_]
-) -> dict[str, Any]:
+def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:
     """Take approach speeds and energies from the step's impacts, where these are all that the contact did.
 
     Bodies that are apart again at the end of the step were somewhere else when they met: time, point and normal are

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.body_lookup import shown_body
 from carom.recording.read.entities import Column, flat, reading
@@ -48,8 +48,6 @@ class RecordedImpacts:
             return {0: "none", 1: "the only one is recorded"}.get(self.recorded, f"all {self.recorded} recorded")
         return f"{self.recorded} recorded, the largest between frames; {self.left_out} left out"
 
-
-IntArray = NDArray[np.int64]
 
 _SINGLE = Column(pa.float32())
 
@@ -182,13 +180,13 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     return pa.concat_tables(found).replace_schema_metadata({"source": "recorded", "left_out": str(told.left_out)})
 
 
-def _times(recording: Recording, chunk: Chunk) -> NDArray[np.float64]:
+def _times(recording: Recording, chunk: Chunk) -> FloatArray:
     """Return the times of the rows of a chunk, in s."""
     scale = 1e-9 * float(recording.info["time_scale"])
     return np.asarray(chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale)
 
 
-def _table(recording: Recording, chunk: Chunk, time: NDArray[np.float64]) -> pa.Table:
+def _table(recording: Recording, chunk: Chunk, time: FloatArray) -> pa.Table:
     path, rows = paths.IMPACTS, chunk.batch.num_rows
     pairs = flat(chunk, "bodies", Column(pa.uint32(), 2)).to_numpy().reshape(-1, 2).astype(np.int64)
     check_pairs(pairs, len(recording.bodies.mass), path)

@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray
 from carom.errors import RecordingError, SceneError
 from carom.recording.schema.header import ShownMaterials, scene_digest
 from carom.scene.data.body_sources import SourcedBodies, Wanted
@@ -116,7 +116,7 @@ def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Init
     )
 
 
-def fixed_of(scene: Scene) -> NDArray[np.bool_]:
+def fixed_of(scene: Scene) -> BoolArray:
     """Return (n,) which bodies of a scene are fixed; those of groups are not."""
     given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
     fixed = np.concatenate(given)

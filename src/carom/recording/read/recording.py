@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.body_states import bodies_at, checkpoint_at, trajectory
 from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
@@ -181,7 +182,7 @@ class Recording(FrameTables):
         """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.stored_bodies`."""
         return decode_bodies(self._given, index, row, place, self.bodies)
 
-    def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> NDArray[np.float64]:
+    def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> FloatArray:
         array = np.asarray(values)
         if array.shape != (n,) or array.dtype != np.float64 or not np.all((array >= 0.0) & np.isfinite(array)):
             raise DamageError(f"{name} of its bodies is not {n} numbers of at least 0")

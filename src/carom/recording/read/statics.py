@@ -9,8 +9,8 @@ from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.entities import Entities, reading
 from carom.recording.rrd.container import Container
@@ -26,16 +26,16 @@ class BodyTable:
     """The static properties of the bodies; called with a time, their exact state at that time."""
 
     name: Sequence[str]  # (n,)
-    group: NDArray[np.int64]  # (n,)
-    mass: NDArray[np.float64]  # (n,) kg
-    radius: NDArray[np.float64]  # (n,) m
-    inertia: NDArray[np.float64]  # (n,) kg m²
+    group: IntArray  # (n,)
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
+    inertia: FloatArray  # (n,) kg m²
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
         """Return a table of more bodies, of which these are ``shown``; of the others nothing is known."""
 
-        def spread(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        def spread(values: FloatArray) -> FloatArray:
             found = np.full(bodies, np.nan)
             found[shown] = values
             return found
@@ -242,6 +242,6 @@ class Statics:
 
     @cached_property
     @named
-    def origin(self) -> NDArray[np.float64]:
+    def origin(self) -> FloatArray:
         """Origin of the drawn positions in the scene, (3,) m."""
         return np.asarray(self.info["origin"], dtype=np.float64)

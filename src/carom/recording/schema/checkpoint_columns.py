@@ -13,6 +13,7 @@ import xxhash
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint, SleepCheckpoint
@@ -242,7 +243,7 @@ class _Row:
             raise ValueError(f"it has no {name}: it was recorded by a version of carom that could not resume from it")
         return str(self._stored[name][0])
 
-    def vectors(self, name: str, width: int) -> NDArray[np.float64]:
+    def vectors(self, name: str, width: int) -> FloatArray:
         values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
         if np.any(np.abs(values) > LARGEST):
             raise ValueError(f"{name} has numbers that cannot be squared")
@@ -297,7 +298,7 @@ class _Row:
             self._finite("sleep_calm", self._bodies), self.vectors("sleep_reference", 3), pairs, force
         )
 
-    def _pairs(self, name: str) -> NDArray[np.int64]:
+    def _pairs(self, name: str) -> IntArray:
         pairs = np.ascontiguousarray(np.asarray(self._stored[name], dtype=np.int64).reshape(-1, 2))
         keys = (pairs[:, 0] << 32) + pairs[:, 1]
         if np.any((pairs[:, 0] >= self._bodies) | (pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] < 0)):
@@ -306,7 +307,7 @@ class _Row:
             raise ValueError(f"{name} is not in order")
         return pairs
 
-    def _finite(self, name: str, count: int | None = None) -> NDArray[np.float64]:
+    def _finite(self, name: str, count: int | None = None) -> FloatArray:
         values = np.asarray(self._stored[name], dtype=np.float64)
         if count is not None and values.size != count:
             raise ValueError(f"{name} has {values.size} values instead of {count}")

@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import ColourArray, FloatArray, IntArray
 from carom.recording.schema import palette
 from carom.recording.schema.paths import SCHEMA_VERSION
 from carom.scene.data.body_columns import BodyColumns
@@ -21,8 +22,6 @@ from carom.scene.schema import Scene
 from carom.scene.start import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem
 
-Colours = NDArray[np.uint32]
-
 
 @dataclass(frozen=True)
 class ShownMaterials:
@@ -30,7 +29,7 @@ class ShownMaterials:
 
     names: list[str]  # (a,) of the materials that bodies have
     colours: list[int]  # (a,) 0xRRGGBBAA
-    index: NDArray[np.int64]  # (n,) the material of each body
+    index: IntArray  # (n,) the material of each body
     has_colours: bool  # whether the scene gives a material a colour
     contacts: list[KindOfContact]
 
@@ -45,7 +44,7 @@ class ShownMaterials:
         contacts = kinds_of_contacts(scene)
         return cls(found.names, palette.material_colours(given), found.index, any(given), contacts)
 
-    def body_colours(self) -> Colours:
+    def body_colours(self) -> ColourArray:
         """Return the colour of each body, (n,)."""
         return np.array(self.colours, dtype=np.uint32)[self.index]
 
@@ -113,10 +112,10 @@ class Header:
     seed: int
     run_id: str  # a UUID; the recording id
     names: Sequence[str]  # (n,)
-    group: NDArray[np.int64]  # (n,) bodies of one group share a hue
-    mass: NDArray[np.float64]  # (n,) kg
-    radius: NDArray[np.float64]  # (n,) m
-    inertia: NDArray[np.float64]  # (n,) kg m²
+    group: IntArray  # (n,) bodies of one group share a hue
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
+    inertia: FloatArray  # (n,) kg m²
     spins: bool  # angular velocities, and the energy in them
     has_orientation: bool
     has_torque: bool  # and angular accelerations
@@ -130,9 +129,9 @@ class Header:
     check_interval: float | None = None  # s, between the instants at which errors are judged; None: at the frames
     promises: bool = False  # an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
-    box: NDArray[np.float64] | None = None  # (3,) m, size of a periodic domain
+    box: FloatArray | None = None  # (3,) m, size of a periodic domain
     units: UnitSystem = SI  # of the numbers, and those that they are printed in
-    walls: NDArray[np.float64] | None = None  # (3,) m, size of a walled one
+    walls: FloatArray | None = None  # (3,) m, size of a walled one
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
     data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
+
 ORANGE = 0xE69F00FF
 SKY = 0x56B4E9FF
 GREEN = 0x009E73FF
@@ -74,13 +76,13 @@ _GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) ev
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
 
 
-def node_colours(body_colours: NDArray[np.int64]) -> NDArray[np.uint32]:
+def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
     """Colours of bodies by their colour in the collision graph; bodies without contacts are grey."""
     cycle = np.array(BODIES, dtype=np.uint32)
     return np.where(body_colours < 0, np.uint32(GREY), cycle[body_colours % len(cycle)])
 
 
-def body_colours(group: NDArray[np.int64]) -> NDArray[np.uint32]:
+def body_colours(group: IntArray) -> NDArray[np.uint32]:
     """Return the static colours of bodies: a hue per group and per single body, in turns, and a shade per body.
 
     With few bodies each has its own hue. More than `MOST_SINGLE` single bodies share one.
@@ -110,7 +112,7 @@ def name_of(colour: int) -> str:
     return names.get(colour, f"#{colour >> 8:06x}")
 
 
-def _shaded(colours: NDArray[np.uint32], shade: NDArray[np.float64]) -> NDArray[np.uint32]:
+def _shaded(colours: NDArray[np.uint32], shade: FloatArray) -> NDArray[np.uint32]:
     result = np.full(len(colours), 0xFF, dtype=np.uint32)
     for shift in (24, 16, 8):
         channel = ((colours >> np.uint32(shift)) & np.uint32(0xFF)) * shade

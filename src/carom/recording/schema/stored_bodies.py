@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import DamageError
 from carom.recording.schema.properties import LARGEST
 from carom.scene.data.body_columns import BodyColumns
@@ -69,9 +70,6 @@ def decode_names(stored: Stored) -> Sequence[str]:
         parts.append(NumberedNames(text, count, first))
         own = []
     return joined([*parts, *([own] if own else [])])
-
-
-FloatArray = NDArray[np.float64]
 
 
 def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 
@@ -41,7 +41,7 @@ class TimeScale:
             return cls(10.0 ** min(0, max(wanted, least)))
         return cls()
 
-    def nanoseconds(self, times: Sequence[float] | NDArray[np.float64]) -> NDArray[np.int64]:
+    def nanoseconds(self, times: Sequence[float] | FloatArray) -> IntArray:
         """Turn simulated seconds into whole nanoseconds of the timeline: rounded, never truncated."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
         if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
@@ -50,9 +50,9 @@ class TimeScale:
 
     def columns(
         self,
-        steps: Sequence[int] | NDArray[np.int64],
-        times: Sequence[float] | NDArray[np.float64],
-        impacts: Sequence[int] | NDArray[np.int64] = (),
+        steps: Sequence[int] | IntArray,
+        times: Sequence[float] | FloatArray,
+        impacts: Sequence[int] | IntArray = (),
     ) -> list[rr.TimeColumn]:
         """Timelines for the rows of a batch: step and time, or one of them, and the number of the impact."""
         columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []

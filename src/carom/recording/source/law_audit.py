@@ -17,8 +17,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.contact.union_find import number_sets
@@ -36,9 +36,9 @@ class Clusters:
 
     label: IntArray  # (n,)
     count: int
-    touched: NDArray[np.bool_]  # (count,) whether anything in it may have touched
-    judged: NDArray[np.bool_]  # (count,) whether it holds no body whose laws are unknown
-    free: NDArray[np.bool_]  # (count,) whether it also met nothing fixed
+    touched: BoolArray  # (count,) whether anything in it may have touched
+    judged: BoolArray  # (count,) whether it holds no body whose laws are unknown
+    free: BoolArray  # (count,) whether it also met nothing fixed
 
     def sum(self, values: FloatArray) -> FloatArray:
         """Add up values of bodies, (n,) or (n, 3), by cluster."""
@@ -117,9 +117,6 @@ class AuditFinding:
     hardest: float = 0.0  # J
     hardest_pair: tuple[int, int] = (0, 0)
 
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 UNCHANGED = 1e-3  # of the closing speed; a contact that changes it less did nothing
 TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it through each other did not collide

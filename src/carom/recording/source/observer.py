@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
@@ -31,8 +31,6 @@ from carom.scene.schema.settings import called
 from carom.scene.start import InitialBodies
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
-
-FloatArray = NDArray[np.float64]
 
 DT_LIMIT = "engine"  # what set dt, in the recording
 
@@ -171,7 +169,7 @@ class Observer:
             return AuditFinding(), contacts
         return self.audit.see(step, before, now, near, potentials), contacts
 
-    def _named(self, known: Any) -> NDArray[np.int64]:
+    def _named(self, known: Any) -> IntArray:
         """Return the contacts that the engine names; refuse ends that are no bodies or planes."""
         pairs, ends = np.asarray(known, dtype=np.int64), len(self.setup) + len(self.setup.planes)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):

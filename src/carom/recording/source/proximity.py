@@ -6,15 +6,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.periodic_box import minimum_images
 from carom.recording.source.source import Setup
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
 TOUCH = 1e-3  # of the smaller radius; a gap up to this counts as touching
@@ -62,7 +59,7 @@ class Near:
         length = lengths(at)[:, None]
         return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
 
-    def passed_deep(self) -> NDArray[np.bool_]:
+    def passed_deep(self) -> BoolArray:
         """Tell of each pair whether its straight path led more than a twentieth of the reach into the other."""
         path = self.now - self.before
         a = np.einsum("ij,ij->i", path, path)
@@ -101,7 +98,7 @@ class Proximity:
         colours = np.zeros(len(touching), dtype=np.int64)
         return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
 
-    def _is_named(self, near: Near, known: IntArray) -> NDArray[np.bool_]:
+    def _is_named(self, near: Near, known: IntArray) -> BoolArray:
         """Tell which of the pairs that are near the engine names."""
         total = len(self._setup) + len(self._setup.planes)
         keys = near.pairs[:, 0] * total + near.pairs[:, 1]

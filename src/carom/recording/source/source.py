@@ -10,12 +10,10 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
 from carom.recording.schema.properties import LARGEST
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
 DRAWN_RADIUS = 0.01  # of the bodies' extent, in place of a point mass's 0
@@ -127,15 +125,15 @@ class Setup:
     radius: FloatArray  # (n,) m, positive
     inertia: FloatArray  # (n,) kg m², positive
     names: list[str]
-    fixed: NDArray[np.bool_]  # (n,)
-    judged: NDArray[np.bool_]  # (n,)
+    fixed: BoolArray  # (n,)
+    judged: BoolArray  # (n,)
     gravity: FloatArray  # (3,) m/s²
     constant: float
     softening: float
     planes: HalfSpaces
     box: FloatArray  # (3,) m, zeros in open space
     collides: bool
-    touches: NDArray[np.bool_]  # (n,), False for points
+    touches: BoolArray  # (n,), False for points
     time_step: float
     spins: bool
     turns: bool  # whether orientations are known
@@ -252,7 +250,7 @@ def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatA
     return array
 
 
-def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> NDArray[np.bool_]:
+def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> BoolArray:
     if values is None:
         return np.full(n, default)
     given = np.array(values, dtype=object)

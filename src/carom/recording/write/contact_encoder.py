@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
+from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.aligned import picked
 from carom.physics.checkpoint import Checkpoint
@@ -50,14 +51,14 @@ class BatchContacts:
         encoding.middles(self.addresses, self.contacts, np.empty(self.contacts.max()), middle)
         return middle
 
-    def strongest_impacts(self, counts: IntArray) -> tuple[NDArray[np.void], IntArray]:
+    def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts of the largest normal impulses in order of time, and which of each frame they are.
 
         Of equal ones these are the first. ``counts`` says how many of each frame, (frames,).
         """
         return self._strongest(encoding.IMPACTS, self.impacts, counts)
 
-    def strongest_contacts(self, counts: IntArray) -> NDArray[np.void]:
+    def strongest_contacts(self, counts: IntArray) -> Records:
         """Return the contacts of the largest normal impulses of each frame, the largest first; of equal ones the first.
 
         ``counts`` says how many of each frame, (frames,).
@@ -65,7 +66,7 @@ class BatchContacts:
         rows, _ = self._strongest(encoding.ROWS, self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
 
-    def _strongest(self, column: int, each: IntArray, counts: IntArray) -> tuple[NDArray[np.void], IntArray]:
+    def _strongest(self, column: int, each: IntArray, counts: IntArray) -> tuple[Records, IntArray]:
         total = int(counts.sum())
         chosen, rows = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
         encoding.pick_strongest(self.addresses, column, each, counts, np.empty(each.max()), chosen)
@@ -162,16 +163,13 @@ def force_rows(
         yield frame_rows(path, index, columns, array_bytes(arrows, at, ends))
 
 
-def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> NDArray[np.float32]:
+def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> SingleArray:
     """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.layout.drawing`."""
     size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
     length = longest * part_of_longest(size, middle)
     scale = np.divide(length, size, out=np.zeros_like(size), where=size > 0.0)
     return single(impulse * scale[:, None])
 
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _ROUND_OFF = 1e-12  # of J v_n: less energy than that is not lost but rounded
 

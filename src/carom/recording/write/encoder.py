@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
+from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
@@ -47,8 +48,6 @@ from carom.recording.write.rows import (
 
 SPEED = "speed"  # in the property `arrows`: the speed (m/s) in the middle of the colours
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 NO_IMPACTS = RecordedImpacts()
 
@@ -128,9 +127,7 @@ class BatchEncoder:
         columns = [any_column(name, values, np.array(each)) for name, (values, each) in encoded.items()]
         return frame_rows(CHECKPOINT, Index.of(frames), columns, sum(map(checkpoint_columns.size, frames)))
 
-    def _bodies(
-        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]
-    ) -> Rows:
+    def _bodies(self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray) -> Rows:
         turned = None
         if self.header.has_orientation:
             turned = np.empty((*points.shape[:2], 4), dtype=np.float32)
@@ -162,7 +159,7 @@ class BatchEncoder:
         return Rows(BODIES, Index.of_impacts(numbers), columns, size)
 
     def _drawn(
-        self, centres: NDArray[np.float32], turned: NDArray[np.float32] | None, colours: NDArray[np.uint32] | None
+        self, centres: SingleArray, turned: SingleArray | None, colours: NDArray[np.uint32] | None
     ) -> tuple[list[ComponentColumn], int]:
         """Return the columns that draw all bodies, row after row, and their bytes."""
         n = self.header.bodies
@@ -212,7 +209,7 @@ class BatchEncoder:
         return np.concatenate([colouring.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
     def _arrows(
-        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: NDArray[np.float32]
+        self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray
     ) -> Iterable[Rows]:
         """Torques, and angular accelerations τ/I, of the bodies that feel any."""
         torque = _stacked("torque", batch, store)
@@ -229,8 +226,8 @@ class BatchEncoder:
         index: Index,
         batch: Sequence[Frame],
         torque: FloatArray,
-        points: NDArray[np.float32],
-        each: NDArray[np.int64],
+        points: SingleArray,
+        each: IntArray,
         body: NDArray[np.uint32],
         magnitude: FloatArray,
     ) -> Rows:
@@ -263,7 +260,7 @@ class BatchEncoder:
         index: Index,
         batch: Sequence[Frame],
         position: FloatArray,
-        points: NDArray[np.float32],
+        points: SingleArray,
         extremes: FloatArray,
     ) -> Rows:
         """Draw the edges of the collision graphs, and find each frame's `encoding_kernels.draw_edges` extremes."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
 import pyarrow as pa
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.frame import Frame
 from carom.recording.read.frame_rows import BY_EVENT
 from carom.recording.rrd.messages import Chunk
@@ -50,9 +49,7 @@ def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
     return Chunk(rows.path, pa.record_batch([array for array, _ in columns.values()], schema=pa.schema(fields)))
 
 
-def statics_of(
-    header: Header, clock: TimeScale, origin: NDArray[np.float64], reach: float, name: str
-) -> Iterator[Chunk]:
+def statics_of(header: Header, clock: TimeScale, origin: FloatArray, reach: float, name: str) -> Iterator[Chunk]:
     """Encode what a recording of this name states once; see `statics`."""
     archetypes: list[tuple[str, rr.AsComponents]] = [
         (IDENTITY, any_values(identity(header, clock, origin))),

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records, SingleArray
 from carom.physics.aligned import record
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
@@ -30,7 +30,7 @@ def positions_at(
     times: FloatArray,
     before: Frame | Checkpoint,
     after: Frame,
-    impacts: NDArray[np.void],
+    impacts: Records,
     radius: FloatArray,
     box: FloatArray,
 ) -> FloatArray:
@@ -59,7 +59,7 @@ def positions_at(
     return found
 
 
-def _by_body(impacts: NDArray[np.void], bodies: int) -> tuple[IntArray, IntArray]:
+def _by_body(impacts: Records, bodies: int) -> tuple[IntArray, IntArray]:
     """Return where the impacts of each body begin, (n + 1,), and the impacts body after body, each body's in order."""
     struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
     order = np.argsort(struck, kind="stable")
@@ -85,7 +85,7 @@ def _nearest(apart: FloatArray, box: FloatArray) -> FloatArray:
 def _pass_through(
     times: FloatArray,
     ends: tuple[float, float],
-    impacts: NDArray[np.void],
+    impacts: Records,
     first: IntArray,
     own: IntArray,
     start: FloatArray,
@@ -130,9 +130,6 @@ def _pass_through(
                     found[m, body, k] = start[body, k] + (speed * (time - clock[c]) + way[c, k])
 
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
 _ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames of the bodies at impacts
@@ -173,7 +170,7 @@ class ImpactPlan:
         self._model = everything, oriented, turned
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
-        self._before: NDArray[np.float32] | None = None  # (n, 3) m, as drawn in the frame before
+        self._before: SingleArray | None = None  # (n, 3) m, as drawn in the frame before
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
@@ -200,7 +197,7 @@ class ImpactPlan:
         return kept
 
 
-def largest(impacts: NDArray[np.void], count: int) -> IntArray:
+def largest(impacts: Records, count: int) -> IntArray:
     """Return which impacts have the largest normal impulses, in order of time; of equal ones the first."""
     if len(impacts) <= count:
         return np.arange(len(impacts))
@@ -218,7 +215,7 @@ def _spend(
     edges: IntArray,
     contacts: IntArray,
     impacts: IntArray,
-    budget: NDArray[np.void],
+    budget: Records,
     kept: Kept,
 ) -> None:
     """Decide for frames, (frames,), by how many bodies moved, edges, contacts and impacts each has."""
@@ -258,7 +255,7 @@ _INDEX_BYTES = 24  # of a row: step, time and number
 
 
 def impact_rows(
-    impacts: NDArray[np.void],
+    impacts: Records,
     numbers: IntArray,
     references: Mapping[str, float],
     radius: FloatArray,

@@ -12,8 +12,8 @@ from typing import Generic, Self, TypeVar
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
@@ -158,8 +158,6 @@ def _bytes_of(frame: Frame) -> int:
     """Estimate the bytes of a frame's row without its arrows: drawn bodies and contacts, and twenty scalars."""
     return len(frame.position) * (12 if frame.orientation is None else 28) + 28 * len(frame.contacts) + 20 * 24
 
-
-FloatArray = NDArray[np.float64]
 
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512

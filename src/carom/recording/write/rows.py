@@ -12,6 +12,8 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
+from carom.arrays import FloatArray, Int32Array, IntArray, SingleArray
+
 if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 # copy their values, and make offsets for every single value before a column is partitioned. That took most of the
 # recorder's time, under the interpreter's lock. These wrap the arrays as they are.
 
-Each = NDArray[np.int64] | int  # values of each row; a number if all have as many
+Each = IntArray | int  # values of each row; a number if all have as many
 Descriptor = rr.ComponentDescriptor
 
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
@@ -69,20 +71,20 @@ def plain_column(descriptor: Descriptor, values: NDArray[Any], each: Each = 1) -
     return BatchColumn(descriptor, pa.array(values), each)
 
 
-def vector_column(descriptor: Descriptor, values: NDArray[np.float32], each: Each = 1) -> ComponentColumn:
+def vector_column(descriptor: Descriptor, values: SingleArray, each: Each = 1) -> ComponentColumn:
     """Return a column of vectors, (m, 3), or of quaternions, (m, 4)."""
     kind = _VECTOR if values.shape[1] == 3 else _QUATERNION
     return BatchColumn(descriptor, pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), type=kind), each)
 
 
-def line_column(ends: NDArray[np.float32], each: Each) -> ComponentColumn:
+def line_column(ends: SingleArray, each: Each) -> ComponentColumn:
     """Return a column of lines by the coordinates of their ends, (m, 6). Rerun's own conversion is a loop in Python."""
     points = pa.FixedSizeListArray.from_arrays(pa.array(ends.ravel()), type=_VECTOR)
     strips = pa.ListArray.from_arrays(pa.array(_offsets(2, len(points))), points, type=_STRIP)
     return BatchColumn(rr.LineStrips3D.descriptor_strips(), strips, each)
 
 
-def _offsets(each: Each, count: int) -> NDArray[np.int32]:
+def _offsets(each: Each, count: int) -> Int32Array:
     """Return where each row begins, and the end of the last one."""
     if isinstance(each, int):
         return np.arange(0, count + 1, each, dtype=np.int32)
@@ -90,9 +92,6 @@ def _offsets(each: Each, count: int) -> NDArray[np.int32]:
     np.cumsum(each, out=found[1:])
     return found
 
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _INDEX_BYTES = 16  # a row's step and simulated time
 _NO_NUMBERS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)

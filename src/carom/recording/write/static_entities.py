@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 from rerun.components import FillMode
 
+from carom.arrays import FloatArray, SingleArray
 from carom.recording.layout.drawing import arrow_length, line_radii, shape, single
 from carom.recording.layout.plot_views import curve_style
 from carom.recording.schema import palette, paths
@@ -30,7 +30,7 @@ _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # from pole to pole; enough for a sphere among thousands to look round
 
 
-def statics(header: Header, clock: TimeScale, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Yield everything static, entity by entity; at the start all bodies are within ``reach`` (m) of the origin."""
     yield (
         paths.SCENE,
@@ -66,9 +66,9 @@ def statics(header: Header, clock: TimeScale, origin: NDArray[np.float64], reach
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
-def identity(header: Header, clock: TimeScale, origin: NDArray[np.float64]) -> dict[str, Scalar | NDArray[np.float64]]:
+def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: what the scene is, which parts of the model it has, and how it is drawn."""
-    properties: dict[str, Scalar | NDArray[np.float64]] = {
+    properties: dict[str, Scalar | FloatArray] = {
         "schema_version": paths.SCHEMA_VERSION,
         "title": header.title,
         "bodies": header.bodies,
@@ -139,7 +139,7 @@ def _bodies(header: Header) -> Iterable[Static]:
             yield paths.BODIES, _two_tone_sphere()
 
 
-def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> Iterable[Static]:
+def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Draw the walls or the periodic box, and each plane as a square grid."""
     for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.box)):
         if size is not None:
@@ -156,9 +156,7 @@ def _surroundings(header: Header, origin: NDArray[np.float64], reach: float) -> 
     yield from plane_grids(header, origin, np.zeros(3), reach)
 
 
-def plane_grids(
-    header: Header, origin: NDArray[np.float64], centre: NDArray[np.float64], reach: float
-) -> Iterable[Static]:
+def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
     """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
 
     ``reach`` is that of the bodies around the centre, in m.
@@ -172,7 +170,7 @@ def plane_grids(
         )
 
 
-def _grid(normal: NDArray[np.float64], offset: float, centre: NDArray[np.float64], reach: float) -> NDArray[np.float32]:
+def _grid(normal: FloatArray, offset: float, centre: FloatArray, reach: float) -> SingleArray:
     """Return lines (k, 2, 3) of a square grid on a plane, about the point nearest to a centre."""
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     across /= np.linalg.norm(across)

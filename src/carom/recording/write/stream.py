@@ -10,10 +10,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from time import monotonic
 
-import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.continuation import Continuation
@@ -199,7 +198,7 @@ class Stream:
         """Send one line of the log."""
         self.send(event_rows([event]), clock)
 
-    def send_statics(self, clock: TimeScale, origin: NDArray[np.float64], reach: float) -> None:
+    def send_statics(self, clock: TimeScale, origin: FloatArray, reach: float) -> None:
         """Send everything static; at the start all bodies are within ``reach`` (m) of the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
@@ -212,7 +211,7 @@ class Stream:
                 stream.log(path, archetype, static=True)
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
 
-    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.float64]]) -> None:
+    def send_property(self, name: str, values: Mapping[str, Scalar | FloatArray]) -> None:
         """Send a recording property, unless it is empty."""
         for stream in self._streams():
             if values:

@@ -16,11 +16,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.errors import RecordingError
 from carom.private_folder import is_fixed, temporary_folder
 from carom.recording.rrd.container import Container
@@ -183,7 +182,7 @@ class Writer:
         """Send static data."""
         self._stream.log(path, archetype, static=True)
 
-    def send_property(self, name: str, values: Mapping[str, Scalar | NDArray[np.int64]]) -> None:
+    def send_property(self, name: str, values: Mapping[str, Scalar | IntArray]) -> None:
         """Send a recording property."""
         self._stream.send_property(name, any_values(values))
 

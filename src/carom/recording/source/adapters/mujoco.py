@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import Model, Plane, State
@@ -104,7 +104,7 @@ class MuJoCo:
             package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
             self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
 
-    def contacts(self) -> NDArray[np.int64]:
+    def contacts(self) -> IntArray:
         """Return the pairs that the last step found in contact, (m, 2)."""
         ends = self._end_of[self._data.contact.geom]
         return np.asarray(ends[(ends >= 0).all(axis=1)], dtype=np.int64)
@@ -115,7 +115,7 @@ def mujoco(model: Any, data: Any) -> MuJoCo:
     return MuJoCo(model, data)
 
 
-def _is_free_sphere(package: Any, model: Any, body: int, geoms: NDArray[np.int64]) -> bool:
+def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> bool:
     """Tell whether a body is one sphere about its centre of mass that moves freely."""
     return (
         model.body_jntnum[body] == 1
@@ -128,7 +128,7 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: NDArray[np.int64
     )
 
 
-def _reach(model: Any, data: Any, body: int, geoms: NDArray[np.int64]) -> float:
+def _reach(model: Any, data: Any, body: int, geoms: IntArray) -> float:
     """Return the radius of the sphere about the centre of mass that holds all shapes of a body, in m."""
     if len(geoms) == 0:
         return float(np.sqrt(2.5 * model.body_inertia[body].max() / model.body_mass[body]))
@@ -136,7 +136,7 @@ def _reach(model: Any, data: Any, body: int, geoms: NDArray[np.int64]) -> float:
     return float((away + model.geom_rbound[geoms]).max())
 
 
-def _ends(model: Any, moving: list[int], still: list[int], planes: list[int]) -> NDArray[np.int64]:
+def _ends(model: Any, moving: list[int], still: list[int], planes: list[int]) -> IntArray:
     """Return the end that each shape belongs to: a body, from n on a plane, or -1 for none."""
     ends = np.full(model.ngeom, -1)
     of_body = {body: k for k, body in enumerate(moving)}
@@ -153,7 +153,7 @@ def _plane(model: Any, data: Any, geom: int) -> Plane:
     return Plane((x, y, z), float(normal @ data.geom_xpos[geom]), model.geom(geom).name)
 
 
-def _turned(quaternion: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
     """Turn vectors from the frames of the bodies into that of the world, (n, 3); quaternions are wxyz."""
     w, axis = quaternion[:, :1], quaternion[:, 1:]
     twice = 2.0 * np.cross(axis, local)

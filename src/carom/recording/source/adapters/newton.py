@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import Model, Plane, State
@@ -81,7 +81,7 @@ def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> Newton:
     return Newton(model, now)
 
 
-def _plane(place: NDArray[np.float32], number: int) -> Plane:
+def _plane(place: SingleArray, number: int) -> Plane:
     """Return a plane from its place and turn; its normal is its own z axis."""
     turn = place[None, 3:].astype(np.float64)
     normal = _turned(turn, np.array([[0.0, 0.0, 1.0]]))[0]
@@ -89,7 +89,7 @@ def _plane(place: NDArray[np.float32], number: int) -> Plane:
     return Plane((x, y, z), float(normal @ place[:3]), f"plane {number}")
 
 
-def _turned(quaternion: NDArray[np.float64], local: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
     """Turn vectors, (n, 3), by quaternions xyzw."""
     axis, w = quaternion[:, :3], quaternion[:, 3:]
     twice = 2.0 * np.cross(axis, local)

@@ -7,8 +7,8 @@ from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import SPHERE, Model, Plane, State
@@ -108,7 +108,7 @@ def calls_per_frame(bodies: int) -> int:
     return min(SELDOM, 1 + bodies // SLOW)
 
 
-def _rows(pairs: Iterable[Any], count: int, width: int) -> NDArray[np.float64]:
+def _rows(pairs: Iterable[Any], count: int, width: int) -> FloatArray:
     """Return pairs of tuples as rows of numbers."""
     flat = chain.from_iterable(chain.from_iterable(pairs))
     return np.fromiter(flat, np.float64, count * width).reshape(count, width)

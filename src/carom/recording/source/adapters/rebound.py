@@ -7,8 +7,8 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import Records
 from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import Model, State, StateMemory
@@ -121,7 +121,7 @@ def _size_of(particle: Any) -> int:
     return ctypes.sizeof(particle)
 
 
-def _particles_at(address: int, size: int, count: int) -> NDArray[np.void]:
+def _particles_at(address: int, size: int, count: int) -> Records:
     """Return a view of the positions and velocities of particles of some bytes each, (n,) rows."""
     raw = (ctypes.c_char * (size * count)).from_address(address)
     return np.ndarray((count,), ROW, memoryview(raw), strides=(size,))
