@@ -53,6 +53,8 @@ STEPS = 40
 OTHER_STEPS = {  # more until something touches, fewer where a step takes milliseconds
     "two-spheres": 350,
     "newtons-cradle": 400,
+    "bouncing-ball": 120,
+    "billiards": 120,
     "rack-break": 450,
     "marbles-in-a-box": 110,
     "cloud-collapse": 35,

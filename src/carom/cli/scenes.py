@@ -51,7 +51,7 @@ def scenes(
 def new(
     name: Annotated[str, typer.Argument(metavar="NAME", help="File to write; .toml is added if missing.")],
     source: Annotated[
-        str, typer.Option("--from", metavar="SCENE", help="Copy this bundled scene instead of the commented starter.")
+        str, typer.Option("--from", metavar="SCENE", help="Copy this bundled scene, such as incline or cradle.")
     ] = "",
     force: ForceOption = False,
 ) -> None:
@@ -65,6 +65,9 @@ def new(
         raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
+    if source not in bundled:  # cradle stands for newtons-cradle
+        matches = [name for name in bundled_scenes() if source and source in name]
+        source = matches[0] if len(matches) == 1 else source
     if source and source not in bundled:
         raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
     if path.exists() and not force:
