@@ -13,15 +13,16 @@ from carom.recording.write.recorder import Recorder
 from carom.show import notebook
 from scripted_run import ScriptedRun
 
-EXAMPLE = Path(__file__).parents[2] / "docs" / "notebook.ipynb"
+DOCS = Path(__file__).parents[2] / "docs"
+NOTEBOOKS = ("notebook.ipynb", "lesson.ipynb")
 LARGEST = 20_000  # bytes
 
 
-def read() -> Any:
+def read(name: str) -> Any:
     import nbformat
 
     reader: Any = nbformat  # untyped
-    return reader.read(EXAMPLE, as_version=4)
+    return reader.read(DOCS / name, as_version=4)
 
 
 class SpyViewer:
@@ -90,24 +91,27 @@ def test_without_the_extra_one_sentence_names_it(recording: Recording, monkeypat
 
 
 @pytest.mark.needs("nbclient")
-def test_the_example_notebook_is_small_and_was_executed() -> None:
-    book = read()
-    assert EXAMPLE.stat().st_size < LARGEST
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_of_the_docs_is_small_and_was_executed(name: str) -> None:
+    book = read(name)
+    assert (DOCS / name).stat().st_size < LARGEST
     numbers = [cell.execution_count for cell in book.cells if cell.cell_type == "code"]
     assert numbers == list(range(1, len(numbers) + 1))
 
 
 @pytest.mark.slow
 @pytest.mark.needs("nbclient")
-def test_the_example_notebook_runs_and_prints_what_it_shows(tmp_path: Path) -> None:
-    shown = read()
-    run = read()
+@pytest.mark.parametrize("name", NOTEBOOKS)
+def test_a_notebook_of_the_docs_runs_and_prints_what_it_shows(name: str, tmp_path: Path) -> None:
+    shown = read(name)
+    run = read(name)
     where = {"metadata": {"path": str(tmp_path)}}
     from nbclient import NotebookClient
 
     NotebookClient(run, timeout=300, kernel_name="python3", store_widget_state=False, resources=where).execute()
     assert [results(cell) for cell in run.cells] == [results(cell) for cell in shown.cells]
-    assert any("Viewer" in str(cell.get("outputs")) for cell in run.cells), "the viewer is displayed"
+    shows = any(".show(" in cell["source"] for cell in run.cells)
+    assert any("Viewer" in str(cell.get("outputs")) for cell in run.cells) == shows, "the viewer is displayed"
 
 
 def results(cell: Any) -> list[str]:
