@@ -6,8 +6,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
@@ -20,8 +20,6 @@ from carom.physics.step import KickDriftStepper
 from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
-
-FloatArray = NDArray[np.float64]
 
 FREE_DT = 1.0  # s, the first step where no limit applies; the next ones are longer
 FORESEEN = 2.0  # times the last step of the holder: the next one is not longer

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

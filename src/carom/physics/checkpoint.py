@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline
@@ -16,8 +14,6 @@ from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.run_monitor import PaceTally
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.run_monitor import remembered
@@ -34,9 +34,6 @@ from carom.physics.time_step import Timestep
 from carom.physics.vector import square, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
 NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the gap that counts as contact

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline
 from carom.physics.vector import Vector
-
-FloatArray = NDArray[np.float64]
 
 
 @inline

@@ -21,14 +21,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import inline, unowned
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
-
-FloatArray = NDArray[np.float64]
 
 SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
 

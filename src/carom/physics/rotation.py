@@ -13,12 +13,10 @@ Bodies are turned in blocks, one short loop without branches after the other, wh
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
-
-FloatArray = NDArray[np.float64]
 
 # π/2 in two parts (Cody & Waite): the first has 33 bits, so that its product with a count up to 2²⁰ is exact.
 HALF_PI_HIGH = 1.57079632673412561417

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
 from carom.physics.aligned import Room
 from carom.physics.batch_step import BatchStepper
@@ -39,9 +37,6 @@ from carom.plan.auto import (
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
-Rows = NDArray[np.void]
 
 
 class Simulation:
@@ -283,7 +278,7 @@ class Simulation:
             expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )
 
-    def _recorded_contacts(self, room: Room | None) -> tuple[Rows | None, int, Rows | None]:
+    def _recorded_contacts(self, room: Room | None) -> tuple[Records | None, int, Records | None]:
         """Return the impacts since the last frame, how many more there were, and the contacts of the last step."""
         if not self._records_contacts:
             return None, 0, None

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.contact.contact_tap import Impulses
 from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
@@ -23,8 +23,6 @@ from carom.physics.stepper import Goal
 from carom.plan.checks import refuse_impossible
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.support import NOTHING_BORNE
@@ -21,8 +21,6 @@ from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
-
-FloatArray = NDArray[np.float64]
 
 WARM_UP_STEPS = 3
 

@@ -6,14 +6,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel
 from carom.physics.pull_time import step_of_largest, step_of_pairs
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
 BORNE = 0.5  # of its acceleration; a body counts as held if contacts bear at least this part

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.clock import Clock
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.physics.schedule import Schedule, quiet
-
-FloatArray = NDArray[np.float64]
 
 
 class Goal(NamedTuple):

@@ -21,8 +21,8 @@ Here a decrease takes effect at once.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.momentum import centre_velocity
@@ -31,9 +31,6 @@ from carom.physics.pull_time import PullTime
 from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, smooth_and_cut, target
 from carom.plan.auto import HELD_PART, StepLimits
 from carom.scene.schema import Scene, Time
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 MIN_SHARED_BLOCKS = 10
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline
 
-FloatArray = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
 

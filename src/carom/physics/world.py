@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.clock import Clock
 from carom.physics.contact.law import materials_of
@@ -19,8 +19,6 @@ from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
 from carom.scene.wording import Names
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,9 +11,7 @@ from collections.abc import Sequence
 from importlib import import_module
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.events.drift import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
@@ -23,7 +21,6 @@ from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.schema import Scene
 
-FloatArray = NDArray[np.float64]
 Potentials = dict[str, float]  # J, by their terms of the energy
 
 

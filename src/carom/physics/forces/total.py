@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces.force import Damping, Potentials, accelerate, forces_of
@@ -16,8 +16,6 @@ from carom.physics.jit.thread_team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
 
 
 class ForceLaws(NamedTuple):

@@ -6,15 +6,13 @@ a = g,    U = -Σ m g·x
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TASK = 5000  # about 10 µs of work
 

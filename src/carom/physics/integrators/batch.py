@@ -10,16 +10,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.plan.auto import integrator
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
 
 
 class Meeting(NamedTuple):

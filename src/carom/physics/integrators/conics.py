@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.integrators.kepler import TURN
-
-FloatArray = NDArray[np.float64]
 
 HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing

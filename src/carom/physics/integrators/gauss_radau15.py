@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
 from carom.physics.integrators.batch import Batch, Meeting
@@ -48,9 +49,6 @@ from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more

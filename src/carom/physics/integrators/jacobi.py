@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray, IntArray
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @unowned

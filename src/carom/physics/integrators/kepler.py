@@ -20,12 +20,10 @@ from fractions import Fraction
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
-
-FloatArray = NDArray[np.float64]
 
 SERIES_UP_TO = 0.3  # of |z|: there the terms that are left out are below half a last bit
 TERMS = 7  # of the series

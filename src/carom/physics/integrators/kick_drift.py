@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.periodic_box import minimum_image
-
-FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TASK = 5000
 

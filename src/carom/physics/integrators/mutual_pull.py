@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.integrators.kepler import LANES
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import add, between, vector, write
-
-FloatArray = NDArray[np.float64]
 
 LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
 

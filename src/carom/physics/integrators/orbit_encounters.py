@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import between, square
-
-FloatArray = NDArray[np.float64]
 
 UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of a turn or more
 

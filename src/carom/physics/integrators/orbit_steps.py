@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray, Records
 from carom.physics.integrators.jacobi import from_jacobi, put, to_jacobi
 from carom.physics.integrators.mutual_pull import kick
 from carom.physics.integrators.orbit_arrays import Orbits
@@ -14,9 +12,6 @@ from carom.physics.integrators.orbit_encounters import meets
 from carom.physics.integrators.symplectic_corrector import correct, drift
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.step_rule import END_TOLERANCE
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 PARTED = 1.2  # times the distance from which bodies are close, beyond which they are no longer
 

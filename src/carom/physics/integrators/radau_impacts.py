@@ -22,14 +22,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.integrators.radau_nodes import TERMS
 from carom.physics.integrators.radau_step import Motion, acceleration_at_start
 from carom.physics.jit.decorators import inline, unowned
-
-FloatArray = NDArray[np.float64]
 
 COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
 TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a gap that is rounding

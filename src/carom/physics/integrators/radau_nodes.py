@@ -9,9 +9,8 @@ from fractions import Fraction
 from math import comb, prod
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from carom.arrays import FloatArray
 
 # 0 and the zeros of (P₇(x) + P₈(x)) / (1 + x), with Legendre polynomials P, mapped from [-1, 1] to [0, 1]
 NODES = tuple(

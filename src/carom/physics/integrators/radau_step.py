@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.forces.gravity.direct import inverse_cube
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.radau_nodes import (
@@ -23,8 +24,6 @@ from carom.physics.integrators.radau_nodes import (
     WIDTH,
 )
 from carom.physics.jit.decorators import inline, unowned
-
-FloatArray = NDArray[np.float64]
 
 LANES_FROM = 16  # bodies
 PASSING = 1.0 / 16.0  # (τ / τ')², below which an acceleration passes 0; Kepler orbits up to e = 0.99 never are

@@ -14,8 +14,8 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.forces.kernel_forces import parameters_of_all
 from carom.physics.integrators.gauss_radau15 import LARGEST_CHANGE, PROGRESS, SHRINKING, STEP_FRACTION
 from carom.physics.integrators.radau_nodes import TERMS
@@ -37,9 +37,6 @@ from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
-Records = NDArray[np.void]
 
 FIRST_PART = 1e-3  # of the duration: the first step that is tried
 STEPS_AT_ONCE = 500  # 1 ms for two bodies, half a second for 100

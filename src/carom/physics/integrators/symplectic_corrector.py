@@ -17,15 +17,13 @@ from fractions import Fraction
 from math import factorial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.integrators.jacobi import from_jacobi
 from carom.physics.integrators.kepler import revolve_all
 from carom.physics.integrators.mutual_pull import kick
 from carom.physics.integrators.orbit_arrays import Orbits
 from carom.physics.jit.decorators import unowned
-
-FloatArray = NDArray[np.float64]
 
 STAGES = 4  # of the corrector
 SPREAD = Fraction(2, 5)

@@ -26,8 +26,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.integrators.batch import Batch
 from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
@@ -40,10 +40,6 @@ from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 STEPS_PER_TURN = 20.0  # of the shortest orbit
 STEPS_OF_HEAVY = (

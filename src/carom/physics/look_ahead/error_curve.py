@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from carom.arrays import FloatArray
 
 GOLDEN = 0.3819660112501051  # of the time from one comparison to the next
 

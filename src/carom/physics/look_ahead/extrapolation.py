@@ -10,12 +10,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.look_ahead.error_curve import kept_until
 from carom.physics.look_ahead.twins import APART
-
-FloatArray = NDArray[np.float64]
 
 COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first run ahead, and of each over the one before
 SAFETY = 3.5  # the step is chosen for an error that is smaller than requested by this factor

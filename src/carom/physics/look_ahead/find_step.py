@@ -25,8 +25,8 @@ from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.physics.integrators.radau_twin import CONVERGES, Orbits, orbits, part
 from carom.physics.look_ahead.budget import LEAST, Budget, Watcher, radau_work
@@ -47,8 +47,6 @@ from carom.scene.schema import Promise, Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
-
-FloatArray = NDArray[np.float64]
 
 SAMPLES = 64  # times at which runs are compared
 ENOUGH_SAMPLES = 8  # reached within the budget; with fewer, it is divided into more

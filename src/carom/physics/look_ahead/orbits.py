@@ -15,15 +15,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.integrators.wisdom_holman import WisdomHolman
 from carom.physics.look_ahead.budget import ITERATIONS, ORBIT_BODY, ORBIT_STEP, Budget, radau_work
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 ROUGH = 1e-3  # accuracies from this on allow coarse steps; refinements of at least 0.63 resolve the innermost orbit
 COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these to 1 the error falls faster than the second order

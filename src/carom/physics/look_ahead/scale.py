@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.periodic_box import minimum_images
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 
 class Run(Protocol):

@@ -6,9 +6,7 @@ import math
 from copy import copy
 from dataclasses import replace
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray
 from carom.errors import PhysicsError
 from carom.physics.look_ahead.budget import (
     AT_ONCE,
@@ -29,8 +27,6 @@ from carom.physics.simulation import Simulation
 from carom.plan.auto import integrator
 from carom.scene.schema import Expect, Promise, Scene
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 NEVER = 2**62  # steps between two checks of the energy of a run ahead
 

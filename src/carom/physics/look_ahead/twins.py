@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.look_ahead.error_curve import with_start
 from carom.scene.start import InitialBodies
-
-FloatArray = NDArray[np.float64]
 
 APART = 1e-2  # of the size; beyond, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)

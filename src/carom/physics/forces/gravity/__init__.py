@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
@@ -14,8 +14,6 @@ from carom.physics.jit.thread_team import Team
 from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene
-
-FloatArray = NDArray[np.float64]
 
 
 class Gravity:

@@ -24,8 +24,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.forces.gravity.taylor import (
     AX,
@@ -50,10 +50,6 @@ from carom.physics.forces.gravity.taylor import (
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.jit.vectors import LANES
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 FEW_PAIRS = 128  # of bodies, which take as long as a pair of boxes
 MANY_PAIRS = 1024  # 512 and 2048 are as fast at equal error

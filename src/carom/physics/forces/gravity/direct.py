@@ -26,14 +26,11 @@ reduction over sources (other bits).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums

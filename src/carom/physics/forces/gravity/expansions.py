@@ -9,15 +9,11 @@ the exact radius r, and a larger one the bound that follows from its halves.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.forces.gravity.taylor import AXIS, CENTRE, FROM, LOWER, MASS, MOVE_POLES, POLES, POWER, SHARE, TO
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 BRANCH = 2048  # largest number of bodies whose boxes one thread takes; the walk to each repeats 2 % of the work
 

@@ -15,6 +15,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.aligned import Room
 from carom.physics.forces.gravity.box_walk import ENTRY, Lists, PullLaw, Tree, walk
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
@@ -23,8 +24,6 @@ from carom.physics.forces.gravity.taylor import CENTRE, LOCAL, POLES
 from carom.physics.forces.gravity.tree_build import RANGE, Boxes
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.jit.vectors import LANES
-
-FloatArray = NDArray[np.float64]
 
 DEEPEST = 6400  # boxes within boxes: the sides of a box are halved 2100 times each from the largest float to the least
 UNIT_BITS = 300  # lengths are multiplied by 2^k with |k| up to this, so that no power of them overflows

@@ -9,14 +9,10 @@ b exact.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 BOXES_PER_TASK = 64  # about 10 µs
 EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and hardly slower than their moments

@@ -11,16 +11,14 @@ would be uneven, because crowded bodies take far longer than others.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.multipole import CENTRE, MOMENTS, expand
 from carom.physics.forces.gravity.tree_build import GROUP, RANGE, Boxes
 from carom.physics.forces.gravity.tree_walk import Lists, PullLaw, Tree, pull
 from carom.physics.jit.thread_team import SOLO, Team
-
-FloatArray = NDArray[np.float64]
 
 
 class TreeGravity:

@@ -18,15 +18,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error

@@ -16,16 +16,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.jit.prefetch import prefetch_to_read
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, and their sums
 LANES_PER_REGISTER = 8  # of float64, in the widest registers; loops over whole registers leave no remainder
