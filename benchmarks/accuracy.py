@@ -31,9 +31,9 @@ from numpy.typing import NDArray
 from carom.errors import PhysicsError, SceneError
 from carom.lab.tradeoff.settings_grid import GridPoint, knobs
 from carom.physics.look_ahead.find_step import with_promise
-from carom.physics.periodic_box import minimum_images
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
+from carom.physics.vector import minimum_images
 from carom.plan.auto import integrator
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.load import scene_from_text

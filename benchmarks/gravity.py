@@ -26,7 +26,7 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
+from carom.physics.forces.gravity.fast_multipole.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.thread_team import Team

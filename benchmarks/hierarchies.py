@@ -24,7 +24,7 @@ import numpy as np
 import rebound
 from numpy.typing import NDArray
 
-from carom.physics.integrators.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from few_bodies import Problem, Run, energy_error, planets, scene_of

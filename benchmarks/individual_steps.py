@@ -3,7 +3,7 @@
     python benchmarks/individual_steps.py
 
 In Plummer spheres, each body gets the step that its own motion requires: a fraction of the shortest time of its pairs,
-as `carom.physics.pull_time` has it, and of its fall to the centre. With a shared step, all take the shortest one. With
+as `carom.physics.step_rule` has it, and of its fall to the centre. With a shared step, all take the shortest one. With
 individual ones, a body is advanced at its own power of two, but the tree is built anew and all bodies are predicted at
 every shortest step. The tree walks for groups of neighbours at once, so a group is walked whenever one of its bodies is
 due. The times of building, walking and predicting are measured, on one thread.
@@ -18,8 +18,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.forces.gravity.boxes import Boxes
 from carom.physics.forces.gravity.tree import TreeGravity
-from carom.physics.forces.gravity.tree_build import Boxes
 from carom.physics.jit.thread_team import SOLO
 
 FloatArray = NDArray[np.float64]

@@ -21,7 +21,7 @@ from carom.physics.contact.events.drift import EventDrivenDrift, Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.bookkeeper import BalanceAudit, Bookkeeper
-from carom.physics.forces.total import TotalForce
+from carom.physics.forces.force import TotalForce
 from carom.physics.integrators import kick_drift
 from carom.physics.step import KickDriftStepper
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 import carom
-from carom.physics.status import StepStatus
+from carom.physics.simulation import StepStatus
 
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:

@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from carom.physics.jit.cores import cores as cores
     from carom.physics.jit.decorators import kernel as kernel
     from carom.physics.look_ahead.find_step import with_promise as with_promise
-    from carom.physics.periodic_box import minimum_images as minimum_images
     from carom.physics.placement import place as place
     from carom.physics.reference_api import BodyProxy as BodyProxy
     from carom.physics.reference_api import CollisionContext as CollisionContext
@@ -51,7 +50,8 @@ if TYPE_CHECKING:
     from carom.physics.schedule import Schedule as Schedule
     from carom.physics.schedule import at as at
     from carom.physics.schedule import every as every
-    from carom.physics.status import StepStatus as StepStatus
+    from carom.physics.simulation import StepStatus as StepStatus
+    from carom.physics.vector import minimum_images as minimum_images
     from carom.plan.auto import auto_interval as auto_interval
     from carom.plan.auto import cfl as cfl
     from carom.plan.auto import frame_interval as frame_interval
@@ -276,11 +276,11 @@ _HOMES = {
     "carom.physics.forces.kernel_forces": "forces_of_packages",
     "carom.physics.jit.cores": "cores",
     "carom.physics.jit.decorators": "kernel",
-    "carom.physics.periodic_box": "minimum_images",
+    "carom.physics.vector": "minimum_images",
     "carom.physics.placement": "place",
     "carom.physics.reference_api": "BodyProxy CollisionContext",
     "carom.physics.schedule": "Every Schedule at every",
-    "carom.physics.status": "StepStatus",
+    "carom.physics.simulation": "StepStatus",
     # recordings
     "carom.recording.edit.bundle": "is_bundle opened",
     "carom.recording.read.body_lookup": "body_number names_of",

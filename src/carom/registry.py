@@ -25,6 +25,7 @@ KINDS = {  # kind → what a message calls one of them
     "forces": "force",
     "contact_laws": "contact law",
     "integrators": "integrator",
+    "gravity_methods": "gravity method",
     "series": "recorded series",
     "data_formats": "data format",
     "export_formats": "export format",
@@ -32,6 +33,20 @@ KINDS = {  # kind → what a message calls one of them
     "commands": "command",
 }
 HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name → module:attribute
+    "forces": {
+        "gravity": "carom.physics.forces.gravity:make",
+        "uniform-field": "carom.physics.forces.field:make",
+        "drag": "carom.physics.forces.drag:make",
+    },
+    "gravity_methods": {
+        "direct": "carom.physics.forces.gravity.direct:make",
+        "tree": "carom.physics.forces.gravity.tree:make",
+        "fast-multipole": "carom.physics.forces.gravity.fast_multipole.fast_multipole:make",
+    },
+    "integrators": {  # those that choose their own steps; the others are sequences of kicks and drifts
+        "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
+        "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
+    },
     "data_formats": {
         "csv": "carom.scene.data.arrow_tables:CSV",
         "tsv": "carom.scene.data.arrow_tables:CSV",

@@ -11,10 +11,9 @@ import pytest
 from carom.errors import PhysicsError
 from carom.physics.batch_step import BatchStepper
 from carom.physics.jit.thread_team import Team
-from carom.physics.pull_time import PullTime, step_of_largest
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper
-from carom.physics.step_rule import BODIES_PER_BLOCK
+from carom.physics.step_rule import BODIES_PER_BLOCK, PullTime, step_of_largest
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time

@@ -18,8 +18,8 @@ from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import Schedule
+from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.physics.status import StepStatus
 from carom.plan.auto import frame_interval
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint_columns, paths

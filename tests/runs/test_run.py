@@ -19,8 +19,8 @@ import carom
 from carom.errors import RecordingError
 from carom.physics.diagnostics.extremes import Extreme, Extremes
 from carom.physics.frame import Frame
+from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.physics.status import StepStatus
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.runs.expectation import judge

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from carom.errors import SceneError
+from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.physics.status import StepStatus
 from carom.runs.expectation import judge
 from carom.runs.stress import attempt, extremes
 from carom.scene.schema import Scene

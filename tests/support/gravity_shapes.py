@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.physics.forces.gravity import GravityMethod
 from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.forces.gravity.pull import Pull
 
 FloatArray = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def masses(n: int, decades: float = 1.0) -> FloatArray:
     return np.asarray(10.0 ** np.random.default_rng(5).uniform(0.0, decades, n) / n)
 
 
-def pulled_by(gravity: Pull, position: FloatArray) -> tuple[FloatArray, float | None]:
+def pulled_by(gravity: GravityMethod, position: FloatArray) -> tuple[FloatArray, float | None]:
     """Accelerations and the potential energy by a method."""
     acceleration = np.empty_like(position)
     return acceleration, gravity.accelerate(position, acceleration, potential=True)

@@ -13,8 +13,8 @@ from carom.cli.live_line import LiveLine, Patience, bar
 from carom.cli.terminal import Terminal
 from carom.cli.units import bytes_text, duration_text, simulated_text
 from carom.cli.warnings import warning_lines
-from carom.physics.look_ahead.budget import Budget, Watcher
-from carom.physics.status import StepStatus
+from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
+from carom.physics.simulation import StepStatus
 from carom.plan.auto import ended_bounces, inexact_impacts, largest_step
 from carom.plan.checks import doubts
 from carom.runs.contact_counts import counts_text, overlap_text
@@ -144,7 +144,7 @@ def preparing(scene: Scene, beside: LiveLine) -> Patience:
 def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
     """Return what shows how far a look ahead is."""
 
-    def watch(budget: Budget) -> None:
+    def watch(budget: WorkBudget) -> None:
         reached = scene.unit_system.text(budget.reached, TIME, ".4g")
         patience.detail(f"a run ahead at t = {reached}, {min(1.0, budget.spent / budget.total):.0%} of the budget")
 

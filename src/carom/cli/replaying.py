@@ -10,7 +10,7 @@ from carom.cli.live_line import LiveLine, bar
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:
-    from carom.physics.status import StepStatus
+    from carom.physics.simulation import StepStatus
     from carom.recording.read.recording import Recording
 
 

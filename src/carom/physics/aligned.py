@@ -22,7 +22,7 @@ def aligned_empty(count: int, dtype: Any = np.float64, columns: int | None = Non
     return flat if columns is None else flat.reshape(count, columns)
 
 
-class Room:
+class Buffer:
     """Memory that is kept from step to step; freeing and allocating it again would cost page faults."""
 
     def __init__(self, dtype: Any = np.float64, columns: int | None = None) -> None:

@@ -12,12 +12,10 @@ from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities
-from carom.physics.integrators.batch import Batch, BatchIntegrator
-from carom.physics.integrators.checkpoint import BY_LEAPFROG, IntegratorCheckpoint
+from carom.physics.integrators.batch_integrator import BY_LEAPFROG, Batch, BatchIntegrator, IntegratorCheckpoint
 from carom.physics.rotation import rotate
-from carom.physics.schedule import Pause, quiet
+from carom.physics.schedule import Goal, Pause, quiet
 from carom.physics.step import KickDriftStepper
-from carom.physics.stepper import Goal
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 

@@ -13,7 +13,7 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.diagnostics.momentum import MomentumBaseline
 from carom.physics.diagnostics.run_monitor import PaceTally
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 
 
 @dataclass(frozen=True, slots=True)

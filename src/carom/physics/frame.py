@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW
 from carom.event import Event
-from carom.physics.aligned import Room
+from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint_of
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
+from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.intrinsics import pointer_to
 
@@ -56,7 +56,7 @@ class FrameStore:
         self.angular_velocity = np.zeros((slots, *bodies.angular_velocity.shape))
         self.torque = np.zeros((slots, *bodies.torque.shape))
         self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
-        self.contact_rows = [Room(CONTACT_ROW) for _ in range(slots)]
+        self.contact_rows = [Buffer(CONTACT_ROW) for _ in range(slots)]
         self._bodies = bodies  # kept as long as the addresses of its arrays
         pairs = zip(_arrays(bodies), self._rooms(), strict=True)
         self._table = np.array([(array.ctypes.data, room.ctypes.data, array.size) for array, room in pairs])

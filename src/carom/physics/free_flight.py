@@ -22,16 +22,15 @@ from carom.arrays import FloatArray, Records
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.run_monitor import remembered
+from carom.physics.forces.field import add
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
 from carom.physics.forces.kernel_forces import Parameters, add_forces
-from carom.physics.forces.uniform_field import add
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
-from carom.physics.periodic_box import minimum_image
 from carom.physics.rotation import turn_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target
 from carom.physics.time_step import Timestep
-from carom.physics.vector import square, write
+from carom.physics.vector import minimum_image, square, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
 

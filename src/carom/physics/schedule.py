@@ -1,6 +1,6 @@
-"""Schedules: after which steps a run yields a frame, or judges its errors. No step depends on them.
+"""How far a run advances: after which steps it yields a frame or judges its errors, and where it ends.
 
-The last step of a run always has a frame and is always judged.
+No step depends on a schedule. The last step of a run always has a frame and is always judged.
 """
 
 from __future__ import annotations
@@ -9,6 +9,10 @@ import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from carom.physics.world import Clock
 
 Schedule = Callable[[int, float, float], bool]  # step, the time before it and after it in s → whether it is scheduled
 
@@ -111,3 +115,26 @@ def looks_before(schedule: Schedule) -> bool:
 def _multiples(time: float, interval: float) -> float:
     """Count the multiples of an interval up to a time, with a tolerance, since the clock is a sum of steps."""
     return time / interval * (1.0 + MULTIPLE_TOLERANCE) // 1.0
+
+
+class Goal(NamedTuple):
+    """How far to advance."""
+
+    end: float  # s, of the run
+    schedule: Schedule  # after which steps a frame is due
+    checks: Schedule  # after which steps the errors are judged
+    most: int  # steps
+    shows_end: bool = True  # whether a frame is due after the last step
+
+    def is_reached(self, clock: Clock) -> bool:
+        """Whether a frame is due after the last step, by the schedule or because it was the last of the run."""
+        return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
+
+    def is_check(self, clock: Clock) -> bool:
+        """Whether errors are judged after the last step, by the schedule or because it was the last of the run."""
+        return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
+
+    def quiet(self, clock: Clock) -> tuple[float, float]:
+        """Return after how many steps, and up to which time in s, neither a frame nor a check is due before."""
+        frame, check = (quiet(due, clock.step, clock.time) for due in (self.schedule, self.checks))
+        return min(frame[0], check[0]), min(frame[1], check[1])

@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import NamedTuple, Protocol
 
 from carom.arrays import FloatArray, Records
 from carom.contact_table import NO_ROWS
-from carom.physics.aligned import Room
+from carom.physics.aligned import Buffer
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
+from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint
 from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
+from carom.physics.forces.force import Potentials
 from carom.physics.frame import Frame, FrameStore, copies
-from carom.physics.integrators.batch import batch_integrator_of
+from carom.physics.integrators.batch_integrator import IntegratorCheckpoint, batch_integrator_of
 from carom.physics.jit.cores import cores
 from carom.physics.jit.thread_team import Team
-from carom.physics.schedule import Checks, Pause, Schedule, at, every
-from carom.physics.status import StepStatus
+from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
 from carom.physics.step import KickDriftStepper
-from carom.physics.stepper import Goal, Stepper
 from carom.physics.time_step import Timestep
-from carom.physics.warm_up import warm_up
 from carom.physics.world import World
 from carom.plan.auto import (
     StepLimits,
@@ -37,6 +37,68 @@ from carom.plan.auto import (
 from carom.plan.features import require
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
+
+WARM_UP_DT = 1e-3  # of the step that the limits allow at the start
+
+
+class StepStatus(NamedTuple):
+    """Progress of a run at the end of a step."""
+
+    step: int
+    time: float  # s
+    dt: float  # s
+    dt_limit: str  # the limit that set dt
+    contacts: int  # number of contacts that touch or carry an impulse
+    energy: Energy  # as of the last check or frame
+
+    @property
+    def energy_error(self) -> float:
+        """|integration error| over the energy scale."""
+        return self.energy.relative_error
+
+
+class Stepper(Protocol):
+    """Advances a world and keeps its books."""
+
+    @property
+    def previous_dt(self) -> float:
+        """The step in s that the next one starts from: smoothed, without the cut at the end of a run."""
+
+    @property
+    def checkpoint(self) -> IntegratorCheckpoint | None:
+        """A copy of the integrator's state besides the bodies; None if it has none."""
+
+    @property
+    def first_dt(self) -> float:
+        """The step in s that the limits allow in the present state, before smoothing."""
+
+    def warm_up(self, dt: float) -> None:
+        """Take a few steps of dt seconds and book nothing; this loads the kernels."""
+
+    def begin(self) -> None:
+        """Begin a run at the present positions, velocities and accelerations."""
+
+    def restore(self, checkpoint: Checkpoint) -> None:
+        """Continue from a checkpoint, whose bodies are already in place."""
+
+    def advance(self, goal: Goal) -> bool:
+        """Advance by at least one step, and up to a goal where one call takes many; return whether a frame is due.
+
+        Raises
+        ------
+        PhysicsError
+            If the state is no longer finite, or a step no longer changes the clock.
+        """
+
+    @property
+    def has_solution(self) -> bool:
+        """Whether there is a solution between the beginning and the end of the last step."""
+
+    def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
+        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step.
+
+        None if the integrator has no solution between the steps.
+        """
 
 
 class Simulation:
@@ -278,7 +340,7 @@ class Simulation:
             expected_error=0.0 if self.scene.promise is None else self.scene.promise.error_at(self.time),
         )
 
-    def _recorded_contacts(self, room: Room | None) -> tuple[Records | None, int, Records | None]:
+    def _recorded_contacts(self, room: Buffer | None) -> tuple[Records | None, int, Records | None]:
         """Return the impacts since the last frame, how many more there were, and the contacts of the last step."""
         if not self._records_contacts:
             return None, 0, None
@@ -319,3 +381,22 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
         holder = kick_drift(replace(world, scene=held, needs=require(held))) if world.contact else None
         return BatchStepper(world, books, batches, timestep(step_limits(scene), scene), holder)
     return kick_drift(world)
+
+
+def warm_up(world: World, stepper: Stepper) -> Potentials:
+    """Take a few tiny steps, then restore the state: frame 0 is the scene as written.
+
+    They compute the accelerations for the first adaptive step, and compile the kernels. Returns the potential energies
+    in J.
+    """
+    bodies = world.bodies
+    moved = (bodies.position, bodies.velocity, bodies.orientation, bodies.angular_velocity)
+    changing = (*moved, bodies.torque, bodies.angular_acceleration)
+    saved = [array.copy() for array in changing]
+    world.forces.accelerate(potential=False)
+    stepper.warm_up(WARM_UP_DT * stepper.first_dt)
+    for array, value in zip(changing, saved, strict=True):
+        array[:] = value
+    potentials = world.forces.accelerate(potential=True)
+    stepper.begin()
+    return potentials

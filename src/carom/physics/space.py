@@ -13,13 +13,12 @@ from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
-from carom.physics.look_ahead.budget import Watcher
 from carom.physics.look_ahead.find_step import with_promise
+from carom.physics.look_ahead.trial_run import Watcher
 from carom.physics.placement import place
 from carom.physics.reference_api import BodyProxy
-from carom.physics.schedule import at, every
+from carom.physics.schedule import Goal, at, every
 from carom.physics.simulation import Simulation
-from carom.physics.stepper import Goal
 from carom.plan.checks import refuse_impossible
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies

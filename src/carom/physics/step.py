@@ -16,8 +16,7 @@ from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
 from carom.physics.free_flight import Flight, FreeFlight, can_fly
 from carom.physics.integrators.kick_drift import drift, kick, wrap
 from carom.physics.rotation import rotate
-from carom.physics.schedule import looks_before
-from carom.physics.stepper import Goal
+from carom.physics.schedule import Goal, looks_before
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator

@@ -27,8 +27,17 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.support import NOTHING_BORNE
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.pull_time import PullTime
-from carom.physics.step_rule import BODIES_PER_BLOCK, FIXED, LIMIT_NAMES, LIMITS, RULE, look, smooth_and_cut, target
+from carom.physics.step_rule import (
+    BODIES_PER_BLOCK,
+    FIXED,
+    LIMIT_NAMES,
+    LIMITS,
+    RULE,
+    PullTime,
+    look,
+    smooth_and_cut,
+    target,
+)
 from carom.plan.auto import HELD_PART, StepLimits
 from carom.scene.schema import Scene, Time
 

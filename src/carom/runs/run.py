@@ -17,9 +17,9 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from carom.errors import PhysicsError, RecordingError
 from carom.event import Event
 from carom.physics.diagnostics.extremes import Extremes
-from carom.physics.look_ahead.budget import Watcher as LookAheadWatcher
+from carom.physics.look_ahead.trial_run import Watcher as LookAheadWatcher
+from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.physics.status import StepStatus
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording

@@ -11,8 +11,8 @@ from carom.contact_table import NO_ROWS
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
+from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.physics.status import StepStatus
 from carom.recording.read.moment import goal_of
 from carom.recording.read.recorded_contacts import of_shown, table_of_rows
 from carom.recording.read.recorded_scene import fixed_of, recorded_scene, start_of

@@ -10,7 +10,7 @@ Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁
 (Yoshida 1990, Phys. Lett. A 150, 262).
 
 Two integrators have no such row. The error of Gauss–Radau integration sets its step, and the shortest orbit that of
-Wisdom–Holman integration (`carom.physics.integrators.gauss_radau15`, `carom.physics.integrators.wisdom_holman`).
+Wisdom–Holman integration (`carom.physics.integrators.gauss_radau`, `carom.physics.integrators.wisdom_holman`).
 """
 
 from __future__ import annotations

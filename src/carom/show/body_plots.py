@@ -23,7 +23,7 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
-    from carom.physics.status import StepStatus
+    from carom.physics.simulation import StepStatus
 
 
 MOST = 12  # curves that are told apart

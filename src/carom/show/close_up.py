@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, SingleArray
 from carom.physics.frame import Frame
-from carom.physics.periodic_box import minimum_images
+from carom.physics.vector import minimum_images
 from carom.recording.layout.bodies_view import faint_bodies
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.canvas import spatial_view, surroundings

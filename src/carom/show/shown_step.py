@@ -13,7 +13,7 @@ from carom.errors import PhysicsError, RecordingError
 from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.frame import Frame
-from carom.physics.status import StepStatus
+from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.moment import frame_of, tolerance
 from carom.recording.read.recording import Recording

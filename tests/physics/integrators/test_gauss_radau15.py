@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 
 import carom
 from carom.errors import PhysicsError, SceneError
-from carom.physics.integrators.radau_nodes import NODES
+from carom.physics.integrators.gauss_radau.radau_step import NODES
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.integrators.kepler import LANE_ROWS, LANES, revolve, revolve_all
+from carom.physics.integrators.wisdom_holman.kepler import LANE_ROWS, LANES, revolve, revolve_all
 from carom.physics.jit.decorators import kernel
 
 FloatArray = NDArray[np.float64]

@@ -15,8 +15,8 @@ from carom.contact_table import IMPACT_MODE
 from carom.errors import SceneError
 from carom.lab.compared_run import follow
 from carom.lab.tradeoff.event_driven_reference import solve
-from carom.physics.integrators.gauss_radau15 import GaussRadau15
-from carom.physics.integrators.radau_impacts import Solids
+from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.radau_impacts import Solids
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording

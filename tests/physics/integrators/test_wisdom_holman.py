@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 import carom
 from carom.errors import SceneError
-from carom.physics.integrators.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.plan.features import require

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from carom.errors import SceneError
 from carom.lab.tradeoff.event_driven_reference import solve
-from carom.physics.integrators.gauss_radau15 import STEP_FRACTION, GaussRadau15
-from carom.physics.integrators.radau_tolerance import tolerance
-from carom.physics.integrators.radau_twin import part
+from carom.physics.integrators.gauss_radau.gauss_radau15 import STEP_FRACTION, GaussRadau15
+from carom.physics.integrators.gauss_radau.radau_step import tolerance
+from carom.physics.integrators.gauss_radau.radau_twin import part
+from carom.physics.look_ahead.error_growth import Scale
 from carom.physics.look_ahead.find_step import with_promise
-from carom.physics.look_ahead.scale import Scale
 from carom.physics.look_ahead.trial_run import TrialRun
 from carom.physics.placement import place
 from carom.physics.schedule import at, every
@@ -536,8 +536,8 @@ def chattering_cube() -> Scene:
 
 
 def test_a_look_ahead_ends_where_chattering_contacts_take_steps_without_end(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.physics.look_ahead.budget.LEAST", 0.5)
-    monkeypatch.setattr("carom.physics.look_ahead.budget.MOST", 0.5)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.LEAST", 0.5)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.MOST", 0.5)
     runs: list[TrialRun] = []
 
     class Remembered(TrialRun):

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from carom.errors import SceneError
-from carom.physics.look_ahead.budget import Budget
 from carom.physics.look_ahead.find_step import with_promise
+from carom.physics.look_ahead.trial_run import WorkBudget
 from carom.physics.schedule import at
 from carom.physics.space import Space
 from carom.runs.run import shortfall_text
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 
-LEAST = "carom.physics.look_ahead.budget.LEAST"
+LEAST = "carom.physics.look_ahead.trial_run.LEAST"
 
 
 def sliding_ball(accuracy: float, speed: float = 2.0) -> Scene:
@@ -124,7 +124,7 @@ def test_a_look_ahead_ends_with_its_budget_and_says_how_far_it_came(monkeypatch:
     monkeypatch.setattr(LEAST, 0.2)
     spent: list[float] = []
 
-    def watch(budget: Budget) -> None:
+    def watch(budget: WorkBudget) -> None:
         spent.append(budget.spent / budget.total)
 
     scene = with_promise(asteroids(300), 1, watch=watch)
@@ -151,7 +151,7 @@ def test_an_accuracy_of_which_nothing_can_be_promised_is_refused_with_what_could
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(LEAST, 1e-4)
-    monkeypatch.setattr("carom.physics.look_ahead.budget.PART_OF_RUN", 1e-4)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.PART_OF_RUN", 1e-4)
     with pytest.raises(SceneError, match=r"accuracy = 0\.0001: cannot promise this: .*; not even 0\.01 could be"):
         with_promise(asteroids(300), 1)
 
@@ -160,7 +160,7 @@ def test_an_accuracy_of_which_nothing_can_be_promised_is_refused_with_what_could
 def test_the_budget_bounds_a_look_ahead_over_a_long_time(integrator: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten bodies for an hour of close encounters: the first comparison would take thousands of times the budget."""
     monkeypatch.setattr(LEAST, 0.02)
-    monkeypatch.setattr("carom.physics.look_ahead.budget.PART_OF_RUN", 1e-4)
+    monkeypatch.setattr("carom.physics.look_ahead.trial_run.PART_OF_RUN", 1e-4)
     rng = np.random.default_rng(5)
     scene = scene_of(
         [
@@ -171,6 +171,6 @@ def test_the_budget_bounds_a_look_ahead_over_a_long_time(integrator: str, monkey
         gravity={"constant": 1.0, "softening": 0.05},
         contact={"enabled": False},
     )
-    budgets: list[Budget] = []
+    budgets: list[WorkBudget] = []
     with_promise(scene, 1, watch=budgets.append)
     assert budgets[-1].spent < 2.0 * budgets[-1].total + 0.1, "a call of a kernel goes on for 0.05 s"

@@ -14,7 +14,7 @@ from carom.physics.contact.law import LAW, Materials, material_index
 from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.periodic_box import nearest_image
+from carom.physics.vector import nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

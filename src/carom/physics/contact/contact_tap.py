@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS
-from carom.physics.aligned import Room, columns, joined, picked, raw
+from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.contact_rows import NOT_HELD, Ends, Found, Held, merge, pick_impacts, write_log
@@ -64,7 +64,7 @@ class ContactTap:
 
     def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
         self._ends = Ends(bodies.position, box, materials, friction)
-        self._room = Room(CONTACT_ROW)
+        self._room = Buffer(CONTACT_ROW)
         self._most = 0  # rows of a step so far; a room with fewer is enlarged before it is filled
         self.forget()
         self._compile()
@@ -112,7 +112,7 @@ class ContactTap:
         return taken.rows(), taken.left_out
 
     def rows(
-        self, pairs: IntArray, solver: ContactSolver, room: Room | None = None, slept: SleepingContacts = NO_SLEEPERS
+        self, pairs: IntArray, solver: ContactSolver, room: Buffer | None = None, slept: SleepingContacts = NO_SLEEPERS
     ) -> Records:
         """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair; in ``room`` if given, else a copy.
 
@@ -124,7 +124,7 @@ class ContactTap:
             struck = self._rows_of_drift()
             struck = picked(struck, np.lexsort((-struck["approach_speed"], struck["j"], struck["i"])))
         merged = self._held, struck, _found(pairs, solver), self._ends, self._step, self._ended
-        room = Room(CONTACT_ROW) if room is None else room
+        room = Buffer(CONTACT_ROW) if room is None else room
         rows = room.whole if len(room.whole) > self._most else room.take(self._most + 1)
         count = merge(*merged, rows)
         if count >= len(rows):  # a quarter more than ever before

@@ -16,7 +16,7 @@ from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.lanes import where
-from carom.physics.periodic_box import nearest_image
+from carom.physics.vector import nearest_image
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

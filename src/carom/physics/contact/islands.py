@@ -18,8 +18,7 @@ from carom.physics.contact.union_find import join, join_shared, root_of
 from carom.physics.jit.atomics import atomic_load, atomic_max
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.periodic_box import sizes
-from carom.physics.vector import between
+from carom.physics.vector import between, sizes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
-from carom.physics.aligned import Room
+from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import ContactCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
@@ -362,7 +362,7 @@ class ContactPipeline:
         """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         self._torques.write(dt)
 
-    def rows(self, room: Room | None = None) -> Records:
+    def rows(self, room: Buffer | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
         return self.tap.rows(self._found.pairs, self._solver, room, self._slept)

@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 from carom.physics.aligned import columns, record
 from carom.physics.bodies import Bodies
 from carom.physics.contact.events.drift import Impacts
+from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import DampedStep, Exchange
-from carom.physics.forces.uniform_field import MIN_BODIES_PER_TASK, add
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.thread_team import Team
 from carom.scene.forces import DRAG

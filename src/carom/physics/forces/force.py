@@ -1,22 +1,28 @@
-"""The protocols of forces, and the forces of a scene.
+"""The protocols of forces, the forces of a scene, and their sum.
 
 A force that depends on positions only adds an acceleration and may have a potential. Its kind states when a scene
-requires it and what it records (`carom.scene.forces`). The module of one of carom's own forces has its name and defines
-``make(scene, bodies, team)``; those of installed packages are made by `carom.physics.forces.kernel_forces`.
+requires it and what it records (`carom.scene.forces`). Each of carom's own forces has a function
+``make(scene, bodies, team)``, named in `carom.registry`; `carom.physics.forces.kernel_forces` makes those of installed
+packages.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
+
+from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.events.drift import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
+from carom.physics.forces.gravity import gravity_of
+from carom.physics.forces.kernel_forces import KernelForce, Parameters
 from carom.physics.jit.thread_team import Team
+from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.schema import Scene
@@ -111,14 +117,9 @@ class Damping(Force, Protocol):
 
 def forces_of(scene: Scene, needs: Requirements, bodies: Bodies, team: Team) -> list[Force]:
     """Make the forces that a scene requires, in the order in which accelerations are summed."""
-    own = [_make(kind, scene, bodies, team) for kind in FORCES if needs.forces[kind.name].modelled]
+    kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
+    own = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
     return [*own, *(kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given)]
-
-
-def _make(kind: ForceKind, scene: Scene, bodies: Bodies, team: Team) -> Force:
-    module = import_module(f"{__package__}.{kind.name.replace('-', '_')}")
-    force: Force = module.make(scene, bodies, team)
-    return force
 
 
 def accelerate(
@@ -132,3 +133,74 @@ def accelerate(
             energies[force.kind.potential] = energy
         profile.mark(force.kind.short_name)
     return energies
+
+
+class ForceLaws(NamedTuple):
+    """The forces of a scene for kernels that sum them over all pairs."""
+
+    attracts: bool  # whether bodies pull each other
+    constant: float  # m³/(kg s²), G
+    softening: float  # m
+    is_uniform: bool  # whether there is a field
+    uniform: FloatArray  # (3,) m/s²
+    others: Parameters  # those of installed packages, for `add_forces`
+
+
+class TotalForce:
+    """Accelerates the bodies of a scene by all its forces.
+
+    Attributes
+    ----------
+    uniform
+        (3,) m/s², the part of the acceleration that is the same for every body.
+    damping
+        The force that depends on velocities, if there is one.
+    losses
+        The ledger's entries for forces without a potential.
+    """
+
+    def __init__(self, scene: Scene, needs: Requirements, bodies: Bodies, team: Team, profile: Profile) -> None:
+        self._scene, self._needs = scene, needs
+        self._bodies = bodies
+        self._team = team
+        self._profile = profile
+        self._fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
+        self._forces = forces_of(scene, needs, bodies, team)
+        self.uniform: FloatArray = np.sum([np.zeros(3), *(force.uniform for force in self._forces)], axis=0)
+        self.damping = next((force for force in self._forces if isinstance(force, Damping)), None)
+        self.losses = [force.kind.loss for force in self._forces if force.kind.loss]
+
+    @property
+    def laws(self) -> ForceLaws | None:
+        """The forces for a kernel that takes many steps; None with drag, or with gravity by a tree."""
+        needs, gravity = self._needs, self._scene.gravity
+        if self.damping or uses_tree(self._scene):
+            return None
+        others = tuple(force.parameters for force in self._forces if isinstance(force, KernelForce))
+        pulls = needs.gravity.modelled, gravity.constant, gravity.softening
+        return ForceLaws(*pulls, needs.field.modelled, self.uniform, others)
+
+    def accelerate(self, potential: bool) -> Potentials:
+        """Update the accelerations of the bodies; return the potential energies if requested."""
+        bodies = self._bodies
+        energies = accelerate(self._forces, bodies.position, bodies.acceleration, potential, self._profile)
+        if len(self._fixed):
+            bodies.acceleration[self._fixed] = 0.0
+        return energies
+
+    def potentials(self) -> Potentials:
+        """Return the potential energies of the present positions.
+
+        The accelerations are not changed. Those of drift-kick-drift are of the middle of the step, and the next step is
+        chosen by them whether or not an energy is requested.
+        """
+        unused = np.empty_like(self._bodies.acceleration)
+        return accelerate(self._forces, self._bodies.position, unused, True, Profile())
+
+    def potential_of_fixed_bodies(self) -> float:
+        """Return the constant gravitational energy of fixed bodies among each other, in J."""
+        fixed = self._fixed
+        gravity = gravity_of(self._scene, self._bodies.mass[fixed], self._team) if len(fixed) > 1 else None
+        if gravity is None:
+            return 0.0
+        return gravity.accelerate(self._bodies.position[fixed], np.empty((len(fixed), 3)), potential=True) or 0.0

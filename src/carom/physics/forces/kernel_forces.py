@@ -20,7 +20,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.foreign import chosen_by_type, identity_of, leaf
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image
+from carom.physics.vector import minimum_image
 from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
 from carom.scene.schema import Scene
 

@@ -28,14 +28,26 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.integrators.radau_twin import CONVERGES, Orbits, orbits, part
-from carom.physics.look_ahead.budget import LEAST, Budget, Watcher, radau_work
-from carom.physics.look_ahead.error_curve import between_round_times, kept_until, samples, with_start
-from carom.physics.look_ahead.extrapolation import COARSEST, RATIO, SAFETY, TRIED, extrapolate, stays
+from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, FollowedOrbits, orbits, part
+from carom.physics.look_ahead.error_growth import (
+    APART,
+    COARSEST,
+    EPS,
+    RATIO,
+    SAFETY,
+    TRIED,
+    Scale,
+    Twins,
+    between_round_times,
+    displaced,
+    extrapolate,
+    kept_until,
+    samples,
+    stays,
+    with_start,
+)
 from carom.physics.look_ahead.orbits import look_at_orbits
-from carom.physics.look_ahead.scale import Scale
-from carom.physics.look_ahead.trial_run import TrialRun
-from carom.physics.look_ahead.twins import APART, EPS, Twins, displaced
+from carom.physics.look_ahead.trial_run import LEAST, TrialRun, Watcher, WorkBudget, radau_work
 from carom.physics.placement import place
 from carom.plan import pulls
 from carom.plan.auto import auto_interval, integrator, largest_step
@@ -123,7 +135,7 @@ class _LookAhead:
         self, scene: Scene, accuracy: float, threads: int | None, start: InitialBodies, watch: Watcher | None = None
     ) -> None:
         self._scene, self._accuracy, self._threads, self._start = scene, accuracy, threads, start
-        self._budget = Budget(scene.time.duration, watch)
+        self._budget = WorkBudget(scene.time.duration, watch)
         self._kept_at_most = math.inf  # s
         self._times = samples(scene.time.duration, SAMPLES)
         self._scale = Scale.of(scene, start)
@@ -175,7 +187,7 @@ class _LookAhead:
 
     def _find_for_radau(self) -> Scene:
         needs, rests_from = require(self._scene), math.inf
-        run: TrialRun | Orbits
+        run: TrialRun | FollowedOrbits
         if needs.contact.modelled:
             run, twins = self._part_at_impacts(RADAU_AHEAD if needs.gravity.modelled else RADAU_LONG)
             if run.is_cut and run.rests_from < math.inf:
@@ -198,10 +210,10 @@ class _LookAhead:
             return self._find_for_steps(INTEGRATORS["leapfrog"].order)
         return self._promise(refinement, error, twins.exponent)
 
-    def _missed_by_long_steps(self, run: TrialRun | Orbits) -> FloatArray:
+    def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
         """Return the distance over the size of a run with long steps from another, at the times of that, (K',)."""
-        long: TrialRun | Orbits
-        if isinstance(run, Orbits):
+        long: TrialRun | FollowedOrbits
+        if isinstance(run, FollowedOrbits):
             long = orbits(self._scene, self._start, RADAU_LONG, run.times, self._bound(1.0))
         else:
             long = self._run(RADAU_LONG, times=run.times)
@@ -210,7 +222,7 @@ class _LookAhead:
             self._cover(run.times, min(run.known, long.known))
         return missed
 
-    def _part_of_orbits(self, refinement: float, iterations: int) -> tuple[Orbits, Twins, FloatArray]:
+    def _part_of_orbits(self, refinement: float, iterations: int) -> tuple[FollowedOrbits, Twins, FloatArray]:
         """Return a run without contacts, how it and its twin diverge, and its error by rounding, (K,)."""
         enough, twin = APART * self._scale.size, self._twin.position
         followed = refinement, self._times, enough, iterations, self._bound(TWIN_SHARE)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.integrators.wisdom_holman import WisdomHolman
-from carom.physics.look_ahead.budget import ITERATIONS, ORBIT_BODY, ORBIT_STEP, Budget, radau_work
+from carom.physics.integrators.wisdom_holman.wisdom_holman import WisdomHolman
+from carom.physics.look_ahead.trial_run import ITERATIONS, ORBIT_BODY, ORBIT_STEP, WorkBudget, radau_work
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
@@ -44,7 +44,13 @@ class OrbitStep(NamedTuple):
 
 
 def look_at_orbits(
-    scene: Scene, start: InitialBodies, times: FloatArray, accuracy: float, most: float, persists: bool, budget: Budget
+    scene: Scene,
+    start: InitialBodies,
+    times: FloatArray,
+    accuracy: float,
+    most: float,
+    persists: bool,
+    budget: WorkBudget,
 ) -> OrbitStep:
     """Find the longest step that keeps an error.
 
@@ -74,7 +80,7 @@ def look_at_orbits(
     return OrbitStep(q, usual / q**2, exponent, keeps=found is not None)
 
 
-def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: Budget) -> FloatArray:
+def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: WorkBudget) -> FloatArray:
     """Return the positions at all times, (K, n, 3) m; NaN beyond those that the budget lets it reach."""
     rule, pull, n = scene.time, scene.gravity.constant * start.mass, scene.count
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"

@@ -1,34 +1,92 @@
-"""A run ahead, which advances only as far as its positions are asked for and its share of the budget lasts."""
+"""A run ahead, which advances only as far as its positions are asked for and its share of the budget lasts.
+
+The budget is counted in work and not by a clock, so that a promise has the same bits on any machine. Work is in nominal
+seconds: the steps, iterations, held contacts and impacts of the runs ahead, times their measured costs on one core of
+docs/performance.md. On another or a busy machine the clock shows more, but the runs ahead end at the same step. A
+budget by the clock would let a scene get one step on a fast machine and another one on a slow one.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 from carom.arrays import FloatArray
 from carom.errors import PhysicsError
-from carom.physics.look_ahead.budget import (
-    AT_ONCE,
-    CALL,
-    CALL_WITH_CONTACTS,
-    CONTACT_BODY,
-    HELD_CONTACT,
-    HELD_STEP,
-    IMPACT,
-    ITERATIONS,
-    KERNEL_STEP,
-    SWEEP,
-    Budget,
-    force_work,
-    radau_work,
-)
 from carom.physics.simulation import Simulation
-from carom.plan.auto import integrator
+from carom.plan.auto import gravity_method, integrator
 from carom.scene.schema import Expect, Promise, Scene
 from carom.scene.start import InitialBodies
 
+LEAST = 5.0  # nominal s
+PART_OF_RUN = 0.1  # of the nominal time of the run itself, where that is more
+MOST = 60.0  # nominal s; contacts that chatter take ever more steps, so that a run would never end
+# Nominal s, to a factor of two: a call from Python, a step in a kernel, and what a body or contact adds to a step.
+CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
+KERNEL_STEP, KERNEL_BODY = 1e-7, 1e-8
+CONTACT_BODY = 5e-7  # search, and the next impacts
+HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # where contacts are held; the last for a contact and an iteration
+IMPACT = 1.4e-6
+PAIR = 3.2e-10  # of a direct sum, counted from both ends; few bodies take longer
+TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5  # of a tree at this opening angle; the number of boxes grows like 1/angle³
+RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 4e-7, 3.5e-8  # of an iteration of Gauss–Radau integration
+ITERATIONS = 2.5  # of its step
+ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # of Wisdom–Holman integration
+AT_ONCE = 0.05  # that a kernel may take between two looks at the budget
+Watcher = Callable[["WorkBudget"], None]
 NEVER = 2**62  # steps between two checks of the energy of a run ahead
+
+
+@dataclass
+class WorkBudget:
+    """Work that a look ahead may do, and has done."""
+
+    duration: float  # s, of the run
+    watch: Watcher | None = None  # called now and then while runs ahead go on
+    own: float = 0.0  # nominal s, the work of the run itself, by the pace of the latest run ahead
+    spent: float = 0.0  # nominal s
+    reached: float = 0.0  # s, where the present run ahead is
+    covered: float = field(default=math.inf)  # s, up to which all runs ahead came before the budget ended
+
+    @property
+    def total(self) -> float:
+        """All that may be spent, in nominal s."""
+        return max(LEAST, min(PART_OF_RUN * self.own, MOST))
+
+    @property
+    def left(self) -> float:
+        """What may still be spent, in nominal s."""
+        return max(0.0, self.total - self.spent)
+
+    def spend(self, work: float, reached: float) -> None:
+        """Note work in nominal s of a run ahead that has reached a time in s."""
+        self.spent += work
+        self.reached = reached
+        if self.watch:
+            self.watch(self)
+
+    def cover(self, until: float) -> None:
+        """Note that a run ahead ended at a time in s because its share of the budget was spent."""
+        self.covered = min(self.covered, until)
+
+
+def force_work(scene: Scene) -> float:
+    """Return the nominal time in s of a sum of all forces."""
+    n, method = scene.count, gravity_method(scene)
+    work = KERNEL_BODY * n
+    if method == "none":
+        return work
+    direct = PAIR * n * n
+    if method == "direct":
+        return work + direct
+    return work + min(direct, TREE_BODY * n * (TREE_ANGLE / scene.gravity.opening_angle) ** 3)
+
+
+def radau_work(bodies: int) -> float:
+    """Return the nominal time in s of an iteration of a Gauss–Radau step."""
+    return RADAU_STEP + RADAU_BODY * bodies + RADAU_PAIR * bodies * bodies
 
 
 class TrialRun:
@@ -51,7 +109,7 @@ class TrialRun:
         threads: int | None,
         start: InitialBodies,
         times: FloatArray,
-        budget: Budget | None = None,
+        budget: WorkBudget | None = None,
         share: float = 1.0,
         longer: float = 1.0,
     ) -> None:
@@ -64,7 +122,7 @@ class TrialRun:
         self.work = 0.0  # nominal s so far
         self.is_cut = False  # whether its share of the budget ended it
         self.share = share
-        self._budget, self._longer = budget or Budget(scene.time.duration), longer
+        self._budget, self._longer = budget or WorkBudget(scene.time.duration), longer
         self._simulation = Simulation(unchecked, start, threads)
         self._simulation.count_no_impacts()
         self._start = self._simulation.frame().checkpoint

@@ -30,9 +30,9 @@ from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.time_of_impact import time_of_impact
 from carom.physics.contact.events.trajectories import both_ways
 from carom.physics.jit.decorators import inner, long_kernel
-from carom.physics.periodic_box import minimum_images, nearest_image
 from carom.physics.placement.neighbours import Surroundings
 from carom.physics.placement.region import half_extent
+from carom.physics.vector import minimum_images, nearest_image
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Region
 

@@ -20,7 +20,7 @@ from carom.physics.contact.checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.integrators.batch_integrator import IntegratorCheckpoint, OrbitCheckpoint
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.properties import LARGEST

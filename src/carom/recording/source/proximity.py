@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
-from carom.physics.periodic_box import minimum_images
+from carom.physics.vector import minimum_images
 from carom.recording.source.source import Setup
 
 MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch

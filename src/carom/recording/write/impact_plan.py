@@ -13,7 +13,7 @@ from carom.physics.aligned import record
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.jit.decorators import inline, long_kernel
-from carom.physics.periodic_box import minimum_image, minimum_images
+from carom.physics.vector import minimum_image, minimum_images
 from carom.recording.layout import drawing
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header

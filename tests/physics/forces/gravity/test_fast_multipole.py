@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.forces.gravity.expansions import BRANCH
-from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
-from carom.physics.forces.gravity.tree_build import LEAF
+from carom.physics.forces.gravity.boxes import LEAF
+from carom.physics.forces.gravity.fast_multipole.fast_multipole import BRANCH, FastMultipoleGravity
 from carom.physics.jit.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
+from carom.physics.forces.gravity.fast_multipole.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from gravity_shapes import SHAPES, Shape, ball, masses, plummer, pulled_by, summed, total_pull
 

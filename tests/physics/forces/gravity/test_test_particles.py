@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 import carom
 from carom.errors import SceneError
 from carom.lab.shrink.literal import literal
+from carom.physics.forces.gravity import GravityMethod
 from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
-from carom.physics.forces.gravity.pull import Pull
+from carom.physics.forces.gravity.fast_multipole.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.placement import place
 from carom.physics.space import Space
@@ -70,13 +70,13 @@ def test_test_particles_do_not_change_what_each_method_makes_of_the_massive_ones
     mass = np.where(x[:, 0] > 0.2, rng.uniform(0.5, 1.0, 3000), 0.0)
     heavy = mass > 0.0
 
-    def accelerations(pull: Pull, x: FloatArray) -> tuple[FloatArray, float]:
+    def accelerations(pull: GravityMethod, x: FloatArray) -> tuple[FloatArray, float]:
         found = np.zeros_like(x)
         energy = pull.accelerate(x, found, potential=True)
         assert energy is not None
         return found, energy
 
-    def made(m: FloatArray) -> Pull:
+    def made(m: FloatArray) -> GravityMethod:
         if method == "tree":
             return TreeGravity(m, 1.0, 0.01, 0.3, True)
         return FastMultipoleGravity(m, 1.0, 0.01, 0.3) if method != "direct" else DirectGravity(m, 1.0, 0.01)

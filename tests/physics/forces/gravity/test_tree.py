@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from carom.physics.forces.gravity.boxes import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.forces.gravity.tree import TreeGravity
-from carom.physics.forces.gravity.tree_build import GRAIN, GROUP, LEAF, Boxes
 from carom.physics.jit.thread_team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene

@@ -23,8 +23,7 @@ from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.periodic_box import sizes
-from carom.physics.vector import between
+from carom.physics.vector import between, sizes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from carom.physics.jit.decorators import inline
-from carom.physics.periodic_box import nearest_image
-from carom.physics.vector import Vector
+from carom.physics.vector import Vector, nearest_image
 
 
 @inline

@@ -21,8 +21,7 @@ from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import borrowing, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.periodic_box import minimum_image, sizes
-from carom.physics.vector import between
+from carom.physics.vector import between, minimum_image, sizes
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

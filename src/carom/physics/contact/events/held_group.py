@@ -37,8 +37,7 @@ from carom.physics.contact.events.trajectories import (
     contact_geometry,
 )
 from carom.physics.jit.decorators import inline, inner, kernel
-from carom.physics.periodic_box import nearest_image
-from carom.physics.vector import along, between, vector
+from carom.physics.vector import along, between, nearest_image, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -24,7 +24,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.physics.jit.decorators import kernel
-from carom.physics.periodic_box import nearest_image
+from carom.physics.vector import nearest_image
 
 MOST_PASSES = 100
 TOUCHING = 2.0**-50  # of the sum of radii; a smaller gap is rounding

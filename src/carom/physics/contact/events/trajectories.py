@@ -20,8 +20,7 @@ from carom.arrays import BoolArray
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.decorators import inner, kernel, long_kernel
-from carom.physics.periodic_box import nearest_image
-from carom.physics.vector import add, along, between, vector
+from carom.physics.vector import add, along, between, nearest_image, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

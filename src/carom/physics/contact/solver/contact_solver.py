@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray
-from carom.physics.aligned import Room, columns
+from carom.physics.aligned import Buffer, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import MIN_PER_TASK, SETTINGS, SHARED_FROM, ConstraintSystem
 from carom.physics.contact.geometry import update_geometry
@@ -78,7 +78,7 @@ class ContactSolver:
         self._spin = bodies.ends.angular_velocity if friction else bodies.ends.angular_velocity[:0]
         self._team = team
         self._workspace = Workspace(bodies, planes, materials, box, self._spin, records)
-        self._normals = Room(columns=3)
+        self._normals = Buffer(columns=3)
         self._islands = Islands(len(bodies.ends.velocity), team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact

@@ -44,8 +44,7 @@ from carom.physics.contact.solver.velocity import velocity_along
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.index import from_front
 from carom.physics.jit.lanes import WIDTH
-from carom.physics.periodic_box import nearest_image
-from carom.physics.vector import vector
+from carom.physics.vector import nearest_image, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.aligned import Room, aligned_empty
+from carom.physics.aligned import Buffer, aligned_empty
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import (
     BLOCK_SUMS,
@@ -59,13 +59,13 @@ class Workspace:
         count = len(bodies.ends.velocity)
         self._ends, self._planes = bodies.ends, planes
         self._materials, self._box, self._spin, self._records = materials, box, spin, records
-        self._contacts = Room(CONTACT), Room(CONTACT)
-        self._held = Room(np.bool_)
-        self._small_change = Room(np.float64)
-        self._states = Room(CONTACT_STATE)
-        self._search = Room(SEARCH)
-        self._measured = Room(MEASURED)
-        self._recorded = Room(RECORDED)
+        self._contacts = Buffer(CONTACT), Buffer(CONTACT)
+        self._held = Buffer(np.bool_)
+        self._small_change = Buffer(np.float64)
+        self._states = Buffer(CONTACT_STATE)
+        self._search = Buffer(SEARCH)
+        self._measured = Buffer(MEASURED)
+        self._recorded = Buffer(RECORDED)
         self.pressed = np.ones(count, dtype=np.bool_)
         self._bodies = aligned_empty(count, BODY_STATE)
         self._pushed = aligned_empty(count, PUSHED_BODY)

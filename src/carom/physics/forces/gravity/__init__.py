@@ -1,28 +1,47 @@
-"""Gravity of the bodies on each other: by a direct sum over all pairs, a tree, or fast multipoles."""
+"""Gravity of the bodies on each other, by a method of `carom.registry`: direct sum, tree, or fast multipoles.
+
+A method is a module with a function ``make(gravity, mass, team)``, of a scene's section and the masses, (n,) kg.
+"""
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
+from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.forces.gravity.fast_multipole import FastMultipoleGravity
-from carom.physics.forces.gravity.pull import Pull
-from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.jit.thread_team import Team
 from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene
 
 
-class Gravity:
+class GravityMethod(Protocol):
+    """Gravity of n bodies on each other, with its workspace."""
+
+    def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
+        """Write the acceleration of every body; return the potential energy in joules if requested.
+
+        Parameters
+        ----------
+        position
+            (n, 3) m.
+        acceleration
+            (n, 3) m/s², overwritten.
+        potential
+            Whether to return the energy, too.
+        """
+
+
+class MutualGravity:
     """The gravity of all bodies on each other."""
 
     kind = GRAVITY
     uniform = np.zeros(3)
 
-    def __init__(self, pull: Pull) -> None:
+    def __init__(self, pull: GravityMethod) -> None:
         self._pull = pull
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
@@ -31,21 +50,17 @@ class Gravity:
         return self._pull.accelerate(position, acceleration, potential) or 0.0
 
 
-def make(scene: Scene, bodies: Bodies, team: Team) -> Gravity:
+def make(scene: Scene, bodies: Bodies, team: Team) -> MutualGravity:
     """Make the gravity of a scene."""
     pull = gravity_of(scene, bodies.mass, team)
     assert pull is not None, "the scene requires gravity"
-    return Gravity(pull)
+    return MutualGravity(pull)
 
 
-def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> Pull | None:
+def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> GravityMethod | None:
     """Return the gravity of bodies of mass (n,) kg by the method of a scene; None if there is none."""
-    method, gravity = gravity_method(scene), scene.gravity
+    method = gravity_method(scene)
     if method == "none":
         return None
-    if method == "direct":
-        return DirectGravity(mass, gravity.constant, gravity.softening, team)
-    if method == "fast-multipole":
-        return FastMultipoleGravity(mass, gravity.constant, gravity.softening, gravity.opening_angle, team)
-    accuracy = gravity.opening_angle, gravity.quadrupoles
-    return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)
+    made: GravityMethod = registry.load("gravity_methods", method)(scene.gravity, mass, team)
+    return made

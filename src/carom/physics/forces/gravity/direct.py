@@ -31,6 +31,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
+from carom.scene.schema import Gravity
 
 X, Y, Z, MASS = range(4)  # rows of the sources
 AX, AY, AZ, PHI = range(4)  # rows of the sums
@@ -75,6 +76,11 @@ class DirectGravity:
         self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
         found = acceleration, self._potential, potential
         _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *found)
+
+
+def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
+    """Make the direct sum of a scene's section."""
+    return DirectGravity(mass, gravity.constant, gravity.softening, team)
 
 
 def _slabs(blocks: int, count: int) -> IntArray:

@@ -27,7 +27,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.forces.gravity.direct import own_potential
-from carom.physics.forces.gravity.taylor import (
+from carom.physics.forces.gravity.fast_multipole.taylor import (
     AX,
     AXIS,
     AY,
@@ -64,7 +64,7 @@ ENTRY = np.dtype(  # a box to be walked
 )
 
 
-class Tree(NamedTuple):
+class MultipoleBoxes(NamedTuple):
     """Boxes with their multipoles, and the bodies in their order."""
 
     branches: Records  # RANGE, the first box of each branch
@@ -75,7 +75,7 @@ class Tree(NamedTuple):
     body: IntArray  # (n,) number of each body in the scene
 
 
-class PullLaw(NamedTuple):
+class MultipoleLaw(NamedTuple):
     """How boxes and bodies pull, and when boxes do as a whole."""
 
     G: float  # m³/(kg s²)
@@ -84,7 +84,7 @@ class PullLaw(NamedTuple):
     unit: float  # 1/m; lengths in multipoles and local expansions are multiplied by it
 
 
-class Lists(NamedTuple):
+class WalkBuffers(NamedTuple):
     """Room for each of the threads."""
 
     far: IntArray  # (threads, ·) boxes that pull as a whole
@@ -104,9 +104,9 @@ def walk(
     hi: int,
     turn: IntArray,
     count: int,
-    tree: Tree,
-    law: PullLaw,
-    lists: Lists,
+    tree: MultipoleBoxes,
+    law: MultipoleLaw,
+    lists: WalkBuffers,
     acceleration: FloatArray,
     potential: FloatArray,
     needed: IntArray,
@@ -278,8 +278,8 @@ def _pull(
     is_over: bool,
     depth: int,
     a: int,
-    tree: Tree,
-    law: PullLaw,
+    tree: MultipoleBoxes,
+    law: MultipoleLaw,
     local: FloatArray,
     lanes: FloatArray,
     acceleration: FloatArray,

@@ -1,21 +1,48 @@
 """The protocol of integrators that choose their own steps and take many of them per call.
 
-The module of such an integrator is named like its row in `carom.scene.integrators.INTEGRATORS`, with underscores, and
-defines ``make(scene, needs, bodies, uniform)``. The other integrators are sequences of kicks and drifts, which
-`carom.physics.step` takes one at a time.
+`carom.registry` names the function ``make(scene, needs, bodies, uniform)`` of each. The other integrators are sequences
+of kicks and drifts, which `carom.physics.step` takes one at a time.
 """
 
 from __future__ import annotations
 
-from importlib import import_module
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
+from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
 from carom.plan.auto import integrator
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
+
+BY_LEAPFROG = -1.0  # in place of ``last_dt``: contacts came to rest, and leapfrog takes the steps
+
+
+@dataclass(frozen=True, slots=True)
+class OrbitCheckpoint:
+    """State of Wisdom–Holman integration; arrays are in the order of its Jacobi coordinates."""
+
+    series: FloatArray  # (5,) phase, start in s, steps since then, step in s, index of what set it
+    order: FloatArray  # (n,) index of each body in the scene
+    near: FloatArray  # (n,) m, the distance from which another body is close
+    position: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick
+    velocity: FloatArray  # (n, 3) m/s
+
+
+@dataclass(frozen=True, slots=True)
+class IntegratorCheckpoint:
+    """State of Gauss–Radau integration; rows of the last two are the coordinates x, y, z of body after body.
+
+    Its arrays have no rows while Wisdom–Holman integration goes on without it.
+    """
+
+    last_dt: float  # s; 0 if nothing is to be predicted from the last step, or `BY_LEAPFROG`
+    position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
+    velocity_rest: FloatArray  # (n, 3) m/s
+    accepted: FloatArray  # (3 n, 8) m/s², coefficients of the last step's polynomial
+    correction: FloatArray  # (3 n, 8) m/s², error of their prediction
+    orbits: OrbitCheckpoint | None = None  # None with Gauss–Radau integration alone
 
 
 class Meeting(NamedTuple):
@@ -75,6 +102,5 @@ def batch_integrator_of(
     row = integrator(scene)
     if not row.controls_error:
         return None
-    module = import_module(f"{__package__}.{row.name.replace('-', '_')}")
-    made: BatchIntegrator = module.make(scene, needs, bodies, uniform)
+    made: BatchIntegrator = registry.load("integrators", row.name)(scene, needs, bodies, uniform)
     return made

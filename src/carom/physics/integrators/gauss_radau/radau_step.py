@@ -1,10 +1,12 @@
 """One step of Gauss–Radau integration: its polynomial, its error estimate, and the motion to its end.
 
-`gauss_radau15` has the equations.
+`gauss_radau15` has the equations. Each number of a table is computed in exact arithmetic and rounded once.
 """
 
 from __future__ import annotations
 
+from fractions import Fraction
+from math import comb, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,21 +15,57 @@ from numpy.typing import NDArray
 from carom.arrays import FloatArray
 from carom.physics.forces.gravity.direct import inverse_cube
 from carom.physics.forces.kernel_forces import Parameters, add_forces
-from carom.physics.integrators.radau_nodes import (
-    NODE,
-    ON_ACCELERATION,
-    ON_POSITION,
-    POWERS,
-    SHIFTED,
-    TERMS,
-    TO_DIFFERENCE,
-    WIDTH,
-)
 from carom.physics.jit.decorators import inline, unowned
 
+# 0 and the zeros of (P₇(x) + P₈(x)) / (1 + x), with Legendre polynomials P, mapped from [-1, 1] to [0, 1]
+NODES = tuple(
+    Fraction(node)
+    for node in (
+        "0",
+        "0.0562625605369221464656521910323111758",
+        "0.180240691736892364987579942809181785",
+        "0.352624717113169637373907770171241203",
+        "0.547153626330555383001448557652348855",
+        "0.734210177215410531523210608306610003",
+        "0.885320946839095768090359762932485373",
+        "0.97752061356128750189117450042915494",
+    )
+)
+TERMS = 7  # of the polynomial, b₀ to b₆
+WIDTH = 8  # of a row: the terms and a 0, so that a row is a cache line
 LANES_FROM = 16  # bodies
 PASSING = 1.0 / 16.0  # (τ / τ')², below which an acceleration passes 0; Kepler orbits up to e = 0.99 never are
 MAX_ITERATIONS = 12  # rounding prevents some from converging
+CONVERGED = 1e-16  # of the largest acceleration, tolerated residual at a node: half a last bit
+# Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9 these residuals add less to the
+# error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
+LONGER = ((2.0**-1.75, 1e-9), (2.0**-1.25, 1e-11), (2.0**-0.25, 1e-12))
+
+
+def _newton_to_powers() -> list[list[Fraction]]:
+    """Return the coefficients of h^{j+1} in h (h - h₁) … (h - h_k), by k and j."""
+    rows = [[Fraction(1)] + [Fraction(0)] * (TERMS - 1)]
+    for k in range(1, TERMS):
+        before = rows[-1]
+        rows.append([(before[j - 1] if j else Fraction(0)) - NODES[k] * before[j] for j in range(TERMS)])
+    return rows
+
+
+def _table(rows: list[list[Fraction]]) -> FloatArray:
+    """Round each number once; rows are padded with 0."""
+    table = np.zeros((len(rows), WIDTH))
+    for k, row in enumerate(rows):
+        table[k, : len(row)] = [float(number) for number in row]
+    return table
+
+
+POWERS = _table(_newton_to_powers())  # [k, j]: coefficient of g_k in b_j
+NODE = np.array([float(node) for node in NODES])
+# [s, k]: coefficients of b_k in the acceleration at a node, and in the position there over T²
+ON_ACCELERATION = _table([[h ** (k + 1) for k in range(TERMS)] for h in NODES])
+ON_POSITION = _table([[h ** (k + 3) / ((k + 2) * (k + 3)) for k in range(TERMS)] for h in NODES])
+TO_DIFFERENCE = np.array([0.0] + [float(1 / prod(NODES[s] - h for h in NODES[:s])) for s in range(1, len(NODES))])
+SHIFTED = _table([[Fraction(comb(j + 1, k + 1)) for j in range(TERMS)] for k in range(TERMS)])  # [k, j], of b_j in b'_k
 
 
 class Motion(NamedTuple):
@@ -275,3 +313,14 @@ def _accelerate_many(x: FloatArray, pull_of: FloatArray, eps2: float, a: FloatAr
             ax, ay, az = ax + on_i * dx, ay + on_i * dy, az + on_i * dz
             a[j, 0], a[j, 1], a[j, 2] = a[j, 0] - on_j * dx, a[j, 1] - on_j * dy, a[j, 2] - on_j * dz
         a[i, 0], a[i, 1], a[i, 2] = ax, ay, az
+
+
+def tolerance(refinement: float) -> float:
+    """Return the residual at a node, over the largest acceleration, at which iterations end.
+
+    Steps that are `refinement` of the usual ones err by more than that. So they take little more than the two
+    iterations of usual steps, in place of up to eight. With steps of 1.4, 2, 2.8 and 4 times the usual length, 1000
+    orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time of usual ones; with iterations to rounding
+    they take 1.1, 1.0, 0.85 and 0.75.
+    """
+    return next((residual for below, residual in LONGER if refinement < below), CONVERGED)

@@ -37,12 +37,27 @@ from numpy.typing import NDArray
 from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
-from carom.physics.integrators.batch import Batch, Meeting
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint
-from carom.physics.integrators.radau_impacts import AT_REST, NONE, Solids, first_impact, reach_of, time_to_touch
-from carom.physics.integrators.radau_nodes import TERMS, WIDTH
-from carom.physics.integrators.radau_step import Motion, accelerate, attempt, motion_of, move, shorten
-from carom.physics.integrators.radau_tolerance import CONVERGED, tolerance
+from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, Meeting
+from carom.physics.integrators.gauss_radau.radau_impacts import (
+    AT_REST,
+    NONE,
+    Solids,
+    first_impact,
+    reach_of,
+    time_to_touch,
+)
+from carom.physics.integrators.gauss_radau.radau_step import (
+    CONVERGED,
+    TERMS,
+    WIDTH,
+    Motion,
+    accelerate,
+    attempt,
+    motion_of,
+    move,
+    shorten,
+    tolerance,
+)
 from carom.physics.jit.decorators import borrowing, entry_of, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step

@@ -25,8 +25,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.contact.events.trajectories import ROUNDING
-from carom.physics.integrators.radau_nodes import TERMS
-from carom.physics.integrators.radau_step import Motion, acceleration_at_start
+from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, acceleration_at_start
 from carom.physics.jit.decorators import inline, unowned
 
 COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h

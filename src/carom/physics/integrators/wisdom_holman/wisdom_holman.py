@@ -7,13 +7,12 @@ axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i the Hamiltonian is a
     H_Kepler = Σ_{i≥1} (p'_i² / 2m'_i - G m'_i M_i / |x'_i|) + the free motion of the centre of mass
     H_mutual = Σ_{i≥2} G m'_i M_i / |x'_i| - Σ_{i<j, j≥2} G m_i m_j / |x_i - x_j|
 
-A step of length h drifts on Kepler's orbits for h/2 (`carom.physics.integrators.kepler`), kicks by H_mutual for h and
-drifts for h/2 again. Half drifts between steps are joined. With masses ε of the dominant one, the step keeps
+A step of length h drifts on Kepler's orbits for h/2 (`kepler`), kicks by H_mutual for h and drifts for h/2 again.
+Half drifts between steps are joined. With masses ε of the dominant one, the step keeps
 
     H + ε h²/24 … + O(ε² h²)
 
-The terms in ε are undone by a corrector (`carom.physics.integrators.symplectic_corrector`). The integration runs in the
-variables of the steps; the corrector leads into them at the start, and out of them for output. Errors in ε² h² remain.
+The terms in ε are undone by a corrector (`orbit_steps`); errors in ε² h² remain.
 
 The step is the shortest period over `STEPS_PER_TURN`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
 that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
@@ -24,23 +23,25 @@ the state before that step is handed to `GaussRadau15`, which integrates all bod
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
-from carom.physics.integrators.batch import Batch
-from carom.physics.integrators.checkpoint import IntegratorCheckpoint, OrbitCheckpoint
-from carom.physics.integrators.conics import conics, near
-from carom.physics.integrators.gauss_radau15 import GaussRadau15
-from carom.physics.integrators.kepler import LANE_ROWS, LANES
-from carom.physics.integrators.orbit_arrays import RUN, Orbits
-from carom.physics.integrators.orbit_steps import advance, begin, leap, meets_soon
+from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
+from carom.physics.integrators.wisdom_holman.kepler import LANE_ROWS, LANES, TURN
+from carom.physics.integrators.wisdom_holman.orbit_steps import RUN, OrbitArrays, advance, begin, leap, meets_soon
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene
 
+HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
+FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing
+PART_OF_GAP = 0.9  # of the distance between two orbits: within it, both have left them
+NEAREST = 0.03  # of the semi-major axis: passages closer than that are left to Gauss–Radau integration
 STEPS_PER_TURN = 20.0  # of the shortest orbit
 STEPS_OF_HEAVY = (
     50.0  # of the orbit of a body above `HEAVY`, whose encounters err by the square of its mass and the step
@@ -48,9 +49,55 @@ STEPS_OF_HEAVY = (
 HEAVY = 2e-5  # of the dominant body
 FIRST_PART = 0.01  # of a step: the first one that Gauss–Radau integration tries
 ANEW, FAR, CLOSE = range(3)  # phases: from the state as it is, by equal steps, by Gauss–Radau integration
-
-
 LIMITS = ("orbit", "cap", "fixed")  # limits that set a step
+
+
+class Conics(NamedTuple):
+    """Orbits about the dominant body, (n,) each."""
+
+    axis: FloatArray  # m, semi-major; infinite if unbound
+    size: FloatArray  # m, semi-major; its modulus if unbound
+    pericentre: FloatArray  # m
+    apocentre: FloatArray  # m
+    turn: FloatArray  # s, of a circular motion with the angular speed at the pericentre
+
+
+def conics(position: FloatArray, velocity: FloatArray, pull: FloatArray, first: int) -> Conics:
+    """Return the orbits about the dominant body, ``first``, as they are now; its own axis is -1."""
+    x, y, z = (position - position[first]).T
+    u, v, w = (velocity - velocity[first]).T
+    mu = pull + pull[first]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        beta = 2.0 * mu / np.sqrt(x * x + y * y + z * z) - (u * u + v * v + w * w)
+        size = mu / np.abs(beta)
+        spin = (y * w - z * v, z * u - x * w, x * v - y * u)
+        parameter = (spin[0] * spin[0] + spin[1] * spin[1] + spin[2] * spin[2]) / mu
+        e = np.sqrt(np.maximum(1.0 - beta * parameter / mu, 0.0))
+        pericentre = parameter / (1.0 + e)
+        resolved = np.maximum(pericentre, NEAREST * size)
+        turn = TURN * np.sqrt(resolved * resolved * resolved / (mu * (1.0 + e)))
+        axis = np.where(beta > 0.0, size, np.inf)
+        apocentre = np.where(beta > 0.0, size * (1.0 + e), np.inf)
+    axis[first] = -1.0
+    return Conics(axis, size, pericentre, apocentre, turn)
+
+
+def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
+    """Return the distances in m from which bodies are close to others, (n,).
+
+    ``hill_ratio`` has the Hill radii over the semi-major axes, (n,).
+    """
+    hill = hill_ratio * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
+    close = HILL_RADII * hill
+    close[first] = 0.0
+    for i in range(len(close)):
+        if i == first:
+            continue
+        gap = np.maximum(conics.pericentre - conics.apocentre[i], conics.pericentre[i] - conics.apocentre)
+        gap[[i, first]] = np.inf
+        if gap.min() > FEWEST_HILL_RADII * hill[i]:
+            close[i] = min(close[i], max(FEWEST_HILL_RADII * hill[i], PART_OF_GAP * gap.min()))
+    return close
 
 
 class WisdomHolman:
@@ -86,7 +133,7 @@ class WisdomHolman:
         vectors = [np.zeros((n, 3)) for _ in range(7)]
         lanes = np.zeros(LANE_ROWS * LANES)
         scalars = [np.zeros(n) for _ in range(4)]
-        self._orbits = Orbits(position, velocity, np.zeros(n, np.int64), *scalars, *vectors, np.zeros(n), lanes)  # type: ignore[call-arg]
+        self._orbits = OrbitArrays(position, velocity, np.zeros(n, np.int64), *scalars, *vectors, np.zeros(n), lanes)  # type: ignore[call-arg]
         self._pull = pull
         self._first = int(np.argmax(pull))
         self._hill = cube_root(pull / (3.0 * pull[self._first]))  # Hill radii over semi-major axes

@@ -17,10 +17,10 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.forces.kernel_forces import parameters_of_all
-from carom.physics.integrators.gauss_radau15 import LARGEST_CHANGE, PROGRESS, SHRINKING, STEP_FRACTION
-from carom.physics.integrators.radau_nodes import TERMS
-from carom.physics.integrators.radau_step import (
+from carom.physics.integrators.gauss_radau.gauss_radau15 import LARGEST_CHANGE, PROGRESS, SHRINKING, STEP_FRACTION
+from carom.physics.integrators.gauss_radau.radau_step import (
     MAX_ITERATIONS,
+    TERMS,
     Motion,
     accelerate,
     acceleration_at_start,
@@ -30,8 +30,8 @@ from carom.physics.integrators.radau_step import (
     next_step,
     predict,
     stops,
+    tolerance,
 )
-from carom.physics.integrators.radau_tolerance import tolerance
 from carom.physics.jit.decorators import borrowing, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.plan.auto import largest_step
@@ -50,7 +50,7 @@ def always(iterations: int, time: float) -> bool:
     return True
 
 
-class Orbits(NamedTuple):
+class FollowedOrbits(NamedTuple):
     """Bodies without contacts, as far as they were followed."""
 
     times: FloatArray  # (K,) s
@@ -73,7 +73,7 @@ def part(
     enough: float,
     iterations: int,
     goes_on: GoesOn = always,
-) -> tuple[Orbits, FloatArray]:
+) -> tuple[FollowedOrbits, FloatArray]:
     """Follow the bodies of a scene without contacts, and their twins.
 
     Return them and their rms distance in m, (K,). Beyond the first distance that is large enough, both are infinite.
@@ -99,7 +99,7 @@ def part(
 
 def orbits(
     scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, goes_on: GoesOn = always
-) -> Orbits:
+) -> FollowedOrbits:
     """Follow the bodies of a scene without contacts; see `part`."""
     return _follow(scene, start, refinement, times, goes_on)[0]
 
@@ -113,7 +113,7 @@ def _follow(
     twin: Motion | None = None,
     enough: float = math.inf,
     iterations: int = 0,
-) -> tuple[Orbits, FloatArray]:
+) -> tuple[FollowedOrbits, FloatArray]:
     path, apart = np.full((len(times), *start.position.shape), np.inf), np.full(len(times), np.inf)
     progress = np.zeros(1, PROGRESS)
     progress["next_dt"], progress["fraction"] = FIRST_PART * times[-1], STEP_FRACTION / refinement
@@ -130,7 +130,7 @@ def _follow(
         if not lasts:
             known = k
             break
-    return Orbits(times, path, int(progress["steps"][0]), known), apart
+    return FollowedOrbits(times, path, int(progress["steps"][0]), known), apart
 
 
 def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:

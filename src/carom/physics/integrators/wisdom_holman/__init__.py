@@ -1,0 +1,1 @@
+"""Wisdom–Holman integration; a folder that can be removed with its row in `carom.registry`."""

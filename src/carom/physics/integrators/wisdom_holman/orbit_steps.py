@@ -1,0 +1,364 @@
+"""The steps of Wisdom–Holman integration: many equal ones, or a single one of any length.
+
+`wisdom_holman` has the Hamiltonian. The terms in ε and all even powers of h in its error are those of a change of
+variables, which a symplectic corrector undoes (Wisdom, Holman & Touma 1996). The integration runs in the variables of
+the steps; the corrector leads into them at the start, and out of them for output. With x for h times the rate of change
+along the orbits, its generator is H_mutual times (1 - x/2 / sinh(x/2))/x. It is a product of `STAGES` factors
+
+    drift(a h) kick(b h) drift(-2 a h) kick(-b h) drift(a h),        a = k `SPREAD`
+
+each of which adds 2 b sinh(a x) in first order in ε; they agree with it up to x^{2 `STAGES` - 1}. Errors in ε² h²
+remain.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import factorial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray, Records
+from carom.physics.integrators.wisdom_holman.kepler import LANES, revolve_all
+from carom.physics.jit.decorators import long_kernel, unowned
+from carom.physics.step_rule import END_TOLERANCE
+from carom.physics.vector import add, between, square, vector, write
+
+RUN = np.dtype(
+    [
+        ("start", np.float64),  # s, the time at which the present series of equal steps began
+        ("count", np.int64),  # steps since then
+        ("dt", np.float64),  # s
+        ("time", np.float64),  # s
+        ("before", np.float64),  # s, the time before the last step
+        ("steps", np.int64),  # of this call
+        ("close", np.int64),  # 1 if the next step would meet a close encounter
+    ]
+)
+LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
+STAGES = 4  # of the corrector
+SPREAD = Fraction(2, 5)
+UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of a turn or more
+PARTED = 1.2  # times the distance from which bodies are close, beyond which they are no longer
+
+
+class OrbitArrays(NamedTuple):
+    """Arrays of an integration; all but the first two are in the order of the Jacobi coordinates."""
+
+    position: FloatArray  # (n, 3) m, the output, in the order of the scene
+    velocity: FloatArray  # (n, 3) m/s, likewise
+    order: IntArray  # (n,) index in the scene
+    mu: FloatArray  # (n,) m³/s², G M_i
+    pull: FloatArray  # (n,) m³/s², G m_i
+    share: FloatArray  # (n,) m_i / M_i
+    near: FloatArray  # (n,) m, the distance from which another body is close
+    x: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick; row 0 is the centre of mass
+    v: FloatArray  # (n, 3) m/s
+    x_spare: FloatArray  # (n, 3) m
+    v_spare: FloatArray  # (n, 3) m/s
+    place: FloatArray  # (n, 3) m, from the centre of mass
+    speed: FloatArray  # (n, 3) m/s, likewise
+    acceleration: FloatArray  # (n, 3) m/s²
+    reach: FloatArray  # (n,) m, how far a body may move meanwhile
+    lanes: FloatArray  # workspace of the Kepler orbits and of the pulls of many
+
+
+@unowned
+def from_jacobi(x: FloatArray, share: FloatArray, place: FloatArray) -> None:
+    """Turn Jacobi coordinates or their rates into Cartesian ones about the centre of mass."""
+    rx, ry, rz = 0.0, 0.0, 0.0  # centre of mass of the bodies up to i
+    for i in range(len(x) - 1, 0, -1):
+        px, py, pz = vector(x, i)
+        rx, ry, rz = rx - share[i] * px, ry - share[i] * py, rz - share[i] * pz
+        write(place, i, rx + px, ry + py, rz + pz)
+    write(place, 0, rx, ry, rz)
+
+
+@unowned
+def to_jacobi(place: FloatArray, order: IntArray, share: FloatArray, x: FloatArray) -> None:
+    """Turn Cartesian coordinates or rates, in the order of the scene, into Jacobi ones."""
+    first = order[0]
+    rx, ry, rz = vector(place, first)
+    for i in range(1, len(x)):
+        j = order[i]
+        px, py, pz = vector(place, j)
+        px, py, pz = px - rx, py - ry, pz - rz
+        write(x, i, px, py, pz)
+        rx, ry, rz = rx + share[i] * px, ry + share[i] * py, rz + share[i] * pz
+    write(x, 0, rx, ry, rz)
+
+
+@unowned
+def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> None:
+    """Write Jacobi coordinates or rates in the order of the scene."""
+    from_jacobi(x, o.share, place)
+    for i in range(len(x)):
+        for k in range(3):
+            into[o.order[i], k] = place[i, k] + x[0, k]
+
+
+@unowned
+def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
+    """Change the rates of Jacobi coordinates by H_mutual; `place` has to belong to x."""
+    if len(x) < LANES_FROM:
+        _mutual(o.place, o.pull, o.acceleration)
+    else:
+        _mutual_in_lanes(o.place, o.pull, o.acceleration, o.lanes)
+    _turn(x, v, o.acceleration, o.share, o.mu, h)
+
+
+@unowned
+def _mutual(place: FloatArray, pull: FloatArray, a: FloatArray) -> None:
+    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    n = len(place)
+    for i in range(min(n, 2)):
+        write(a, i, 0.0, 0.0, 0.0)
+    for i in range(2, n):
+        own = pull[i]
+        px, py, pz = vector(place, i)
+        ax, ay, az = 0.0, 0.0, 0.0
+        for j in range(i):
+            dx, dy, dz = vector(place, j)
+            dx, dy, dz = dx - px, dy - py, dz - pz
+            d2 = dx * dx + dy * dy + dz * dz
+            d3 = 1.0 / (d2 * np.sqrt(d2))
+            f, g = pull[j] * d3, own * d3
+            ax, ay, az = ax + f * dx, ay + f * dy, az + f * dz
+            add(a, j, -g, dx, dy, dz)
+        write(a, i, ax, ay, az)
+
+
+@unowned
+def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
+    """Do the same for many bodies, with those that are pulled side by side in SIMD lanes."""
+    n = len(place)
+    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
+    for i in range(1, n):
+        dx, dy, dz = between(place, i, 0)
+        d2 = dx * dx + dy * dy + dz * dz
+        d3 = 1.0 / (d2 * np.sqrt(d2)) if i > 1 else 0.0
+        f, g = pull[0] * d3, pull[i] * d3
+        write(a, i, f * dx, f * dy, f * dz)
+        sx, sy, sz = sx - g * dx, sy - g * dy, sz - g * dz
+    write(a, 0, sx, sy, sz)
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        for k in range(count):
+            for row in range(3):
+                lanes[row * LANES + k] = place[first + k, row]
+                lanes[(row + 3) * LANES + k] = 0.0
+        for j in range(1, n):
+            mj = pull[j]
+            xj, yj, zj = vector(place, j)
+            for k in range(count):
+                dx, dy, dz = xj - lanes[k], yj - lanes[LANES + k], zj - lanes[2 * LANES + k]
+                d2 = dx * dx + dy * dy + dz * dz
+                f = mj / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
+                lanes[3 * LANES + k] += f * dx
+                lanes[4 * LANES + k] += f * dy
+                lanes[5 * LANES + k] += f * dz
+        for k in range(count):
+            for row in range(3):
+                a[first + k, row] += lanes[(row + 3) * LANES + k]
+
+
+@unowned
+def _turn(x: FloatArray, v: FloatArray, a: FloatArray, share: FloatArray, mu: FloatArray, h: float) -> None:
+    """Change the rates of Jacobi coordinates by Cartesian accelerations, less those of the Kepler orbits."""
+    rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of those before i
+    for i in range(1, len(x)):
+        ax, ay, az = vector(a, i)
+        ax, ay, az = ax - rx, ay - ry, az - rz
+        rx, ry, rz = rx + share[i] * ax, ry + share[i] * ay, rz + share[i] * az
+        if i > 1:
+            px, py, pz = vector(x, i)
+            r2 = px * px + py * py + pz * pz
+            back = mu[i] / (r2 * np.sqrt(r2))
+            ax, ay, az = ax + back * px, ay + back * py, az + back * pz
+        add(v, i, h, ax, ay, az)
+
+
+def _corrector() -> tuple[FloatArray, FloatArray]:
+    """Return a and b of the stages: Σ 2 b sinh(a x) = (1 - x/2 / sinh(x/2)) / x up to x^{2 STAGES - 1}."""
+    # (x/2) / sinh(x/2) = Σ c_j x^{2j}, from sinh(x/2) / (x/2) = Σ x^{2j} / 4^j (2j+1)!
+    quotient = [Fraction(1)]
+    for j in range(1, STAGES + 1):
+        quotient.append(-sum(quotient[j - i] / (4**i * factorial(2 * i + 1)) for i in range(1, j + 1)))
+    spread = [SPREAD * k for k in range(1, STAGES + 1)]
+    rows = [[*(2 * a ** (2 * j + 1) / factorial(2 * j + 1) for a in spread), -quotient[j + 1]] for j in range(STAGES)]
+    for k in range(STAGES):  # Gauss–Jordan elimination; no pivot vanishes, as in any Vandermonde matrix
+        rows[k] = [entry / rows[k][k] for entry in rows[k]]
+        for j in range(STAGES):
+            if j != k:
+                rows[j] = [entry - rows[j][k] * pivot for entry, pivot in zip(rows[j], rows[k], strict=True)]
+    return np.array([float(a) for a in spread]), np.array([-float(row[-1]) for row in rows])
+
+
+CORRECTOR_DRIFT, CORRECTOR_KICK = _corrector()
+
+
+@unowned
+def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: float) -> None:
+    """Move all on their Kepler orbits, and the centre of mass on a line."""
+    for k in range(3):
+        x[0, k] += h * v[0, k]
+    revolve_all(x, v, mu, h, lanes)
+
+
+@unowned
+def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
+    """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
+    waiting = 0.0  # drift that is not done yet
+    for stage in range(STAGES):
+        k = stage if into else STAGES - 1 - stage
+        a, b = CORRECTOR_DRIFT[k], CORRECTOR_KICK[k]
+        if not into:
+            a = -a
+        drift(x, v, o.mu, o.lanes, (waiting + a) * h)
+        from_jacobi(x, o.share, o.place)
+        kick(o, x, v, b * h)
+        drift(x, v, o.mu, o.lanes, -2.0 * a * h)
+        from_jacobi(x, o.share, o.place)
+        kick(o, x, v, -b * h)
+        waiting = a
+    drift(x, v, o.mu, o.lanes, waiting * h)
+
+
+@unowned
+def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
+    """Tell whether two bodies come close from a time after ``place`` until another, on straight lines, both in s.
+
+    Close is nearer than ``apart`` times `Orbits.near`.
+    """
+    place, speed, near, reach = o.place, o.speed, o.near, o.reach
+    longest = max(abs(after), abs(until))
+    shortest = apart * UNRESOLVED * (until - after)
+    n, widest = len(place), 0.0
+    for i in range(1, n):
+        widest = max(widest, near[i])
+        r2 = square(x, i)
+        if r2 * np.sqrt(r2) < shortest * shortest * o.mu[i]:
+            return True
+        reach[i] = longest * np.sqrt(square(speed, i))
+    if not widest > 0.0:
+        return False
+    for i in range(2, n):
+        own, far = near[i], reach[i]
+        for j in range(1, i):
+            dx, dy, dz = between(place, i, j)
+            d2 = dx * dx + dy * dy + dz * dz
+            close = apart * max(own, near[j])
+            wide = close + far + reach[j]
+            if d2 < wide * wide and _passes(speed, i, j, dx, dy, dz, close, after, until):
+                return True
+    return False
+
+
+@unowned
+def _passes(
+    speed: FloatArray, i: int, j: int, dx: float, dy: float, dz: float, close: float, after: float, until: float
+) -> bool:
+    """Tell whether the distance of two bodies falls below a length ``close`` in m."""
+    ux, uy, uz = between(speed, i, j)
+    u2 = ux * ux + uy * uy + uz * uz
+    t = -(dx * ux + dy * uy + dz * uz) / u2 if u2 > 0.0 else after
+    t = min(max(t, after), until)
+    dx, dy, dz = dx + t * ux, dy + t * uy, dz + t * uz
+    return dx * dx + dy * dy + dz * dz < close * close
+
+
+@long_kernel
+def begin(o: OrbitArrays, h: float) -> None:
+    """Take positions and velocities as a new start, for steps of h seconds."""
+    to_jacobi(o.position, o.order, o.share, o.x)
+    to_jacobi(o.velocity, o.order, o.share, o.v)
+    correct(o, o.x, o.v, h, True)
+
+
+@long_kernel
+def advance(o: OrbitArrays, progress: Records, end: float, until: float, most: int) -> None:
+    """Make whole steps; see `BatchIntegrator`."""
+    run = progress[0]
+    run.close = 0
+    while run.steps < most and (run.time < until or run.steps == 0) and end - run.time > run.dt * (1.0 + END_TOLERANCE):
+        _copy(o.x, o.x_spare)
+        _copy(o.v, o.v_spare)
+        if not _step(o, run, o.x_spare, o.v_spare):
+            run.close = 1
+            break
+        _copy(o.x_spare, o.x)
+        _copy(o.v_spare, o.v)
+        run.count += 1
+        run.steps += 1
+        run.before = run.time
+        run.time = run.start + run.count * run.dt
+        if not run.time > run.before:
+            break
+    if run.count > 0:
+        _put_out(o, run.dt)
+
+
+@long_kernel
+def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, surely: bool) -> bool:
+    """Write positions and velocities a single step of h seconds, forward or back, from those of the bodies.
+
+    Returns False without writing if bodies meet on the way, unless ``surely``.
+    """
+    x, v = o.x_spare, o.v_spare
+    to_jacobi(o.position, o.order, o.share, x)
+    to_jacobi(o.velocity, o.order, o.share, v)
+    correct(o, x, v, h, True)
+    drift(x, v, o.mu, o.lanes, 0.5 * h)
+    from_jacobi(x, o.share, o.place)
+    from_jacobi(v, o.share, o.speed)
+    if not surely and meets(o, x, -0.5 * abs(h), 0.5 * abs(h), 1.0):
+        return False
+    kick(o, x, v, h)
+    drift(x, v, o.mu, o.lanes, 0.5 * h)
+    correct(o, x, v, h, False)
+    put(o, x, o.place, position)
+    put(o, v, o.speed, velocity)
+    return True
+
+
+@long_kernel
+def meets_soon(o: OrbitArrays, until: float) -> bool:
+    """Tell whether bodies come close in a time in s from now."""
+    x, v = o.x_spare, o.v_spare
+    to_jacobi(o.position, o.order, o.share, x)
+    to_jacobi(o.velocity, o.order, o.share, v)
+    from_jacobi(x, o.share, o.place)
+    from_jacobi(v, o.share, o.speed)
+    return meets(o, x, 0.0, until, PARTED)
+
+
+@unowned
+def _step(o: OrbitArrays, run: Any, x: FloatArray, v: FloatArray) -> bool:
+    """Drift to the middle of the next step and kick, unless bodies meet there."""
+    dt = run.dt
+    drift(x, v, o.mu, o.lanes, dt if run.count > 0 else 0.5 * dt)
+    from_jacobi(x, o.share, o.place)
+    from_jacobi(v, o.share, o.speed)
+    if meets(o, x, -0.5 * dt, 0.5 * dt, 1.0):
+        return False
+    kick(o, x, v, dt)
+    return True
+
+
+@unowned
+def _put_out(o: OrbitArrays, h: float) -> None:
+    """Write positions and velocities after the last whole step."""
+    x, v = o.x_spare, o.v_spare
+    _copy(o.x, x)
+    _copy(o.v, v)
+    drift(x, v, o.mu, o.lanes, 0.5 * h)
+    correct(o, x, v, h, False)
+    put(o, x, o.place, o.position)
+    put(o, v, o.speed, o.velocity)
+
+
+@unowned
+def _copy(source: FloatArray, target: FloatArray) -> None:
+    for i in range(len(source)):
+        target[i, 0], target[i, 1], target[i, 2] = source[i, 0], source[i, 1], source[i, 2]

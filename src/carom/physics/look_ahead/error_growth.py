@@ -1,0 +1,231 @@
+"""How errors grow: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
+
+The error with shorter steps follows from the distances between runs with ever shorter steps. No step of a run ahead is
+a multiple of another one's. Where a ball stops to slide in the middle of a step of length h, the step errs by
+C h² f (1 - f), for the fraction f of the step before it. Steps that halve each time end where those before them did. If
+one of them ends at such an event, f is 0 in all runs ahead, and they agree on a wrong answer.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.physics.vector import minimum_images
+from carom.scene.schema import Scene
+from carom.scene.start import InitialBodies
+
+GOLDEN = 0.3819660112501051  # of the time from one comparison to the next
+COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first run ahead, and of each over the one before
+SAFETY = 3.5  # the step is chosen for an error that is smaller than requested by this factor
+FARTHEST = 8.0  # times as fine as the finest run ahead, which then costs an eighth of the run itself
+TRIED = 3  # comparisons before they are believed: one or two may be small by chance, see above
+LATEST = 4  # comparisons that count
+NEARLY = 0.95  # part of the longest time with the accuracy that is enough, unless that is the whole run
+FALLING = 0.82  # largest part of the distance that shorter steps should leave
+APART = 1e-2  # of the size; beyond, twins no longer diverge exponentially
+EPS = float(np.finfo(np.float64).eps)
+MOST_GROWTH = 600.0  # of the logarithm of their distance, which stays finite
+
+
+class Run(Protocol):
+    """A run ahead."""
+
+    @property
+    def times(self) -> FloatArray:
+        """(K,) s."""
+
+    def at(self, sample: int) -> FloatArray | None:
+        """Return the positions at one of the times, (n, 3) m; None where it failed before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """The size of a system, and the distances of its states over it."""
+
+    size: float  # m
+    box: FloatArray | None  # (3,) m, of a periodic domain
+
+    @classmethod
+    def of(cls, scene: Scene, start: InitialBodies) -> Scale:
+        """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0.
+
+        The size of a single body at 0 is its radius.
+        """
+        if scene.domain.boundary == "periodic":
+            box = np.array(scene.domain.size)
+            return cls(float(box.min()) / 2.0, box)
+        apart = start.position - start.position.mean(axis=0)
+        size = math.sqrt(float(np.mean(np.sum(apart * apart, axis=1))))
+        return cls(size or math.sqrt(float(np.sum(start.position[0] ** 2))) or float(start.radius.max()), None)
+
+    def distance(self, a: FloatArray, b: FloatArray) -> float:
+        """Return the rms distance between positions, (n, 3) m, over the size."""
+        d = a - b if self.box is None else minimum_images(a - b, self.box)
+        return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
+
+    def apart(self, one: Run, other: Run, enough: float) -> FloatArray:
+        """Compare two runs until their distance is ``enough``; return the largest so far over the size, (K,)."""
+        apart = np.full(len(one.times), np.inf)
+        largest = 0.0
+        for k in range(len(apart)):
+            a, b = one.at(k), other.at(k)
+            if a is None or b is None:
+                break
+            apart[k] = largest = max(largest, self.distance(a, b))
+            if not largest < enough:
+                break
+        return apart
+
+
+def samples(end: float, count: int) -> FloatArray:
+    """Return times up to ``end`` at which runs are compared, (count,) s."""
+    return np.asarray(end * (np.arange(1, count + 1) / count))
+
+
+def between_round_times(end: float, count: int) -> FloatArray:
+    """Return times up to ``end`` at which steps of runs ahead may end, (count,) s.
+
+    Something that happens in the middle of a step makes an error; at the end of a step it makes none. What happens in
+    a scene happens at round parts of its duration more often than elsewhere.
+    """
+    times = end * ((np.arange(1, count + 1) - GOLDEN) / count)
+    times[-1] = end
+    return np.asarray(times)
+
+
+def with_start(values: FloatArray, start: float) -> FloatArray:
+    """Return the values with that at time 0 in front."""
+    return np.concatenate(([start], values))
+
+
+def kept_until(times: FloatArray, error: FloatArray, accuracy: float) -> float:
+    """Return the time at which the error exceeds the accuracy, in s; the last if it does not."""
+    over = np.flatnonzero(~(error <= accuracy))
+    if not len(over):
+        return float(times[-1])
+    k = int(over[0])
+    if k == 0:
+        return 0.0
+    low, high = error[k - 1], error[k]
+    share = 0.0
+    if math.isfinite(high) and low > 0.0:
+        share = math.log(accuracy / low) / math.log(high / low)
+    return float(times[k - 1] + share * (times[k] - times[k - 1]))
+
+
+def extrapolate(
+    times: FloatArray, apart: list[FloatArray], finest: float, highest: int, accuracy: float
+) -> tuple[float, float, FloatArray]:
+    """Return a refinement, the time in s until which it keeps the accuracy, and its error.
+
+    The refinement is a power of two, so that steps and frames end together: from the latest run ahead but one to
+    `FARTHEST` times the latest. The factor in front of h^p depends on where in its step an impact happens, so the
+    largest of the latest distances counts, each scaled by the order.
+
+    Parameters
+    ----------
+    apart
+        (K,) each, over the size, the distances of each run ahead from the next.
+    finest
+        The refinement of the latest run ahead.
+    highest
+        Order of the integrator.
+    """
+    order = _observed(apart, highest)
+    scaled = [each / RATIO ** (order * age) for age, each in enumerate(apart[: -LATEST - 1 : -1])]
+    with np.errstate(invalid="ignore"):
+        error = np.max(scaled, axis=0) / (RATIO**order - 1.0)  # of the latest run
+    lowest, highest_power = math.ceil(math.log2(finest / RATIO)), math.floor(math.log2(FARTHEST * finest))
+    tried = [2.0**power for power in range(min(lowest, highest_power), highest_power + 1)]
+    errors = [error * (finest / each) ** order for each in tried]
+    kept = [kept_until(times, SAFETY * each, accuracy) for each in errors]
+    longest = max(kept)
+    enough = longest if longest >= times[-1] else NEARLY * longest
+    k = next(k for k, until in enumerate(kept) if until >= enough)
+    return tried[k], kept[k], errors[k]
+
+
+def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
+    """Tell whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
+    k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
+    return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
+
+
+def _observed(apart: list[FloatArray], order: int) -> float:
+    """Return the order that the latest distances show where they can be compared: 1 to that of the integrator."""
+    age = min(LATEST, len(apart)) - 1
+    coarse, fine = apart[-1 - age], apart[-1]
+    usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0) & np.isfinite(fine))
+    if age == 0 or not len(usable):
+        return 1.0
+    k = int(usable[-1])
+    return min(max(math.log(coarse[k] / fine[k]) / (age * math.log(RATIO)), 1.0), float(order))
+
+
+@dataclass(frozen=True, slots=True)
+class Twins:
+    """How two runs diverge that begin almost alike."""
+
+    apart: FloatArray  # (K,) largest distance so far over the size
+    exponent: float  # 1/s
+
+    @classmethod
+    def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
+        """Continue the distance, (K,) over the size, beyond where it is no longer small.
+
+        It is unknown, and infinite, from the time ``known`` on.
+        """
+        if known < len(apart):
+            if not known:
+                return cls(np.full(len(apart), np.inf), 0.0)
+            part = cls.grown(times[:known], apart[:known], began, known)
+            return cls(np.concatenate((part.apart, np.full(len(apart) - known, np.inf))), part.exponent)
+        apart = np.maximum(apart, began)
+        over = np.flatnonzero(~(apart < APART))
+        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they are taken to diverge at the same rate
+        apart[last] = min(apart[last], 1.0)
+        exponent = math.log(apart[last] / began) / float(times[last])
+        growth = np.minimum(max(exponent, 0.0) * (times[last + 1 :] - times[last]), MOST_GROWTH)
+        apart[last + 1 :] = apart[last] * np.exp(growth)
+        return cls(apart, exponent)
+
+    def steps_that_count(self, began: float, steps: int) -> FloatArray:
+        """Return how many steps with the error of the first add up to the error at all times, (K,).
+
+        An error of a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. That is
+        half the steps so far for regular motion, and those of the last 1 / λ for chaotic motion.
+        """
+        before = with_start(self.apart[:-1], began)
+        growth = np.log(self.apart / before)
+        mean = np.where(growth > 0.0, (self.apart - before) / np.where(growth > 0.0, growth, 1.0), before)
+        return np.asarray(np.cumsum(mean) / self.apart * (steps / len(mean)))
+
+    def continued(self, times: FloatArray, error: FloatArray, known: FloatArray) -> FloatArray:
+        """Interpolate an error that all steps add to, and continue it where it is infinite; (K,) at all times, in s.
+
+        It grows like t times the distance of twins, which is in proportion to t for regular motion.
+        """
+        finite = np.isfinite(error)
+        if not finite.any():
+            return np.ones(len(times))
+        share = error[finite] / (known[finite] * np.interp(known[finite], times, self.apart))
+        return np.asarray(times * self.apart * np.interp(times, known[finite], share))
+
+    def at(self, times: FloatArray, known: FloatArray, began: float) -> Twins:
+        """Interpolate to other times, in s; between known times the distance grows exponentially."""
+        grown = np.log(np.maximum(with_start(self.apart, began), EPS**2))
+        return Twins(np.exp(np.interp(times, with_start(known, 0.0), grown)), self.exponent)
+
+
+def displaced(start: InitialBodies, distance: float) -> InitialBodies:
+    """Return a start whose free bodies are displaced by an rms distance in m, or else by a last bit."""
+    direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
+    moved = start.position + distance * direction
+    unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))
+    moved = np.where(moved == start.position, unmoved, moved)
+    return replace(start, position=np.where(start.fixed[:, np.newaxis], start.position, moved))
