@@ -175,9 +175,9 @@ MEETING = {
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.look_for_largest"}
 PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
-FIELD, STEP = {"forces.uniform_field.add"}, {"step_rule.target"}
-TREE = tuple(f"forces.gravity.{module}." for module in ("tree_build", "multipole", "tree_walk"))
-FAST_MULTIPOLE = ("forces.gravity.box_walk.", "forces.gravity.expansions.")
+FIELD, STEP = {"forces.field.add"}, {"step_rule.target"}
+TREE = ("forces.gravity.boxes.", "forces.gravity.tree.")
+FAST_MULTIPOLE = ("forces.gravity.fast_multipole.",)
 OPTIONAL = ("contact.events.", "forces.drag.", *TREE)  # modules
 ALL = DIRECT | TURNING | MEETING | RESTING | PUSHING | FIELD | STEP
 
