@@ -20,7 +20,7 @@ All laws share three things:
   go of a contact: `solver.solve`, `solver.solve_block`, `solver.conjugate_gradients`, `solver.phases` and `statistics`.
 - The warm start keeps one normal and one tangential impulse, `IMPULSES`. A law that resists rolling adds a third: to
   ``CONTACT`` in `constraints`, to `IMPULSES`, and to the phases of `solver` that handle ``friction_x``; to `IMPACT` of
-  `continuous.event_loop`, `contact_rows` and `contact_table`; and to checkpoints, which store four numbers a contact
+  `events.event_loop`, `contact_rows` and `contact_table`; and to checkpoints, which store four numbers a contact
   (`carom.recording.schema.checkpoint_columns`).
 - The ledger books what the normal impulse takes out as restitution, and what the tangential one takes out as friction.
 
