@@ -16,7 +16,7 @@ from collections.abc import Generator
 import pytest
 from hypothesis import settings
 
-from carom.runs.compiling_process import start_on_a_new_installation
+from carom.cli.compiling import start_on_a_new_installation
 from needs import missing_though_required, need
 from seeds import VARIABLE, chosen_seed, is_random
 

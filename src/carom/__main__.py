@@ -20,7 +20,7 @@ def main() -> None:
     # Arrow's own allocator keeps what is freed: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
-        from carom.cli.process import main as run  # noqa: PLC0415 - takes half a second
+        from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
     except KeyboardInterrupt:
         os.write(2, b"carom: interrupted\n")
         os._exit(130)

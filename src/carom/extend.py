@@ -12,10 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from carom.cli.compiling import announce_compilation as announce_compilation
-    from carom.cli.extras import needing as needing
-    from carom.cli.json_output import say_json as say_json
-    from carom.cli.live_line import LiveLine as LiveLine
-    from carom.cli.live_line import bar as bar
     from carom.cli.options import ForceOption as ForceOption
     from carom.cli.options import JsonOption as JsonOption
     from carom.cli.options import OptionalTime as OptionalTime
@@ -30,11 +26,16 @@ if TYPE_CHECKING:
     from carom.cli.options import simulated as simulated
     from carom.cli.options import simulated_or_none as simulated_or_none
     from carom.cli.options import work_time as work_time
-    from carom.cli.replaying import replaying as replaying
+    from carom.cli.printing import duration_text as duration_text
+    from carom.cli.printing import finite as finite
+    from carom.cli.printing import say as say
+    from carom.cli.printing import say_json as say_json
+    from carom.cli.terminal import LiveLine as LiveLine
     from carom.cli.terminal import Terminal as Terminal
+    from carom.cli.terminal import bar as bar
     from carom.cli.terminal import print_whole as print_whole
-    from carom.cli.text import say as say
-    from carom.cli.units import duration_text as duration_text
+    from carom.cli.terminal import replaying as replaying
+    from carom.install import needing as needing
     from carom.physics.bodies import Bodies as Bodies
     from carom.physics.checkpoint import Checkpoint as Checkpoint
     from carom.physics.contact.law import LAW as LAW
@@ -121,17 +122,12 @@ if TYPE_CHECKING:
     from carom.recording.write.whole_file import new_name as new_name
     from carom.recording.write.whole_file import whole_file as whole_file
     from carom.recording.write.whole_file import write_whole as write_whole
-    from carom.runs.closing import closing_of as closing_of
-    from carom.runs.contact_counts import ONCE_A_STEP as ONCE_A_STEP
-    from carom.runs.continued_scene import continued_scene as continued_scene
-    from carom.runs.ending import in_words as in_words
     from carom.runs.environment import command_line as command_line
     from carom.runs.environment import environment as environment
     from carom.runs.environment import versions as versions
-    from carom.runs.expectation import Verdict as Verdict
-    from carom.runs.expectation import judge as judge
-    from carom.runs.interrupts import Interrupts as Interrupts
-    from carom.runs.json_numbers import finite as finite
+    from carom.runs.outcome import Verdict as Verdict
+    from carom.runs.outcome import closing_of as closing_of
+    from carom.runs.outcome import judge as judge
     from carom.runs.output import claimed_output as claimed_output
     from carom.runs.output import is_link_of_another as is_link_of_another
     from carom.runs.output import output_folder as output_folder
@@ -139,7 +135,11 @@ if TYPE_CHECKING:
     from carom.runs.output import refuse_name as refuse_name
     from carom.runs.output import refuse_output as refuse_output
     from carom.runs.output import refuse_scene_output as refuse_scene_output
+    from carom.runs.overview import ONCE_A_STEP as ONCE_A_STEP
+    from carom.runs.overview import in_words as in_words
+    from carom.runs.process_settings import Interrupts as Interrupts
     from carom.runs.report import report as report
+    from carom.runs.resume import continued_scene as continued_scene
     from carom.runs.run import Outcome as Outcome
     from carom.runs.run import Watcher as Watcher
     from carom.runs.run import closing_summary as closing_summary
@@ -234,7 +234,6 @@ if TYPE_CHECKING:
     from carom.show.request import named_event as named_event
 
 _HOMES = {
-    # scenes
     "carom.scene.conversion": "converted rescaled",
     "carom.scene.data.body_sources": "DataFiles HeldBodies",
     "carom.scene.integrators": "INTEGRATORS",
@@ -259,15 +258,13 @@ _HOMES = {
     "carom.scene.units.unit": "Physical UnitError nearest_float physical",
     "carom.scene.variation": "MOST_RUNS TOO_MANY_RUNS Values combinations override texts_of values_of",
     "carom.scene.wording": "Names bodies_called command counted nearest suggestion",
-    # what a scene requires, and the automatic choices
     "carom.plan.auto": (
-        "auto_interval cfl frame_interval gravity_method integrator largest_step pull_fraction smoothing "
-        "target_dx timing uses_tree"
+        "auto_interval cfl frame_interval gravity_method integrator largest_step pull_fraction smoothing target_dx "
+        "timing uses_tree"
     ),
     "carom.plan.features": "Requirements require",
     "carom.plan.hierarchy": "DOMINANT why_no_hierarchy",
     "carom.plan.pulls": "damping further",
-    # the physics
     "carom.physics.bodies": "Bodies",
     "carom.physics.checkpoint": "Checkpoint",
     "carom.physics.contact.law": "LAW",
@@ -281,7 +278,6 @@ _HOMES = {
     "carom.physics.reference_api": "BodyProxy CollisionContext",
     "carom.physics.schedule": "Every Schedule at every",
     "carom.physics.simulation": "StepStatus",
-    # recordings
     "carom.recording.edit.bundle": "is_bundle opened",
     "carom.recording.read.body_lookup": "body_number names_of",
     "carom.recording.read.frame_rows": "RecordedPositions",
@@ -301,21 +297,18 @@ _HOMES = {
     "carom.recording.source.law_audit": "Fault Tolerances",
     "carom.recording.source.observer": "Observer header_of_source not_finite",
     "carom.recording.source.source": (
-        "Model Plane SPHERE Setup Source State StateMemory SteppedSource "
-        "array_of memory_of reader_of refuse_no_rotation setup_of time_of"
+        "Model Plane SPHERE Setup Source State StateMemory SteppedSource array_of memory_of reader_of "
+        "refuse_no_rotation setup_of time_of"
     ),
     "carom.recording.write.durable_sink": "DiskReserve",
     "carom.recording.write.recorder": "Recorder",
     "carom.recording.write.whole_file": "new_name whole_file write_whole",
-    # runs
-    "carom.runs.closing": "closing_of",
-    "carom.runs.contact_counts": "ONCE_A_STEP",
-    "carom.runs.continued_scene": "continued_scene",
-    "carom.runs.ending": "in_words",
+    "carom.runs.outcome": "closing_of Verdict judge",
+    "carom.runs.overview": "ONCE_A_STEP in_words",
+    "carom.runs.resume": "continued_scene",
     "carom.runs.environment": "command_line environment versions",
-    "carom.runs.expectation": "Verdict judge",
-    "carom.runs.interrupts": "Interrupts",
-    "carom.runs.json_numbers": "finite",
+    "carom.runs.process_settings": "Interrupts",
+    "carom.cli.printing": "finite say_json say duration_text",
     "carom.runs.output": (
         "claimed_output is_link_of_another output_folder refuse_itself refuse_name refuse_output refuse_scene_output"
     ),
@@ -323,26 +316,19 @@ _HOMES = {
     "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
     "carom.runs.window": "checkpoint_before space_of",
     "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
-    # the viewer
     "carom.show.catalog": "serve_catalog",
     "carom.show.causes": "CauseEdge Causes write_causes",
     "carom.show.forecast": "Forecast write_forecast",
     "carom.show.keeper": "has_screen isolate screen_is_remote",
     "carom.show.request": "named_event",
     "carom.show.overlays": "ComparedTrajectory MatchedFrames write_overlay write_trajectories",
-    # commands
     "carom.cli.compiling": "announce_compilation",
-    "carom.cli.extras": "needing",
-    "carom.cli.json_output": "say_json",
-    "carom.cli.live_line": "LiveLine bar",
+    "carom.install": "needing",
+    "carom.cli.terminal": "LiveLine bar replaying Terminal print_whole",
     "carom.cli.options": (
         "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption bundled "
         "not_a_folder recording_option seconds simulated simulated_or_none work_time"
     ),
-    "carom.cli.replaying": "replaying",
-    "carom.cli.terminal": "Terminal print_whole",
-    "carom.cli.text": "say",
-    "carom.cli.units": "duration_text",
 }
 _PLACES = {name: home for home, names in _HOMES.items() for name in names.split()}
 

@@ -1,14 +1,18 @@
-"""Lines that install what is missing: Python packages of an extra, and packages of the system."""
+"""Commands that install what is missing: Python packages of an extra, and packages of the system."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib.metadata
 import importlib.util
 import re
 import shlex
 import shutil
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+
+from carom.errors import ExperimentError
 
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w-]+)["']""")
 
@@ -44,3 +48,14 @@ def install_packages(debian: str, fedora: str) -> str:
     if shutil.which("dnf"):
         return f"dnf install {fedora}"
     return f"install {debian} (Debian's names) or {fedora} (Fedora's)"
+
+
+@contextlib.contextmanager
+def needing(extra: str, command: str, *packages: str) -> Iterator[None]:
+    """Import packages of an extra within this context; raise ExperimentError with the remedy if one is missing."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] not in packages:
+            raise
+        raise ExperimentError(f"{command} needs {packages[0]}: {install_extra(extra)}") from None

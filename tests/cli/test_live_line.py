@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from carom.cli import live_line
-from carom.cli.live_line import LiveLine, Patience
-from carom.cli.terminal import Terminal
+from carom.cli import terminal as carom_terminal
+from carom.cli.terminal import LiveLine, Patience, Terminal
 
 TEXT = "looking ahead for the step that keeps 1e-06 …"
 
@@ -34,8 +33,8 @@ def test_work_that_takes_long_is_named_on_a_terminal_or_where_it_is_asked_for(
     def terminal(**options: Any) -> Terminal:
         return Terminal(file=out, force_terminal=on_terminal, width=80, quiet=options["quiet"])
 
-    monkeypatch.setattr(live_line, "Terminal", terminal)
-    monkeypatch.setattr(live_line, "PATIENCE", 0.1)
+    monkeypatch.setattr(carom_terminal, "Terminal", terminal)
+    monkeypatch.setattr(carom_terminal, "PATIENCE", 0.1)
     with Patience(TEXT, LiveLine(quiet), everywhere=everywhere):
         time.sleep(seconds)
     assert (TEXT in out.getvalue()) == expected

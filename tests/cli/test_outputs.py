@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli.main import main
+from carom.cli.main import run_command
 from carom.errors import PhysicsError
 from carom.recording.read.recording import Recording
 from carom_command import carom
@@ -139,7 +139,7 @@ def test_a_space_that_cannot_be_built_is_one_sentence(
     monkeypatch.setattr("carom.runs.run.Space", space)
     monkeypatch.setattr("sys.argv", ["carom", *QUICK, "-o", "x.rrd"])
     with pytest.raises(SystemExit) as ended:
-        main()
+        run_command()
     assert ended.value.code == 2
     assert capsys.readouterr().err == "carom: the state is not finite at its start\n"
     assert list(tmp_path.iterdir()) == []

@@ -12,7 +12,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from carom.cli.main import main
+from carom.cli.main import run_command
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.run import simulate
@@ -155,7 +155,7 @@ def test_a_mistake_is_one_message_and_exit_code_2(
     monkeypatch.chdir(first[0])
     monkeypatch.setattr("sys.argv", ["carom", "sweep", *arguments])
     with pytest.raises(SystemExit) as ended:
-        main()
+        run_command()
     assert ended.value.code == 2
     assert said in capsys.readouterr().err
     assert not (first[0] / "new").exists()
@@ -206,7 +206,7 @@ def test_a_table_that_cannot_be_written_is_one_sentence_and_exit_code_1(
     table.mkdir()
     try:
         with pytest.raises(SystemExit) as ended:
-            main()
+            run_command()
     finally:
         table.rmdir()
         kept.rename(table)

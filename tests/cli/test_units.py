@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.cli.units import count_text
+from carom.cli.printing import count_text
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import PLOTS
 from carom.scene.load import scene_from_text

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from carom.physics.space import Space
-from carom.runs.expectation import judge
+from carom.runs.outcome import judge
 from small_scenes import cloud, scene_of
 
 ORBITS = [

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from carom.cli import compiling
 from carom.physics import jit as parallel
 from carom.physics.jit.cores import cores
 from carom.physics.space import Space
-from carom.runs import compiling_process
 from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene
 
@@ -44,7 +44,7 @@ print(json.dumps([space.fingerprint(), listener.compiled]))
 """
 START = """
 import sys
-from carom.runs.compiling_process import start_compiling
+from carom.cli.compiling import start_compiling
 print(start_compiling().pid, flush=True)
 sys.stdin.read()
 """
@@ -74,8 +74,8 @@ def test_the_second_process_ends_with_the_first_however_that_ends(tmp_path: Path
 
 
 def test_no_second_process_is_started_where_it_could_not_help(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(compiling_process, "cores", lambda: 1)
-    assert compiling_process.start_compiling() is None
+    monkeypatch.setattr(compiling, "cores", lambda: 1)
+    assert compiling.start_compiling() is None
 
 
 def test_on_a_new_installation_the_second_process_starts_at_once(
@@ -86,10 +86,10 @@ def test_on_a_new_installation_the_second_process_starts_at_once(
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     started: list[str] = []
     monkeypatch.setattr(parallel, "__file__", str(tmp_path / "__init__.py"))
-    monkeypatch.setattr(compiling_process, "start_compiling", lambda: started.append("a process"))
-    compiling_process.start_on_a_new_installation()
+    monkeypatch.setattr(compiling, "start_compiling", lambda: started.append("a process"))
+    compiling.start_on_a_new_installation()
     (kernels / "a-kernel.nbc").touch()
-    compiling_process.start_on_a_new_installation()
+    compiling.start_on_a_new_installation()
     assert len(started) == 1
 
 

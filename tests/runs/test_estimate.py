@@ -16,8 +16,7 @@ from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import contents
-from carom.runs.estimate import MARKS, Estimate, estimate, flight_seconds
-from carom.runs.outlook import estimate_steps
+from carom.runs.estimate import MARKS, Estimate, estimate, estimate_steps, flight_seconds
 from carom.runs.run import header_of, recording_space, run
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
@@ -138,7 +137,7 @@ def test_the_cost_leaves_out_what_the_first_step_loads(monkeypatch: pytest.Monke
 
 
 def test_no_fewer_steps_are_foreseen_than_the_longest_step_allows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("carom.runs.outlook.LOOK_SECONDS", 0.1)
+    monkeypatch.setattr("carom.runs.estimate.LOOK_SECONDS", 0.1)
     million_years = 3.15576e13
     scene = cloud(10, gravity={"constant": 1e-9}, time={"duration": million_years, "max_dt": 1.0})
     assert estimate_steps(scene, 1e-5).fewest >= 0.999 * million_years

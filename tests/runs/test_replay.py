@@ -23,7 +23,7 @@ from carom.physics.space import Space
 from carom.plan.auto import frame_interval
 from carom.recording.read.recording import Recording
 from carom.recording.schema import checkpoint_columns, paths
-from carom.runs.mismatch import different
+from carom.runs.comparison import different
 from carom.runs.replay import Difference, replay
 from carom.runs.run import simulate
 from carom.scene.scene_file import bundled_scenes

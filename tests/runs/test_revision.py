@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from carom.runs.revision import git_revision
+from carom.runs.environment import git_revision
 
 
 def git(folder: Path, *arguments: str) -> str:

@@ -23,7 +23,7 @@ from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
-from carom.runs.expectation import judge
+from carom.runs.outcome import judge
 from carom.runs.resume import resumable_run
 from carom.runs.run import Outcome, simulate
 from carom.scene.load import scene_from_text

@@ -13,7 +13,7 @@ import pytest
 from carom.errors import SceneError
 from carom.physics.simulation import StepStatus
 from carom.physics.space import Space
-from carom.runs.expectation import judge
+from carom.runs.outcome import judge
 from carom.runs.stress import attempt, extremes
 from carom.scene.schema import Scene
 from small_scenes import cloud

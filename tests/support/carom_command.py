@@ -10,7 +10,7 @@ import sys
 from pathlib import Path
 from unittest.mock import patch
 
-from carom.cli.main import main
+from carom.cli.main import run_command
 
 
 def carom(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -29,7 +29,7 @@ def carom(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         patch("carom.cli.compiling.announce_compilation"),  # the listener would outlive the command
     ):
         try:
-            main()
+            run_command()
         except SystemExit as ended:
             code = ended.code
     assert code is None or isinstance(code, int)

@@ -22,10 +22,10 @@ COMMANDS: dict[str, dict[str, str]] = {  # module:function by panels of the help
         "run": "carom.cli.run:run",
         "scenes": "carom.cli.scenes:scenes",
         "new": "carom.cli.scenes:new",
-        "explain": "carom.cli.explain:explain",
-        "resume": "carom.cli.resume:resume",
+        "explain": "carom.cli.scenes:explain",
+        "resume": "carom.cli.run:resume",
         "sweep": "carom.lab.sweep.sweep_command:sweep",
-        "warmup": "carom.cli.warmup:warmup",
+        "warmup": "carom.cli.compiling:warmup",
     },
     "Look": {"view": "carom.cli.view:view", "picture": "carom.cli.view:picture", "movie": "carom.cli.movie:movie"},
     "Ask": {
@@ -45,11 +45,11 @@ COMMANDS: dict[str, dict[str, str]] = {  # module:function by panels of the help
         "crosscheck": "carom.lab.crosscheck.crosscheck_command:crosscheck",
     },
     "Keep and share": {
-        "clip": "carom.cli.clip:clip",
-        "repair": "carom.cli.repair:repair",
-        "report": "carom.cli.report:report",
-        "publish": "carom.cli.publish:publish",
-        "export": "carom.cli.export:export",
+        "clip": "carom.cli.recordings:clip",
+        "repair": "carom.cli.recordings:repair",
+        "report": "carom.cli.recordings:report",
+        "publish": "carom.cli.view:publish",
+        "export": "carom.cli.recordings:export",
     },
 }
 

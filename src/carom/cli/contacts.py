@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
 from carom.cli.options import (
     ForceOption,
     JsonOption,
@@ -17,7 +16,7 @@ from carom.cli.options import (
     seconds,
     simulated_or_none,
 )
-from carom.cli.text import say
+from carom.cli.printing import say, say_json
 from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
 
@@ -131,7 +130,7 @@ def _table(
     numbers = [shown_body(recording, body) for body in bodies]
     if len(set(numbers)) < len(numbers):
         raise RecordingError(f"--body {bodies[0]} --body {bodies[1]}: a body has no contact with itself")
-    from carom.cli.replaying import replaying
+    from carom.cli.terminal import replaying
 
     with replaying(recording) as watch:
         if impacts:

@@ -8,8 +8,8 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carom.cli.json_output import say_json
 from carom.cli.options import JsonOption, RecordingArgument
+from carom.cli.printing import say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command, counted
 
@@ -47,7 +47,7 @@ def inspect(
     if as_json:
         say_json(summary)
         return
-    from carom.cli.materials import materials_table
+    from carom.cli.printing import materials_table
     from carom.cli.terminal import Terminal
 
     console = Terminal(soft_wrap=True)
@@ -97,7 +97,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
 
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say what ran, for how long, and how it ended."""
-    from carom.runs.ending import in_words
+    from carom.runs.overview import in_words
     from carom.scene.wording import in_series
 
     scene, clip = summary["scene"], summary.get("clip")
@@ -121,8 +121,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say how well energy and momenta were conserved."""
-    from carom.runs.ending import error_text
-    from carom.runs.overview import energy_texts
+    from carom.runs.overview import energy_texts, error_text
 
     energy = summary["energy"]
     if math.isnan(energy["initial"]):
@@ -142,7 +141,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     """Count contacts and impacts, and name the deepest overlap."""
     from carom.recording.read.recorded_impacts import RecordedImpacts
-    from carom.runs.contact_counts import counts_text, overlap_text
+    from carom.runs.overview import counts_text, overlap_text
 
     contacts, texts = summary["contacts"], []
     if contacts["total"] or contacts.get("impacts") or "contacts" in summary["moments"] or summary.get("clip"):
@@ -159,7 +158,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     """Say which accuracy and promises were kept, and which laws were broken."""
-    from carom.runs.ending import accuracy_text
+    from carom.runs.overview import accuracy_text
 
     if summary["accuracy"]:
         yield "accuracy", accuracy_text(summary["accuracy"], units)
@@ -176,7 +175,7 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
     """Show the warnings of the run, and an empty line after them."""
-    from carom.cli.warnings import warning_lines
+    from carom.cli.printing import warning_lines
     from carom.event import Event
 
     if summary["warnings"]:

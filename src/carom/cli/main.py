@@ -1,15 +1,24 @@
-"""The `carom` command, and how a mistake is reported."""
+"""The `carom` command as a process: its streams, its signals, its messages and its exit code."""
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 import sys
 import warnings
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TextIO
 
 import typer
 
 from carom.cli.commands import CommandGroup
-from carom.runs.memory import keep_freed_memory
+from carom.private_folder import remove_private_folder
+from carom.runs.process_settings import keep_freed_memory, raise_signals, received
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
+_INTERRUPTED = 130  # Typer's exit code for a KeyboardInterrupt that no command handled
 
 app = typer.Typer(
     name="carom",
@@ -19,6 +28,40 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
+
+
+def main() -> NoReturn:
+    """Run the command and exit.
+
+    Exit codes: 2 and one message for a person's mistake; 1 for a run that ended early or missed a promise; 128 and the
+    signal's number for a command that a signal ended before it had anything to close.
+    """
+    raise_signals()
+    output = replace_streams()
+    code: int | str | None = 0
+    try:
+        run_command()
+    except SystemExit as ending:
+        code = ending.code
+        if received() and code == _INTERRUPTED:
+            _leave()
+    except BaseException:  # an interrupted import may raise anything
+        if received():
+            _leave()
+        raise
+    sys.stdout.flush()
+    if output.error is not None and output.error.errno != errno.EPIPE:  # a reader that left has read enough
+        typer.echo(f"carom: cannot write to standard output: {output.error.strerror}", err=True)
+        code = code or 1
+    sys.exit(code)
+
+
+def _leave() -> NoReturn:
+    """Exit at once after a signal; the traceback stays alive, because closing Rerun's streams may never return."""
+    typer.echo("carom: interrupted", err=True)
+    sys.stdout.flush()
+    remove_private_folder()
+    os._exit(128 + received())
 
 
 def _print_version(wanted: bool) -> None:
@@ -44,7 +87,7 @@ def _say_old_names_once() -> None:
     show, said = warnings.showwarning, set[str]()
 
     def say_once(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-        from carom.cli.text import say
+        from carom.cli.printing import say
         from carom.scene.overrides import OldNameWarning
 
         if not issubclass(category, OldNameWarning):
@@ -56,14 +99,14 @@ def _say_old_names_once() -> None:
     warnings.showwarning = say_once
 
 
-def main() -> None:
-    """Run the command.
+def run_command() -> None:
+    """Run the command, and report what it raises.
 
     A mistake of the user ends with one message and exit code 2, a failure of the system with one message and exit
     code 1. Neither prints a traceback.
     """
     # imported now: at the limit of open files nothing can be imported any more
-    from carom.cli.text import say
+    from carom.cli.printing import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
     keep_freed_memory()
@@ -93,3 +136,56 @@ def main() -> None:
             text = f"{error.path}: exists; give --force to replace it, or another name with -o"
         say(f"carom: {text}", err=True)
         sys.exit(2)
+
+
+class Lossy(io.RawIOBase):
+    """A file descriptor that never ends a command: after the first failure, everything written is dropped."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self.error: OSError | None = None
+        self._descriptor = descriptor
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        """Write or drop the data; return the number of bytes handled."""
+        if self.error is None:
+            try:
+                return os.write(self._descriptor, data)
+            except OSError as error:
+                self.error = error
+        return memoryview(data).nbytes
+
+    def fileno(self) -> int:
+        """Return the descriptor."""
+        return self._descriptor
+
+    def isatty(self) -> bool:
+        """Return whether the descriptor is a terminal."""
+        return os.isatty(self._descriptor)
+
+    def writable(self) -> bool:
+        """Return True."""
+        return True
+
+
+def replace_streams() -> Lossy:
+    """Replace ``sys.stdout`` and ``sys.stderr``; return the raw standard output, which keeps its first error.
+
+    Characters that the encoding of a terminal lacks are printed as question marks.
+    """
+    for descriptor in range(3):  # a recording must not be opened as standard error, to which libraries print
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)
+    out, err = Lossy(1), Lossy(2)
+    sys.stdout = _text(out, sys.stdout)
+    sys.stderr = _text(err, sys.stderr)
+    return out
+
+
+def _text(raw: Lossy, before: TextIO | None) -> io.TextIOWrapper:
+    """Return a text stream with the encoding of the previous one, which is None if the descriptor was closed."""
+    encoding = before.encoding if before is not None else "utf-8"
+    buffered = io.BufferedWriter(raw)
+    return io.TextIOWrapper(buffered, encoding, errors="replace", line_buffering=raw.isatty() or raw.fileno() == 2)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from carom.cli.options import ForceOption, RecordingArgument, seconds, simulated_or_none
-from carom.cli.text import say
+from carom.cli.printing import say
 from carom.cli.view import BodiesOption, Theme, pixels_of
 
 if TYPE_CHECKING:
@@ -62,9 +62,9 @@ def movie(
     force: ForceOption = False,
 ) -> None:
     """Make a movie of a recording; needs no screen."""
-    from carom.cli.extras import needing
-    from carom.cli.movie_progress import MovieProgress
-    from carom.cli.units import bytes_text
+    from carom.cli.printing import bytes_text
+    from carom.cli.terminal import MovieProgress
+    from carom.install import needing
     from carom.recording.read.recording import Recording
     from carom.runs.output import claimed_output
     from carom.show.movie import frame_times, pictures

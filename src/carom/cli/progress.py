@@ -9,16 +9,13 @@ from typing import Self
 from rich.table import Table
 from rich.text import Text
 
-from carom.cli.live_line import LiveLine, Patience, bar
-from carom.cli.terminal import Terminal
-from carom.cli.units import bytes_text, duration_text, simulated_text
-from carom.cli.warnings import warning_lines
+from carom.cli.printing import bytes_text, duration_text, simulated_text, warning_lines
+from carom.cli.terminal import LiveLine, Patience, Terminal, bar
 from carom.physics.look_ahead.trial_run import Watcher, WorkBudget
 from carom.physics.simulation import StepStatus
 from carom.plan.auto import ended_bounces, inexact_impacts, largest_step
 from carom.plan.checks import doubts
-from carom.runs.contact_counts import counts_text, overlap_text
-from carom.runs.ending import accuracy_text, error_text, in_words
+from carom.runs.overview import accuracy_text, counts_text, error_text, in_words, overlap_text
 from carom.runs.run import Outcome, shortfall_text
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME

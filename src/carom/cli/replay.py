@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
 from carom.cli.options import (
     ForceOption,
     JsonOption,
@@ -18,8 +17,7 @@ from carom.cli.options import (
     seconds,
     simulated,
 )
-from carom.cli.text import say
-from carom.cli.units import duration_text
+from carom.cli.printing import duration_text, say, say_json
 from carom.scene.units.dimension import TIME
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""`carom run`: simulate and record."""
+"""`carom run` and `carom resume`: simulate and record a scene, and continue a run."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
 from carom.cli.options import (
     ForceOption,
     JsonOption,
     LiveOption,
+    RecordingArgument,
     SceneArgument,
     SetOption,
     ThreadsOption,
     recording_option,
+    seconds,
+    simulated_or_none,
 )
-from carom.cli.text import say
+from carom.cli.printing import say, say_json
+from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 
 if TYPE_CHECKING:
@@ -48,7 +51,7 @@ def run(
     as_json: JsonOption = False,
 ) -> None:
     """Simulate a scene and record it to an .rrd file."""
-    from carom.runs.compiling_process import start_on_a_new_installation
+    from carom.cli.compiling import start_on_a_new_installation
 
     helped = start_on_a_new_installation() is not None
     from carom.scene.schema import Scene
@@ -91,7 +94,7 @@ def telling_of(path: Path) -> Iterator[None]:
 
 def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
     """Say how a run ended; exit with 1 if it did not end well."""
-    from carom.runs.ending import in_words
+    from carom.runs.overview import in_words
 
     if as_json:
         say_json(_document(outcome, progress.units))
@@ -119,3 +122,50 @@ def _document(outcome: Outcome, units: UnitSystem) -> dict[str, Any]:
 
     document = asdict(outcome) | {"path": str(outcome.path), "ok": outcome.ok}
     return {"units": units.recorded, **document}
+
+
+def resume(
+    file: RecordingArgument,
+    until: Annotated[
+        float | None,
+        typer.Option(
+            "--until",
+            parser=seconds,
+            metavar="T",
+            help="Continue to this simulated time. Default: the scene's duration.",
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="Recording to write. Default: replace FILE when the new one is complete.",
+        ),
+    ] = None,
+    live: LiveOption = False,
+    threads: ThreadsOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.progress import Progress
+    from carom.recording.read.recording import Recording
+    from carom.runs.resume import claimed_target, resumable_run, under_way
+    from carom.runs.resume import resume as go_on
+
+    if until is not None and not 0.0 < until < float("inf"):
+        raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
+    with claimed_target(file, output, force) as claim:
+        recording = Recording.open(file)
+        run = resumable_run(recording, simulated_or_none(until, recording.units))
+        began = recording.units.text(run.time, TIME)
+        progress = Progress(run.scene, quiet=as_json, heading=f"From t = {began} on: ")
+        announce_compilation(progress.say)
+        space = run.space(threads)
+        address = live_viewer() if live else None
+        with progress, telling_of(under_way(output or file)):
+            outcome = go_on(run, space, output, force=force, claim=claim, live=address, watch=progress.update)
+    report(outcome, progress, as_json)

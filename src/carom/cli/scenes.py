@@ -1,15 +1,22 @@
-"""`carom scenes` and `carom new`."""
+"""`carom scenes`, `carom new` and `carom explain`: which scenes there are, a new one, and what one models and costs."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.json_output import say_json
-from carom.cli.options import ForceOption
-from carom.scene.wording import command
+from carom.cli.options import ForceOption, JsonOption, SceneArgument, SetOption
+from carom.cli.printing import say_json
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import command, counted
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carom.runs.estimate import Cost, EntityCost, PartCost
+    from carom.scene.schema import Scene
 
 
 def scenes(
@@ -86,3 +93,150 @@ def new(
         raise SceneError(f"{path}: cannot be written: {error.strerror}") from None
     written = " and ".join(str(each) for each in (path, *(path.with_name(file.name) for file in data)))
     typer.echo(f"{written} written. Next: {command('explain', path)}, then {command('run', path)}")
+
+
+def explain(
+    scene: SceneArgument,
+    overrides: SetOption = None,
+    parts: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--model", metavar="PART", help="Switch on a part of the model that the scene does not need. Repeatable."
+        ),
+    ] = None,
+    forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
+    as_json: JsonOption = False,
+) -> None:
+    """Show what parts of the model a scene needs and why, and estimate the cost of the run and the size of its file."""
+    from dataclasses import asdict
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.printing import bytes_text, simulated_text
+    from carom.cli.progress import notes_on, preparing, watch_look_ahead
+    from carom.cli.terminal import LiveLine, Patience
+    from carom.recording.schema.header import ShownMaterials
+    from carom.runs.estimate import estimate
+
+    loaded = _with_parts(scene, list(overrides or []), [*(parts or []), *(forced or [])])
+    announce_compilation()
+    line = LiveLine(quiet=as_json)
+    looks = loaded.time.accuracy is not None and loaded.promise is None
+    with preparing(loaded, line) if looks else Patience("running the scene coarsely …", line) as patience:
+        found = estimate(loaded, watch_look_ahead(loaded, patience))
+    materials, notes = ShownMaterials.of(loaded), notes_on(loaded)
+    if as_json:
+        own = {"title": loaded.title, "bodies": loaded.count, "units": loaded.unit_system.recorded}
+        document = own | asdict(found)
+        if materials:
+            document["materials"] = materials.described
+        if notes:
+            document["notes"] = notes
+        say_json(document)
+        return
+    from carom.cli.printing import materials_table
+    from carom.cli.terminal import Terminal
+
+    console, cost = Terminal(), found.cost
+    console.print(loaded.title, style="bold", end="")
+    console.print(f": {counted(loaded.count, 'body')}, {simulated_text(loaded.time.duration, loaded.unit_system)}\n")
+    for note in notes:
+        console.print(note)
+    if notes:
+        console.print()
+    console.print(_parts(found.parts))
+    if materials:
+        console.print()
+        console.print(materials_table(materials.described))
+    console.print()
+    console.print(_entities(found.entities))
+    seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"
+    console.print(
+        f"\nBy a coarse look at {seen}:\n"
+        f"{_steps(cost, loaded)}\n"
+        f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
+        f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
+        f"{cost.frame_seconds * 1e3:.2g} ms of a thread of its own"
+    )
+    if found.shortfall:
+        console.print(f"\n{found.shortfall}")
+
+
+def _steps(cost: Cost, scene: Scene) -> str:
+    """Say how many steps there will be, what sets them, and what would make them longer."""
+    from carom.cli.printing import count_text, duration_text
+    from carom.physics.diagnostics.run_monitor import remedies_of
+
+    seconds = cost.seconds / cost.steps
+    if cost.looked_until >= scene.time.duration:
+        count = f"  about {count_text(cost.steps)} steps in {duration_text(cost.seconds)}"
+    else:
+        fewest, most, steps = (count_text(n) for n in (cost.fewest_steps, cost.most_steps, cost.steps))
+        count = (
+            f"  {fewest} to {most} steps, by the latest pace {steps}, in "
+            f"{duration_text(cost.fewest_steps * seconds)} to {duration_text(cost.most_steps * seconds)} "
+            f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
+        )
+    shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
+    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none where the integrator's own error sets the step
+    return f"{count}\n  set by: {shares}" + (f"; for fewer steps raise {remedy}" if remedy else "")
+
+
+def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:
+    """Load a scene with parts switched on, besides those that it switches on by itself."""
+    import json
+
+    from carom.errors import SceneError
+    from carom.scene.parts import PARTS, unknown
+    from carom.scene.schema import Scene
+
+    for part in parts:
+        if part not in PARTS:
+            raise SceneError(f"--model {part}: {unknown(part)}")
+    loaded = Scene.load(scene, overrides)
+    if not parts:
+        return loaded
+    return Scene.load(scene, [*overrides, f"model.force={json.dumps([*loaded.model.force, *parts])}"])
+
+
+def _table(first: str, share: str) -> Table:
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False)
+    for header in (first, "", share, "why"):
+        table.add_column(header, justify="right" if header == share else "left", overflow="fold")
+    return table
+
+
+def _parts(parts: list[PartCost]) -> Table:
+    table = _table("part", "time")
+    for part in parts:
+        share = f"in {part.within}" if part.within else _percent(part.share)
+        _add(table, part.name, part.modelled, share, part.why)
+    return table
+
+
+def _entities(entities: list[EntityCost]) -> Table:
+    """Show the entities; those of one folder that are there for the same reason share a row, as do those left out."""
+    from carom.recording.schema.series import ONCE
+
+    rows: dict[tuple[str, str], list[EntityCost]] = {}
+    for entity in entities:
+        folder = "" if entity.why == ONCE else entity.path.rpartition("/")[0]
+        rows.setdefault((folder, entity.why if entity.recorded else ""), []).append(entity)
+    table = _table("recorded", "bytes")
+    for (folder, why), alike in rows.items():
+        names = ", ".join(entity.path.removeprefix(f"{folder}/") for entity in alike)
+        reasons = why or "no " + ", ".join(dict.fromkeys(entity.why.removeprefix("no ") for entity in alike))
+        share = _percent(sum(entity.share or 0.0 for entity in alike) if why else None)
+        _add(table, f"{folder}/{names}" if folder else names, bool(why), share, reasons)
+    return table
+
+
+def _add(table: Table, name: str, is_there: bool, share: str, why: str) -> None:
+    table.add_row(name, "yes" if is_there else "no", share, why, style=None if is_there else "dim")
+
+
+def _percent(share: float | None) -> str:
+    if share is None:
+        return "—"
+    return "<1 %" if 0.0 < share < 0.005 else f"{100 * share:.0f} %"

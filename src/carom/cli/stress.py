@@ -7,16 +7,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carom.cli.json_output import say_json
 from carom.cli.options import SetOption
-from carom.runs.ending import in_words
+from carom.cli.printing import say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from carom.runs.expectation import Verdict
+    from carom.runs.outcome import Verdict
     from carom.runs.stress import Trial
     from carom.scene.schema import Scene
     from carom.scene.units.system import UnitSystem
@@ -65,6 +64,7 @@ def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
     from rich.markup import escape
 
     from carom.cli.terminal import Terminal
+    from carom.runs.overview import in_words
 
     console = Terminal(markup=True)
     if not console.is_terminal:
@@ -89,7 +89,8 @@ def _table(trials: list[Trial]) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    from carom.cli.units import duration_text
+    from carom.cli.printing import duration_text
+    from carom.runs.overview import in_words
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
     for heading in ("extreme", "what is extreme, and its recording"):

@@ -1,34 +1,214 @@
-"""A Rich console for text that came from a file."""
+"""The terminal: a console for text from files, and the lines that report the progress of long work."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+import threading
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 from rich.console import Console, ConsoleOptions, RenderableType
+from rich.live import Live
 from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
+from carom.cli.printing import duration_text
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import UnitSystem
 from carom.scene.wording import escaped
 
+if TYPE_CHECKING:
+    from carom.arrays import FloatArray
+    from carom.physics.simulation import StepStatus
+    from carom.recording.read.recording import Recording
+
+
 WIDEST = 10_000  # characters, of a table that is printed whole
+LINE_EVERY = 5.0  # s between lines where the output is not a terminal
+BAR = 24  # characters
+PATIENCE = 1.0  # s of work before a line names it
 
 
 class Terminal(Console):
-    """Prints text as it is: no markup unless it is asked for, and control characters as escapes."""
+    """A console that prints text as it is: no markup unless requested, and control characters as escapes."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"markup": False, "highlight": False, **options})
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render, and escape what is text."""
+        """Render, with control characters of the text escaped."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(escaped(segment.text), segment.style)
 
 
 def print_whole(table: Table) -> None:
-    """Print a table with all its cells whole, wider than the terminal if they need it."""
+    """Print a table without cutting cells, wider than the terminal if necessary."""
     console = Terminal()
     needed = console.measure(table, options=console.options.update(width=WIDEST)).maximum
     console.width = max(console.width, needed)
     console.print(table)
+
+
+class LiveLine:
+    """A line on stderr, rewritten in place on a terminal and printed every few seconds elsewhere."""
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._console = Terminal(stderr=True, quiet=quiet)
+        self._live: Live | None = None
+        self._began = self._last_line = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        if self._console.is_terminal and not self._console.quiet:
+            self._live = Live(console=self._console, refresh_per_second=8, transient=True)
+            self._live.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        if self._live:
+            self._live.stop()
+            self._live = None
+
+    def say(self, text: str) -> None:
+        """Print a line that stays."""
+        self._console.print(text, soft_wrap=True)
+
+    def _restart(self) -> None:
+        """Count time from now on."""
+        self._began = self._last_line = time.perf_counter()
+
+    def _show(self, line: Callable[[float], str]) -> None:
+        """Show the current line, made by a function of the clock (s)."""
+        now = time.perf_counter()
+        if self._live:
+            self._live.update(Text(line(now)))
+        elif now - self._last_line >= LINE_EVERY:
+            self._last_line = now
+            self.say(line(now))
+
+
+class Patience(LiveLine):
+    """A line on the terminal that names work which takes longer than `PATIENCE`.
+
+    Parameters
+    ----------
+    text
+        The name of the work.
+    beside
+        The line that it replaces.
+    everywhere
+        Whether to print it every `LINE_EVERY` where the output is not a terminal.
+    """
+
+    def __init__(self, text: str, beside: LiveLine, *, everywhere: bool = False) -> None:
+        super().__init__()
+        self._everywhere = everywhere
+        self._console = beside._console  # so that text printed there appears above this line
+        self._text, self._detail = text, ""
+        self._timer = threading.Timer(PATIENCE, self._begin)
+        self._timer.daemon = True
+
+    def __enter__(self) -> Self:
+        self._restart()
+        if (self._console.is_terminal or self._everywhere) and not self._console.quiet:
+            self._timer.start()
+        return self
+
+    def detail(self, text: str) -> None:
+        """Set the text that follows the name of the work."""
+        self._detail = text
+        is_due = time.perf_counter() - self._last_line >= LINE_EVERY
+        if self._everywhere and is_due and not (self._console.is_terminal or self._console.quiet):
+            self._begin()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._timer.cancel()
+        if self._timer.is_alive():
+            self._timer.join()
+        super().__exit__(kind, error, traceback)
+
+    def _begin(self) -> None:
+        if not self._console.is_terminal:
+            self._last_line = time.perf_counter()
+            self.say(str(self._line()))
+            return
+        self._live = Live(console=self._console, refresh_per_second=8, transient=True, get_renderable=self._line)
+        self._live.start()
+
+    def _line(self) -> Text:
+        text = f"{self._text} {self._detail}".strip()
+        return Text(f"{text}  {duration_text(time.perf_counter() - self._began)}")
+
+
+def bar(done: float) -> str:
+    """Draw a fraction from 0 to 1."""
+    full = int(done * BAR)
+    return f"{'━' * full}{'╌' * (BAR - full)}"
+
+
+@contextmanager
+def replaying(recording: Recording) -> Iterator[Callable[[StepStatus], None]]:
+    """Show the progress of a replay if it takes a while; yield the function to call after each frame."""
+    length = float(recording.fingerprints()["time"][-1].as_py()) if recording.frames else 0.0
+
+    def text(status: StepStatus) -> str:
+        return recording.units.text(status.time, TIME, ".5g")
+
+    class Line(LiveLine):
+        def update(self, status: StepStatus) -> None:
+            done = min(1.0, status.time / length) if length else 1.0
+            self._show(lambda now: f"{bar(done)} {done:4.0%}  run again to t = {text(status)}")
+
+    with Line() as line:
+        yield line.update
+
+
+class MovieProgress(LiveLine):
+    """Progress of a movie: pictures made, time for each, and time left."""
+
+    def __init__(self, path: Path, times: FloatArray, units: UnitSystem) -> None:
+        super().__init__()
+        self._path = path
+        self._units = units
+        self._times = times  # s, of the frame that each picture shows
+        self._made = 0
+        self._first: float | None = None  # when the first picture was there: the viewers were starting before
+        self._last = 0.0
+
+    def __enter__(self) -> Self:
+        self._restart()
+        times = self._times
+        frames = len(set(times.tolist()))
+        shown = "" if frames == len(times) else f", of {frames} recorded frames"
+        span = self._units.span(times[0], times[-1], TIME)
+        self.say(f"{self._path}: {len(times)} pictures{shown}, from {span}")
+        return super().__enter__()
+
+    def watched(self, pictures: Iterable[bytes]) -> Iterator[bytes]:
+        """Yield the pictures, and show their number."""
+        for picture in pictures:
+            self._made += 1
+            self._last = time.perf_counter()
+            self._first = self._first or self._last
+            self._show(self._line)
+            yield picture
+
+    def summary(self) -> str:
+        """Describe the number of pictures and the time for each."""
+        return f"{self._made} pictures, rendered in {self._pace():.2g} s each"
+
+    def _pace(self) -> float:
+        """Return the seconds for a picture, without the start of the viewers."""
+        return (self._last - (self._first or self._last)) / max(1, self._made - 1)
+
+    def _line(self, now: float) -> str:
+        left = duration_text(self._pace() * (len(self._times) - self._made)) if self._made > 1 else "?"
+        done = self._made / len(self._times)
+        return f"{bar(done)} {done:4.0%}  picture {self._made} of {len(self._times)}  {left} left"

@@ -1,4 +1,4 @@
-"""`carom view` and `carom picture`: look at a recording."""
+"""Commands that show a recording: `carom view`, `carom picture` and `carom publish`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import RecordingArgument, seconds, simulated
+from carom.cli.options import JsonOption, RecordingArgument, seconds, simulated
+from carom.cli.printing import say, say_json
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
 
 if TYPE_CHECKING:
     from carom.show.request import Request
+
 
 AtOption = Annotated[
     float | None,
@@ -132,7 +135,7 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
     import webbrowser
     from urllib.parse import urlsplit
 
-    from carom.cli.text import say
+    from carom.cli.printing import say
     from carom.recording.read.recording import Recording
     from carom.show.keeper import has_screen
     from carom.show.presentation import asked
@@ -215,7 +218,7 @@ def _simulated(file: Path, at: float | None) -> float | None:
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
     """Say that a plot of velocities takes as long as the run did."""
-    from carom.cli.units import duration_text
+    from carom.cli.printing import duration_text
     from carom.recording.read.recording import Recording
     from carom.show.body_plots import asked_quantities, needs_replay
 
@@ -246,3 +249,37 @@ def pixels_of(size: str) -> tuple[int, int]:
     raise RecordingError(
         f"--size {size}: expected WIDTHxHEIGHT, each from {SMALLEST} to {LARGEST} pixels, such as 1600x1000"
     )
+
+
+def publish(
+    file: RecordingArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder to write. Default: FILE-page, beside FILE."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published before.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve."""
+    import shlex
+    from dataclasses import asdict
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.printing import bytes_text
+    from carom.recording.read.recording import Recording
+    from carom.runs.publish import publish as make
+    from carom.runs.publish import refuse_folder
+
+    recording = Recording.open(file)
+    folder = output or file.with_name(f"{file.stem}-page")
+    refuse_folder(folder, force)
+    announce_compilation()
+    made = make(recording, folder, lambda what: say(f"Writing {what} …", err=True))
+    if as_json:
+        say_json({**asdict(made), "path": str(folder)})
+        return
+    say(f"{folder} written, {bytes_text(made.size)}: {counted(made.moments, 'moment')}.")
+    if made.picture:
+        say(f"Without pictures: {made.picture}", err=True)
+    say("Upload it to any web host. To look at it here, run this and open http://127.0.0.1:8000:")
+    say(f"    python3 -m http.server --bind 127.0.0.1 -d {shlex.quote(str(folder))}")

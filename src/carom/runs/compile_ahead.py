@@ -1,4 +1,4 @@
-"""What the second process compiles, beside the first run on a machine (see `compiling_process`).
+"""What the second process compiles, beside the first run on a machine (see `carom.cli.compiling`).
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
 and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with what a run

@@ -1,16 +1,25 @@
-"""The environment of a run: versions, machine, command."""
+"""The environment of a run: versions, machine, command, and the commit of the working folder.
+
+The commit is read without running any program that the folder configures. The working folder may come from a stranger.
+Git run in it obeys its `.git/config`, which may name programs to run: monitors, hooks, filters, transports. The commit
+is therefore read from the files of the repository. To find out whether tracked files differ from it, Git runs in a
+temporary repository that uses the objects and the index of the folder.
+"""
 
 from __future__ import annotations
 
 import importlib.metadata
+import os
 import platform
 import re
 import shlex
+import subprocess
 import sys
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from carom.runs.revision import git_revision
+from carom.private_folder import temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
 _ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key with one
@@ -63,3 +72,99 @@ def _cpu() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
+
+
+_HASH = re.compile(r"[0-9a-f]{40}|[0-9a-f]{64}")  # SHA-1 or SHA-256
+_BRANCH = re.compile(r"ref: (refs/.+)")
+_LONGEST = 4096  # characters of a file that holds one line
+_TIME = 5  # s, time limit of Git
+_CONFIG = "[core]\nrepositoryformatversion = 0\n"
+_CONFIG_SHA256 = "[core]\nrepositoryformatversion = 1\n[extensions]\nobjectformat = sha256\n"
+_COMPARE = ("diff", "--quiet", "--no-ext-diff", "--no-textconv", "--ignore-submodules=all", "HEAD", "--")
+
+
+@dataclass(frozen=True, slots=True)
+class _Repository:
+    root: Path
+    folder: Path  # HEAD and index of this working tree
+    common: Path  # objects and refs of all working trees
+
+
+def git_revision(folder: Path) -> str:
+    """Return the commit that is checked out in a folder; empty if there is none.
+
+    "-dirty" is appended if tracked files differ from it, "-unchecked" if Git could not tell.
+    """
+    try:
+        repository = _repository_around(folder.resolve())
+        commit = _commit(repository) if repository else ""
+    except (OSError, ValueError):
+        return ""
+    return commit + _changes(repository, commit) if repository and commit else ""
+
+
+def _repository_around(folder: Path) -> _Repository | None:
+    for root in (folder, *folder.parents):
+        git = root / ".git"
+        if git.is_file():  # of a linked working tree or a submodule
+            git = root / _line(git).removeprefix("gitdir: ")
+        if git.is_dir():
+            linked = git / "commondir"
+            return _Repository(root, git, git / _line(linked) if linked.is_file() else git)
+    return None
+
+
+def _commit(repository: _Repository) -> str:
+    head = _line(repository.folder / "HEAD")
+    branch = _BRANCH.fullmatch(head)
+    if branch is None:
+        return head if _HASH.fullmatch(head) else ""
+    loose = repository.common / branch[1]
+    found = _line(loose) if loose.is_file() else _packed(repository.common / "packed-refs", branch[1])
+    return found if _HASH.fullmatch(found) else ""
+
+
+def _packed(path: Path, branch: str) -> str:
+    if not path.is_file():
+        return ""
+    with path.open(encoding="utf-8") as lines:
+        return next((line.split()[0] for line in lines if line.endswith(f" {branch}\n")), "")
+
+
+def _line(path: Path) -> str:
+    if not path.is_file():  # a pipe would never end
+        return ""
+    with path.open(encoding="utf-8") as file:
+        return file.read(_LONGEST).strip()
+
+
+def _changes(repository: _Repository, commit: str) -> str:
+    """Ask Git whether tracked files differ from the commit, in a repository with our own configuration."""
+    try:
+        with temporary_folder() as ours:
+            (ours / "refs").mkdir()
+            (ours / "HEAD").write_text(commit + "\n", encoding="ascii")
+            config = _CONFIG if len(commit) == 40 else _CONFIG_SHA256
+            (ours / "config").write_text(config, encoding="ascii")
+            inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+            borrowed = {
+                "GIT_DIR": str(ours),
+                "GIT_WORK_TREE": str(repository.root),
+                "GIT_INDEX_FILE": str(repository.folder / "index"),
+                "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),
+                "GIT_OPTIONAL_LOCKS": "0",  # and the index is not written
+                "GIT_NO_LAZY_FETCH": "1",
+            }
+            asked = subprocess.run(
+                ["git", *_COMPARE],
+                cwd=repository.root,
+                env=inherited | borrowed,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+                timeout=_TIME,
+                check=False,
+            )
+    except (OSError, subprocess.TimeoutExpired):
+        return "-unchecked"
+    return {0: "", 1: "-dirty"}.get(asked.returncode, "-unchecked")

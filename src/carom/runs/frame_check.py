@@ -24,9 +24,9 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import checkpoints_of, rows_of
 from carom.recording.write.recorder import CheckpointPlan
+from carom.runs.comparison import Mismatch, different, same
 from carom.runs.environment import versions
 from carom.runs.impact_check import ImpactCheck
-from carom.runs.mismatch import Mismatch, different, same
 
 Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
 

@@ -25,7 +25,7 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import chunk_of
 from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest, orientations_at, positions_at
-from carom.runs.mismatch import Mismatch, different, same
+from carom.runs.comparison import Mismatch, different, same
 
 LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
 ROOM = "how many contacts have arrows, and how many impacts the bodies drawn at them"

@@ -1,15 +1,14 @@
-"""An overview of a recording in rows of text, and its moments in words."""
+"""A run or a recording in words: its end, errors, counts and moments, and an overview in rows of text."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from carom.contact_table import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
-from carom.runs.contact_counts import counts_text, overlap_text
-from carom.runs.ending import error_text, in_words
-from carom.scene.units.dimension import ENERGY, TIME
+from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
 
@@ -20,6 +19,60 @@ MOMENTS = {
     "energy_error": "largest integration error at a check, {value:.2e} of the energy scale",
 }
 OF_ENGINES = {"energy_error": "largest change of the energy without contact, {value:.2e} of the energy scale"}
+EACH = "each"  # impacts during the drift of a step
+ONCE_A_STEP = "once a pair and step"  # impacts found at its end
+_DISK = "disk"
+_FAILED = "recording failed"
+
+
+def counts_text(contact_steps: int, impacts: int | None, each: str | None, summed_over: str = "steps") -> str:
+    """Describe the two numbers.
+
+    Parameters
+    ----------
+    contact_steps
+        Pairs that touched, summed over the steps, or over the recorded frames.
+    impacts
+        Contacts that closed faster than the rest speed; None if they were not counted.
+    each
+        How impacts were counted: `EACH`, `ONCE_A_STEP`, or None if unknown.
+    summed_over
+        "steps", or "frames" where nothing but the frames is known, as in a clip.
+    """
+    if summed_over == "frames":
+        return (
+            f"{counted(contact_steps, 'contact')} in the recorded frames (pairs that touch, summed over these frames)"
+        )
+    steps = f"{counted(contact_steps, 'contact-step')} (pairs that touch, summed over steps)"
+    if impacts is None:
+        return steps
+    how = f" (counted {each})" if each not in (None, EACH) else ""
+    return f"{counted(impacts, 'impact')}{how}, {steps}"
+
+
+def overlap_text(deepest: float) -> str:
+    """Describe the deepest overlap over the smaller radius; empty where nothing overlapped but by rounding."""
+    return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > ROUNDED_OVERLAP else ""
+
+
+def in_words(outcome: str) -> str:
+    """Describe a status, with its reason if there is one; ``disk`` means that the recording could not be written."""
+    return _FAILED + outcome.removeprefix(_DISK) if outcome == _DISK or outcome.startswith(f"{_DISK}:") else outcome
+
+
+def error_text(error: float) -> str:
+    """Return a relative error with three digits, or 0."""
+    return f"{error:.2e}" if error else "0"
+
+
+def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
+    """Say whether a run kept its accuracy; for the keys see `carom.runs.run.kept_accuracy`."""
+    until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
+    if "looked" in accuracy:
+        until += f" (the budget of the look ahead ended at t = {units.text(accuracy['looked'], TIME)})"
+    per = f" /{units.unit(TIME)}" if units.unit(TIME) else ""
+    exponent = f"largest Lyapunov exponent over that time {units.shown(accuracy['lyapunov'], RATE):.3g}{per}"
+    return f"{accuracy['requested']:g} kept {until}; {exponent}"
 
 
 @dataclass(frozen=True, slots=True)

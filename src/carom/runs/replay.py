@@ -22,13 +22,12 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.recorder import Recorder
+from carom.runs.comparison import Mismatch, StaticCheck, Value
 from carom.runs.environment import versions
-from carom.runs.expectation import judge
 from carom.runs.frame_check import WORDS_OF_EXTREMES, FrameCheck, is_whole, text_of, told_of
-from carom.runs.mismatch import Mismatch, Value
+from carom.runs.outcome import judge
 from carom.runs.output import claimed_output, refuse_itself, refuse_output
 from carom.runs.run import Watcher, closing_summary, ending_of, header_of, outcome_text
-from carom.runs.static_check import StaticCheck
 from carom.runs.window import checkpoint_before, space_of
 from carom.scene.data.body_sources import changed_files
 from carom.scene.forces import FORCES

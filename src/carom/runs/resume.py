@@ -10,17 +10,18 @@ from pathlib import Path
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.space import Space
+from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.recording.write.whole_file import Claim
-from carom.runs.continued_scene import continued_scene
 from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name, refuse_output
 from carom.runs.replay import replay
 from carom.runs.run import Outcome, Watcher, simulate
 from carom.runs.window import space_of
+from carom.scene.integrators import AUTO
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
@@ -201,3 +202,23 @@ def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
     first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
     now = {f"resumed.{key}": value for key, value in environment(threads).items()}
     return first | now | {"resumed.step": run.step, "resumed.time": run.time}
+
+
+def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:
+    """Return the ``scene`` of a recording with overrides, for a run that goes on from one of its checkpoints.
+
+    Some values of "auto" follow from the duration: the interval between frames, and the integrator of orbits. They stay
+    as they were, unless the overrides set them.
+
+    Raises
+    ------
+    SceneError, RecordingError
+        As `recorded_scene`, or if an override contradicts the integrator.
+    """
+    changed = recorded_scene(recording, overrides)
+    interval, chosen, kept = frame_interval(scene), integrator(scene).name, list(overrides)
+    if changed.record.every == "auto" and frame_interval(changed) != interval:
+        kept.append(f"record.every={scene.unit_system.literal(interval, TIME)}")
+    if changed.time.integrator == AUTO and integrator(changed).name != chosen:
+        kept.append(f"time.integrator={chosen}")
+    return recorded_scene(recording, kept) if len(kept) > len(overrides) else changed

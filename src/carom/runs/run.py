@@ -26,13 +26,11 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember
 from carom.recording.write.recorder import Recorder
 from carom.recording.write.whole_file import Claim
-from carom.runs.closing import closing_of
-from carom.runs.contact_counts import EACH, ONCE_A_STEP
 from carom.runs.environment import environment
-from carom.runs.expectation import Verdict, judge
-from carom.runs.interrupts import Interrupts
-from carom.runs.memory import garbage_sought_seldom
+from carom.runs.outcome import Verdict, closing_of, judge
 from carom.runs.output import claimed_output, default_output, refuse_name
+from carom.runs.overview import EACH, ONCE_A_STEP
+from carom.runs.process_settings import Interrupts, garbage_sought_seldom
 from carom.scene.extensions import extensions_of
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
@@ -61,7 +59,7 @@ class Outcome:
     moments: Extremes = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
     warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
-    impacts_counted: str = EACH  # see `contact_counts`
+    impacts_counted: str = EACH  # `EACH` or `ONCE_A_STEP`
     impacts: RecordedImpacts | None = None  # None: none were to be recorded
     accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was asked for
     begin: float = 0.0  # s, from which on a resumed run was simulated

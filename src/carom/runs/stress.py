@@ -7,7 +7,7 @@ from pathlib import Path
 
 from carom.errors import SceneError
 from carom.physics.diagnostics.extremes import Extreme
-from carom.runs.expectation import Verdict
+from carom.runs.outcome import Verdict
 from carom.runs.run import Outcome, Watcher, recording_space, simulate
 from carom.scene.scene_file import EXTREMES, extreme_scenes
 from carom.scene.schema import Scene

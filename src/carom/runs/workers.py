@@ -24,8 +24,7 @@ from typing import Any, Protocol, Self
 
 from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
-from carom.runs.interrupts import ENDING
-from carom.runs.memory import keep_freed_memory
+from carom.runs.process_settings import ENDING, keep_freed_memory
 
 MOST_DEATHS = 4  # of workers with the same task: then the task is given up
 _START = "from carom.runs.workers import work; work()"

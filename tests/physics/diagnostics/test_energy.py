@@ -16,7 +16,7 @@ from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import TotalMotion
 from carom.physics.space import Space
-from carom.runs.expectation import judge
+from carom.runs.outcome import judge
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Expect
 from carom.scene.wording import Names

@@ -1,10 +1,11 @@
-"""Compares the limits of a scene's [expect] with the measured values of a run."""
+"""What a run achieved: its extremes as closing properties, and the verdicts on the promises in [expect]."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from carom.physics.diagnostics.extremes import Extreme, Extremes
+from carom.recording.schema.header import Scalar
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
@@ -100,3 +101,30 @@ def _or_infinite(error: Extreme | None) -> float:
 
 def _value(extreme: Extreme | None) -> float:
     return extreme.value if extreme else 0.0
+
+
+def closing_of(extremes: Extremes) -> dict[str, Scalar]:
+    """Return the extremes of a run, with bodies and planes by their names, under the dotted keys of `outcome`."""
+    summary: dict[str, Scalar] = {
+        "contacts.total": extremes.total_contacts,
+        "contacts.impacts": extremes.impacts,
+    }
+    if extremes.momentum_error is not None:
+        summary["momentum.max_error"] = extremes.momentum_error.value
+    if extremes.angular_momentum_error is not None:
+        summary["angular_momentum.max_error"] = extremes.angular_momentum_error.value
+    if extremes.energy_error is not None:
+        summary["energy.max_error"] = extremes.energy_error.value
+    summary["energy.reference"] = extremes.energy_scale  # J; the viewer loads no recording with "energy.scale" here
+    summary["energy.contact_gain"] = extremes.contact_gain.value
+    if extremes.overlap is not None:
+        summary["contacts.max_overlap"] = extremes.overlap.value
+    for name in ("energy_error", "impact", "overlap", "contacts"):
+        moment: Extreme | None = getattr(extremes, name)
+        if moment is not None:
+            key = f"moments.{name}"
+            summary |= {f"{key}.value": moment.value, f"{key}.step": moment.step, f"{key}.time": moment.time}
+            summary[f"{key}.bodies"] = ",".join(map(str, moment.bodies))
+            summary[f"{key}.planes"] = ",".join(map(str, moment.planes))
+            summary[f"{key}.between"] = moment.between
+    return summary

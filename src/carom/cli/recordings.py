@@ -1,0 +1,267 @@
+"""Commands that make a file from a recording: `carom clip`, `repair`, `export` and `report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from carom.cli.options import (
+    ForceOption,
+    JsonOption,
+    OptionalTime,
+    OutputOption,
+    RecordingArgument,
+    StepTimeOption,
+    seconds,
+    simulated_or_none,
+)
+from carom.cli.printing import say, say_json
+from carom.scene.units.dimension import TIME
+from carom.scene.wording import counted
+
+if TYPE_CHECKING:
+    from carom.recording.edit.clip import Clip
+    from carom.scene.units.system import UnitSystem
+
+
+def clip(
+    file: RecordingArgument,
+    start: Annotated[
+        OptionalTime, typer.Option("--from", parser=seconds, metavar="T", help="Keep frames from this time on.")
+    ] = None,
+    end: Annotated[
+        OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Keep frames up to this time.")
+    ] = None,
+    around: Annotated[
+        OptionalTime,
+        typer.Option("--around", parser=seconds, metavar="T", help="Keep frames around this time; needs --window."),
+    ] = None,
+    window: Annotated[
+        OptionalTime,
+        typer.Option("--window", parser=seconds, metavar="W", help="Length of time to keep, with --around."),
+    ] = None,
+    bodies: Annotated[
+        str | None,
+        typer.Option(
+            "--bodies",
+            metavar="A,B",
+            help="Show these bodies only, by number or name, and the contacts among them.",
+        ),
+    ] = None,
+    output: OutputOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Cut an interval out of a recording; the clip can be viewed, inspected and replayed like the whole.
+
+    FILE may be the zip that `carom report` made.
+    """
+    from dataclasses import asdict
+
+    from carom.cli.printing import bytes_text
+    from carom.recording.edit.bundle import opened
+    from carom.recording.edit.clip import clip as cut
+    from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_itself, refuse_output
+    from carom.scene.wording import bodies_called, counted
+
+    path = output or file.with_name(f"{file.stem}-clip.rrd")
+    with opened(file) as source:
+        recording = Recording.open(source)
+        units, names = recording.units, recording.bodies.name
+        interval = _interval(units, *(simulated_or_none(time, units) for time in (start, end, around, window)))
+        refuse_itself(path, file)
+        refuse_output(path, force)
+        made = cut(source, path, *interval, bodies=_numbers(source, bodies))
+    if as_json:
+        say_json({"units": units.recorded, **asdict(made), "path": str(made.path)})
+        return
+    shown = "" if made.bodies is None else f", {bodies_called(made.bodies, names)}"
+    say(f"{path} written: {counted(made.frames, 'frame')}, {_reach(made, units)}{shown}, {bytes_text(made.size)}.")
+    if made.replays_from is None:
+        say(f"{file} has no exact state before that time, so the clip cannot be replayed.", err=True)
+
+
+def _reach(made: Clip, units: UnitSystem) -> str:
+    if made.frames == 1:
+        return f"step {made.first_step}, at {units.text(made.start, TIME)}"
+    return f"steps {made.first_step} to {made.last_step}, {units.span(made.start, made.end, TIME)}"
+
+
+def _interval(
+    units: UnitSystem, start: OptionalTime, end: OptionalTime, around: OptionalTime, window: OptionalTime
+) -> tuple[float, float]:
+    """Return the start and the end of the interval, from either pair of options."""
+    from math import inf
+
+    from carom.errors import RecordingError
+
+    if (around is None) != (window is None) or (around is not None and (start is not None or end is not None)):
+        raise RecordingError(
+            "choose what to keep with --from T and --to T (one is enough), or with --around T --window W"
+        )
+    if around is not None and window is not None:
+        if not window >= 0:
+            raise RecordingError(f"--window {units.text(window, TIME)}: the length must not be negative")
+        return around - window / 2, around + window / 2
+    first, last = -inf if start is None else start, inf if end is None else end
+    if not first <= last:
+        asked = f"--from {units.text(first, TIME)} --to {units.text(last, TIME)}"
+        raise RecordingError(f"{asked}: the end is before the start")
+    return first, last
+
+
+def _numbers(file: Path, bodies: str | None) -> list[int] | None:
+    """Find the bodies that are meant, by their numbers or names."""
+    from carom.recording.read.body_lookup import body_number, split_at_commas
+    from carom.recording.read.recording import Recording
+
+    if bodies is None:
+        return None
+    recording = Recording.open(file)
+    return [body_number(recording, part) for part in split_at_commas(bodies, recording.bodies.name)]
+
+
+def repair(
+    file: RecordingArgument,
+    output: OutputOption = None,
+    in_place: Annotated[
+        bool,
+        typer.Option("--in-place", help="Give the repaired file FILE's name and rename the damaged one to FILE.torn."),
+    ] = False,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write what can be read of a damaged recording, or of a run that was killed, to a new file."""
+    from contextlib import nullcontext
+    from dataclasses import asdict
+
+    from carom.errors import RecordingError
+    from carom.recording.edit.repair import repair as mend
+    from carom.recording.edit.repair import units_of
+    from carom.recording.read.recording import Recording
+    from carom.recording.write.whole_file import Claim
+    from carom.runs.output import refuse_output
+
+    path = _path(file, output, in_place)
+    torn = file.with_name(f"{file.name}.torn")
+    if in_place and torn.exists() and not force:
+        raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
+    refuse_output(path, force or in_place)
+    with Claim(file) if in_place else nullcontext():  # a run under way looks like one that was killed
+        done = mend(file, path)
+        if in_place and done.path is not None:
+            file.replace(torn)
+            path.replace(file)
+            path = file
+    units = units_of(Recording.open(file if done.path is None else path))
+    if as_json:
+        say_json({"units": units.recorded, **asdict(done), "path": None if done.path is None else str(path)})
+    elif done.path is None:
+        say(f"{file}: nothing to repair.")
+    else:
+        reach = "no frame"
+        if done.end is not None:
+            reach = f"{counted(done.frames, 'frame')}, to t = {units.text(done.end, TIME)}"
+        say(f"{path} written: {reach}; new: {', '.join(done.added)}.")
+        for piece in done.lost:
+            say(f"lost: {piece}")
+
+
+def _path(file: Path, output: Path | None, in_place: bool) -> Path:
+    from carom.errors import RecordingError
+
+    if in_place and output is not None:
+        raise RecordingError("give --in-place or -o, not both")
+    if in_place:
+        return file.with_name(f".{file.stem}.repaired.rrd")
+    path = output or file.with_name(f"{file.stem}-repaired.rrd")
+    if path.exists() and file.exists() and path.samefile(file):
+        raise RecordingError(f"{path} is the damaged recording itself; choose another file or give --in-place")
+    return path
+
+
+def export(
+    file: RecordingArgument,
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet, .csv, .npz, .vtk or .extxyz."),
+    ],
+    at: StepTimeOption = None,
+    everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
+    force: ForceOption = False,
+) -> None:
+    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, those that it shows.
+
+    States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
+    """
+    from carom.cli.terminal import replaying
+    from carom.errors import RecordingError
+    from carom.recording.edit.bundle import opened
+    from carom.recording.export.export import VTK, refuse_format, refuse_series, series_of, snapshots, write
+    from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_output
+
+    refuse_format(output)
+    if everything and at is not None:
+        raise RecordingError("give --at or --all, not both")
+    if everything and output.suffix == VTK:
+        refuse_output(series_of(output)[0], force)
+        refuse_series(output, force)
+    else:
+        refuse_output(output, force)
+    with opened(file) as path:
+        recording = Recording.open(path)
+        recording.refuse_overlay()
+        with replaying(recording) as watch:
+            at = simulated_or_none(at, recording.units)
+            steps, when = snapshots(recording, at, everything=everything, watch=watch), ""
+            if not everything:  # a moment stands for the end of its step
+                one = next(steps)
+                steps, when = iter([one]), f", t = {recording.units.text(one.state.time, TIME, '.9g')}"
+            written, count = write(output, steps, everything)
+        bodies = len(recording.shown)
+    say(f"{written} written: {counted(count, 'step')} of {counted(bodies, 'body')}{when}.")
+
+
+def report(
+    file: RecordingArgument,
+    at: Annotated[
+        float | None,
+        typer.Option(
+            "--at", parser=seconds, metavar="T", help="Simulated time to report. Default: the worst moment of the run."
+        ),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="ZIP", help="Zip to write. Default: FILE-report.zip.")
+    ] = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Pack a bug report into a zip of less than 10 MB: clip, scene, picture, versions and a summary to paste."""
+    from dataclasses import asdict
+
+    from carom.cli.compiling import announce_compilation
+    from carom.cli.printing import bytes_text
+    from carom.recording.read.recording import Recording
+    from carom.runs.output import refuse_output
+    from carom.runs.report import report as make
+
+    recording = Recording.open(file)
+    path = output or file.with_name(f"{file.stem}-report.zip")
+    refuse_output(path, force)
+    announce_compilation()
+    made = make(recording, path, simulated_or_none(at, recording.units))
+    if as_json:
+        say_json({"units": recording.units.recorded, **asdict(made), "path": str(path)})
+        return
+    when = recording.units.text(made.time, TIME, ".9g")
+    say(f"{path} written, {bytes_text(made.size)}: {counted(made.frames, 'frame')} around t = {when},")
+    say(f"{made.why.splitlines()[0]}.")
+    say(made.replayed.replace("**", ""))
+    if made.picture:
+        say(f"Without a picture: {made.picture}", err=True)
+    accepts = "" if not made.replays else "; `carom replay` accepts the zip"
+    say(f"Paste its README.md into an issue and attach the zip{accepts}.")
