@@ -15,6 +15,8 @@ from numba.core.dispatcher import Dispatcher
 
 import carom
 
+OF_PACKAGES = {"kernel_forces._add", "kernel_forces._energy"}  # compiled for the forces of each package that has any
+
 
 def kernels() -> set[str]:
     """All functions of carom that Numba compiles on their own, by module and name."""
@@ -41,8 +43,9 @@ def test_after_a_warmup_nothing_is_left_to_compile_but_what_is_damaged(tmp_path:
     assert warmth["compiled"] > 50 and warmth["seconds"] > 0.0
     assert Path(warmth["cache"]).is_relative_to(cache)
     cached = {path.name.split("-")[0] for path in cache.rglob("*.nbc")}
-    needed = {".".join(name.split(".")[-2:]) for name in kernels()}
-    assert len(needed) > 50 and not needed - cached
+    needed = {".".join(name.split(".")[-2:]) for name in kernels()} - OF_PACKAGES
+    missing = needed - cached
+    assert len(needed) > 50 and missing == set()
     assert warmup(cache).startswith("0 kernels compiled in ")
     files = sorted(cache.rglob("*.nbc"))
     damaged = files[:: len(files) // 10]

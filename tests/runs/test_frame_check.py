@@ -43,6 +43,8 @@ def nudged(row: list[Any]) -> list[Any]:
     if isinstance(row[0], str):
         return [f"{row[0]}!", *row[1:]]
     if isinstance(row[0], float):
+        if math.isnan(row[0]):
+            return [0.0, *row[1:]]
         return [float(np.nextafter(np.float32(row[0]), np.float32(math.inf))), *row[1:]]
     return [row[0] ^ 1, *row[1:]]
 

@@ -86,7 +86,7 @@ class FrameCheck:
         references = {name: float(value) for name, value in recording.arrow_references.items()}
         header = header if recording.records_contacts else replace(header, record_impacts="none")
         self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
-        self._arrows = references.keys()
+        self._arrows = references
         self._steps, self._begin, self.all_frames = steps, begin, all_frames
         self._first_step = int(recording.fingerprints()[STEP][0].as_py())  # has at least one frame
         self._shown, self._n = recording.shown, header.bodies
@@ -141,8 +141,15 @@ class FrameCheck:
     def missing(self, is_end: bool) -> Mismatch | None:
         """Find a checkpoint or a reference that is missing, once all frames are found to be the same."""
         last = int(self._steps[-1])
-        unknown = sorted(self._encoder.arrow_references.keys() - self._arrows)  # recorded ones are used as they are
+        chosen = self._encoder.arrow_references.chosen
+        unknown = sorted(chosen.keys() - self._arrows.keys())
         self.skipped |= {f"{name} of the property arrows, which is not there": None for name in unknown}
+        # only the whole run has the frames that chose them; a part of it uses those that are recorded
+        for name in sorted(chosen.keys() & self._arrows.keys()) if self._whole else ():
+            if self._arrows[name] != chosen[name]:
+                if self._same_words:
+                    return Mismatch(last, f"{name} of the property arrows", self._arrows[name], chosen[name])
+                self.skipped[f"{name} of the property arrows, which is another"] = None
         # at the end the last frame has a checkpoint; before it, a later warning may add one
         if self._plan is None:
             self.skipped[_KEPT] = None

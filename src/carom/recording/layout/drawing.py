@@ -24,6 +24,7 @@ negative numbers.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -95,6 +96,25 @@ def magnitudes(vectors: FloatArray) -> FloatArray:
 def reference(magnitude: FloatArray, natural_unit: float) -> float:
     """Choose m_ref from the first magnitudes: their median, unless they are rounding noise."""
     return max(float(np.median(magnitude)), _ROUND_OFF * natural_unit, np.finfo(np.float64).tiny)
+
+
+class References(dict[str, float]):
+    """Magnitudes m_ref by name; those that are not given are chosen by the first frame that has something to draw.
+
+    Attributes
+    ----------
+    chosen
+        What the frames choose, also where something else was given.
+    """
+
+    def __init__(self, given: Mapping[str, float]) -> None:
+        super().__init__(given)
+        self.chosen: dict[str, float] = {}
+
+    def choose(self, name: str, magnitude: float) -> None:
+        """Use a magnitude, unless one was given."""
+        self.chosen[name] = magnitude
+        self.setdefault(name, magnitude)
 
 
 _REACH = {  # L_max in median body radii

@@ -195,7 +195,7 @@ class ContactEncoder:
         self,
         header: Header,
         origin: FloatArray,
-        references: dict[str, float],
+        references: drawing.References,
         before: RecordedImpacts,
         *,
         everything: bool,
@@ -278,15 +278,15 @@ class ContactEncoder:
 
     def _look(self, frame: Frame) -> None:
         """Choose references by the first frame that has something to draw."""
-        references, rows = self._references, frame.impacts
-        if rows is not None and len(rows) and not (IMPACTS in references and IMPACT_ENERGY in references):
-            if IMPACTS not in references:
+        chosen, rows = self._references.chosen, frame.impacts
+        if rows is not None and len(rows) and not (IMPACTS in chosen and IMPACT_ENERGY in chosen):
+            if IMPACTS not in chosen:
                 self._refer(IMPACTS, rows["normal_impulse"])
-            if IMPACT_ENERGY not in references:
+            if IMPACT_ENERGY not in chosen:
                 lost = rows["restitution_loss"] + rows["friction_loss"]
                 self._refer(IMPACT_ENERGY, lost[lost > _ROUND_OFF * rows["normal_impulse"] * rows["approach_speed"]])
 
     def _refer(self, name: str, values: FloatArray) -> None:
         positive = values[values > 0.0]
         if len(positive):
-            self._references[name] = max(float(np.median(positive)), np.finfo(np.float64).tiny)
+            self._references.choose(name, max(float(np.median(positive)), np.finfo(np.float64).tiny))

@@ -83,7 +83,7 @@ class BatchEncoder:
     ) -> None:
         self.header = header
         self.origin = origin
-        self.arrow_references = dict(arrow_references or {})
+        self.arrow_references = drawing.References(arrow_references or {})
         self._last_state = dict(last_state or {})
         self._recorded = tuple(recorded(header))
         self.curves = {series.path: CurveOutline() for series in self._recorded}
@@ -204,8 +204,8 @@ class BatchEncoder:
     def _speed_colours(self, batch: Sequence[Frame]) -> NDArray[np.uint32]:
         mass = self.header.mass
         speeds = [colouring.speeds(frame.velocity, mass) for frame in batch]
-        if SPEED not in self.arrow_references:
-            self.arrow_references[SPEED] = float(np.median(speeds[0]))
+        if SPEED not in self.arrow_references.chosen:
+            self.arrow_references.choose(SPEED, float(np.median(speeds[0])))
         return np.concatenate([colouring.speed_colours(each, self.arrow_references[SPEED]) for each in speeds])
 
     def _arrows(
@@ -233,10 +233,10 @@ class BatchEncoder:
     ) -> Rows:
         """Arrows of one kind: ``each`` frame's bodies follow each other in ``body``, with their torques' magnitudes."""
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
-        if len(body) and path not in self.arrow_references:
+        if len(body) and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
             first = magnitude[: each[k]] / inertia[body[: each[k]]]
-            self.arrow_references[path] = drawing.reference(first, self._natural_unit(path, batch[k]))
+            self.arrow_references.choose(path, drawing.reference(first, self._natural_unit(path, batch[k])))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
         origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
         encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)

@@ -202,7 +202,7 @@ class Recorder:
         self._plan = CheckpointPlan(every_frame=header.exact)
         self._addresses = AddressReserve(header.bodies)
         self._encoder: BatchEncoder | None = None
-        self._references: dict[str, float] = {}  # as last sent
+        self._references: set[str] = set()  # names of the magnitudes sent so far
         self._camera_fit: CameraFit | None = None
         self._laid_out = False
         self._looked = 0  # frames when the camera last took one into account
@@ -313,9 +313,10 @@ class Recorder:
         for part in _unbroken(batch):
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
-        if encoder.arrow_references != self._references:  # sent now, so that a killed run has them too
-            self._references = dict(encoder.arrow_references)
-            self._stream.send_property("arrows", self._references)
+        known = encoder.arrow_references
+        # sent now, so that a killed run has them too
+        self._stream.send_property("arrows", {name: known[name] for name in known if name not in self._references})
+        self._references = set(known)
         kept = self._plan.chosen(batch)
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
