@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.contact_table import CONTACT_ROW
 from carom.event import Event
 from carom.physics.aligned import Buffer
@@ -19,15 +18,6 @@ from carom.physics.contact.constraint_graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint_of
 from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
-from carom.physics.jit.decorators import kernel
-from carom.physics.jit.intrinsics import pointer_to
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Rows = NDArray[np.void]
-
-_SOURCE, _ROOM, _COUNT = range(3)  # columns of the table of a `FrameStore`
-_reals = pointer_to(types.float64)
 
 
 class FrameStore:
@@ -56,29 +46,7 @@ class FrameStore:
         self.angular_velocity = np.zeros((slots, *bodies.angular_velocity.shape))
         self.torque = np.zeros((slots, *bodies.torque.shape))
         self.angular_acceleration = np.zeros((slots, *bodies.torque.shape))
-        self.contact_rows = [Buffer(CONTACT_ROW) for _ in range(slots)]
-        self._bodies = bodies  # kept as long as the addresses of its arrays
-        pairs = zip(_arrays(bodies), self._rooms(), strict=True)
-        self._table = np.array([(array.ctypes.data, room.ctypes.data, array.size) for array, room in pairs])
-        self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
-        self._next = 0
-
-    def keep(self) -> int:
-        """Copy the arrays of the bodies into the next slot once it is free; return its number."""
-        self._until_free()
-        slot, self._next = self._next, (self._next + 1) % self.slots
-        _copy(self._table, slot)
-        return slot
-
-    def kept(self, slot: int) -> tuple[FloatArray, ...]:
-        """Return the arrays of a slot, in the order of the attributes."""
-        views = self._views[slot]
-        if views is None:
-            views = self._views[slot] = tuple(room[slot] for room in self._rooms())
-        return views
-
-    def _rooms(self) -> tuple[FloatArray, ...]:
-        return (
+        self._buffers = (
             self.position,
             self.velocity,
             self.acceleration,
@@ -87,6 +55,25 @@ class FrameStore:
             self.torque,
             self.angular_acceleration,
         )
+        self.contact_rows = [Buffer(CONTACT_ROW) for _ in range(slots)]
+        self._bodies = bodies
+        self._views: list[tuple[FloatArray, ...] | None] = [None] * slots
+        self._next = 0
+
+    def keep(self) -> int:
+        """Copy the arrays of the bodies into the next slot once it is free; return its number."""
+        self._until_free()
+        slot, self._next = self._next, (self._next + 1) % self.slots
+        for array, buffer in zip(_arrays(self._bodies), self._buffers, strict=True):
+            buffer[slot] = array
+        return slot
+
+    def kept(self, slot: int) -> tuple[FloatArray, ...]:
+        """Return the arrays of a slot, in the order of the attributes."""
+        views = self._views[slot]
+        if views is None:
+            views = self._views[slot] = tuple(buffer[slot] for buffer in self._buffers)
+        return views
 
 
 def _arrays(bodies: Bodies) -> tuple[FloatArray, ...]:
@@ -99,17 +86,6 @@ def _arrays(bodies: Bodies) -> tuple[FloatArray, ...]:
         bodies.torque,
         bodies.angular_acceleration,
     )
-
-
-@kernel
-def _copy(table: IntArray, slot: int) -> None:
-    """Copy arrays into a slot, given the address of each, that of its room, and its count of numbers."""
-    for k in range(len(table)):
-        count = table[k, _COUNT]
-        source = carray(_reals(table[k, _SOURCE]), count)
-        room = carray(_reals(table[k, _ROOM] + 8 * count * slot), count)
-        for i in range(count):
-            room[i] = source[i]
 
 
 def copies(bodies: Bodies) -> tuple[FloatArray, ...]:
@@ -150,9 +126,9 @@ class Frame:
     angular_momentum_error: float | None = None  # likewise; also None in a periodic box, which does not conserve it
     integrator: IntegratorCheckpoint | None = None  # state that its next step needs; None if it needs none
     slot: int | None = None  # of its arrays in a `FrameStore`; None if it owns them
-    impacts: Rows | None = None  # (k,) `CONTACT_ROW`, those since the frame before, in order of time; None: not asked
+    impacts: Records | None = None  # (k,) `CONTACT_ROW`, since the frame before, in order of time; None: not asked for
     impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
-    contact_rows: Rows | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
+    contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
     expected_error: float = 0.0  # of positions over the size of the system; 0 where no accuracy is asked for
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW
@@ -74,34 +75,13 @@ def test_edges_to_a_plane_end_at_the_foot_of_the_perpendicular() -> None:
     assert strips[0].tolist() == [0, 0, 0.75, 0, 0, 0]
 
 
-def located(pairs: Any, normals: Any, overlaps: Any, colours: Any) -> NDArray[np.int64]:
-    """Return where the contacts of one frame lie, as long as these arrays exist."""
-    found, none = np.empty((1, 6), dtype=np.int64), np.empty(0, CONTACT_ROW)
-    encoding.locate(pairs, normals, overlaps, colours, none, none, found[0])
-    return found
-
-
-def draw_edges(
-    pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0
-) -> FloatArray:
-    """Draw the contacts of one frame, with normals straight down where they matter; return the deepest overlaps."""
-    down = np.tile([0.0, 0.0, -1.0], (len(pairs), 1))
-    deepest = np.empty((1, 2))
-    arrays = pairs, down, np.full(len(pairs), overlap), np.asarray(stages)
+def draw_edges(pairs: Any, stages: Any, points: Any, box: Any, strips: Any, colours: Any, overlap: float = 0.0) -> None:
+    """Draw the contacts of one frame, with normals straight down where they matter."""
+    down, none = np.tile([0.0, 0.0, -1.0], (len(pairs), 1)), np.empty(0, CONTACT_ROW)
+    contacts = encoding.FrameContacts(pairs, down, np.full(len(pairs), overlap), np.asarray(stages), none, none)
     encoding.draw_edges(
-        located(*arrays),
-        np.array([len(pairs)]),
-        points[None],
-        np.ones(len(points)),
-        box,
-        np.array(palette.STAGES, dtype=np.uint32),
-        palette.SERIAL_STAGE,
-        np.uint32(palette.WHITE),
-        strips,
-        colours,
-        deepest,
+        contacts, points, np.ones(len(points)), box, palette.STAGE_COLOURS, strips, colours, np.empty(3)
     )
-    return deepest
 
 
 def test_positions_far_from_the_origin_keep_their_differences() -> None:
@@ -111,21 +91,21 @@ def test_positions_far_from_the_origin_keep_their_differences() -> None:
     assert points[0, :, 0].tolist() == [0.0, 0.25]
 
 
-def test_the_deepest_overlap_of_each_frame_counts_against_the_smaller_radius() -> None:
-    pairs, overlaps = np.array([[0, 1], [1, 2]]), np.array([0.2, 0.1])
-    deepest = np.empty((3, 2))
-    arrays = pairs, np.zeros((2, 3)), overlaps, np.zeros(2, dtype=np.int64)
-    encoding.draw_edges(
-        np.repeat(located(*arrays), 3, axis=0),
-        np.array([2, 0, 0]),
-        np.zeros((3, 3, 3), dtype=np.float32),
-        np.array([2.0, 1.0, 0.1]),
-        np.zeros(3),
-        np.array(palette.STAGES, dtype=np.uint32),
-        palette.SERIAL_STAGE,
-        np.uint32(palette.WHITE),
-        np.empty((2, 6), dtype=np.float32),
-        np.empty(2, dtype=np.uint32),
-        deepest,
-    )
-    assert deepest.tolist() == [[0.2, 1.0], [0.0, 0.0], [0.0, 0.0]]
+def test_the_deepest_overlap_counts_against_the_smaller_radius() -> None:
+    points, radius, none = np.zeros((3, 3), dtype=np.float32), np.array([2.0, 1.0, 0.1]), np.empty(0, CONTACT_ROW)
+    for count, expected in ((2, [0.2, 1.0, 1.0]), (0, [0.0, 0.0, 0.0])):
+        pairs, overlaps = np.array([[0, 1], [1, 2]])[:count], np.array([0.2, 0.1])[:count]
+        extremes, strips, colours = np.empty(3), np.empty((count, 6), np.float32), np.empty(count, np.uint32)
+        stages = np.zeros(count, dtype=np.int64)
+        contacts = encoding.FrameContacts(pairs, np.zeros((count, 3)), overlaps, stages, none, none)
+        encoding.draw_edges(contacts, points, radius, np.zeros(3), palette.STAGE_COLOURS, strips, colours, extremes)
+        assert extremes.tolist() == expected
+
+
+@pytest.mark.parametrize("count", [0, 1, 3, 5])
+def test_the_strongest_rows_are_picked_in_their_order_the_first_of_equal_ones(count: int) -> None:
+    rows, chosen, picked = np.zeros(5, CONTACT_ROW), np.empty(count, dtype=np.int64), np.empty(count, CONTACT_ROW)
+    rows["normal_impulse"] = impulses = np.array([1.0, 3.0, 2.0, 3.0, 2.0])
+    encoding.pick_strongest(rows, np.empty(5), chosen, picked)
+    assert chosen.tolist() == sorted(np.argsort(-impulses, kind="stable")[:count].tolist())
+    assert np.array_equal(picked, rows[chosen])

@@ -40,6 +40,7 @@ PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # of plots, in the vie
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
 SERIAL_STAGE = 64  # contacts beyond this many colours are solved serially, last; drawn white
+STAGE_COLOURS = np.array([*itertools.islice(itertools.cycle(STAGES), SERIAL_STAGE), WHITE], dtype=np.uint32)
 
 NAMED = {
     "orange": ORANGE,

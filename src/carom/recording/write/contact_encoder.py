@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import rerun as rr
-from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, IntArray, Records, SingleArray
@@ -21,6 +20,7 @@ from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACTS
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, orientations_at, positions_at
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, frame_rows, vector_column
 
@@ -30,56 +30,56 @@ class BatchContacts:
 
     Attributes
     ----------
-    addresses
-        (frames, 6), see `encoding_kernels.locate`.
+    frames
+        The arrays of each frame.
     edges, contacts, impacts
         (frames,) how many edges of the graph, `CONTACT_ROW` of contacts and of impacts each frame has.
     """
 
     def __init__(self, batch: Sequence[Frame]) -> None:
-        self.addresses = np.empty((len(batch), 6), dtype=np.int64)
-        self._arrays = [_contiguous(frame) for frame in batch]  # kept as long as their addresses
-        for arrays, addresses in zip(self._arrays, self.addresses, strict=True):
-            pairs, normals, overlaps, colours, rows, impacts = arrays
-            encoding.locate(pairs, normals, overlaps, colours, rows, impacts, addresses)
-        counts = [(len(pairs), len(rows), len(impacts)) for pairs, *_, rows, impacts in self._arrays]
+        self.frames = [_contacts_of(frame) for frame in batch]
+        counts = [(len(frame.pairs), len(frame.rows), len(frame.impacts)) for frame in self.frames]
         self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
+
+    def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice]]:
+        """Yield each frame's arrays, and its part of an array to which the frames contribute so many elements each."""
+        ends = np.cumsum(each).tolist()
+        return zip(self.frames, map(slice, [0, *ends[:-1]], ends), strict=True)
 
     def middles(self) -> FloatArray:
         """Return the middle of each frame's scale in N s, (frames,): the median of its impulses that are not zero."""
-        middle = np.empty(len(self.contacts))
-        encoding.middles(self.addresses, self.contacts, np.empty(self.contacts.max()), middle)
-        return middle
+        scratch = np.empty(self.contacts.max())
+        return np.array([encoding.middle_of(frame.rows, scratch) for frame in self.frames])
 
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts of the largest normal impulses in order of time, and which of each frame they are.
 
         Of equal ones these are the first. ``counts`` says how many of each frame, (frames,).
         """
-        return self._strongest(encoding.IMPACTS, self.impacts, counts)
+        return self._strongest([frame.impacts for frame in self.frames], self.impacts, counts)
 
     def strongest_contacts(self, counts: IntArray) -> Records:
         """Return the contacts of the largest normal impulses of each frame, the largest first; of equal ones the first.
 
         ``counts`` says how many of each frame, (frames,).
         """
-        rows, _ = self._strongest(encoding.ROWS, self.contacts, counts)
+        rows, _ = self._strongest([frame.rows for frame in self.frames], self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
 
-    def _strongest(self, column: int, each: IntArray, counts: IntArray) -> tuple[Records, IntArray]:
-        total = int(counts.sum())
-        chosen, rows = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
-        encoding.pick_strongest(self.addresses, column, each, counts, np.empty(each.max()), chosen)
-        encoding.gather(self.addresses, column, counts, chosen, rows)
-        return rows, chosen
+    def _strongest(self, rows: Sequence[Records], each: IntArray, counts: IntArray) -> tuple[Records, IntArray]:
+        total, scratch = int(counts.sum()), np.empty(each.max())
+        chosen, strongest = np.empty(total, dtype=np.int64), np.empty(total, CONTACT_ROW)
+        for of_frame, (_, part) in zip(rows, self.parts(counts), strict=True):
+            encoding.pick_strongest(of_frame, scratch, chosen[part], strongest[part])
+        return strongest, chosen
 
 
-def _contiguous(frame: Frame) -> tuple[NDArray[Any], ...]:
+def _contacts_of(frame: Frame) -> FrameContacts:
     graph = frame.contacts
     rows = NO_ROWS if frame.contact_rows is None else frame.contact_rows
     impacts = NO_ROWS if frame.impacts is None else frame.impacts
     arrays = graph.pairs, graph.normals, graph.overlaps, graph.colours, rows, impacts
-    return tuple(map(np.ascontiguousarray, arrays))
+    return FrameContacts._make(map(np.ascontiguousarray, arrays))
 
 
 def contact_columns(
@@ -96,29 +96,28 @@ def contact_columns(
     radius
         (n,) m.
     """
-    edges = contacts.edges
+    edges, widths = contacts.edges, drawing.edge_radii(radius)
     count = int(edges.sum())
-    ends, mode = np.empty((count, 2), dtype=np.uint32), np.empty(count, dtype=np.uint8)
-    impulses = np.empty((2, count), dtype=np.float32)
-    colour, width = np.empty(count, dtype=np.uint32), np.empty(count, dtype=np.float32)
-    encoding.write_contacts(
-        contacts.addresses,
-        edges,
-        contacts.contacts,
-        middle,
-        drawing.COLOURS,
-        drawing.edge_radii(radius),
-        *(ends, impulses[0], impulses[1], mode, colour, width),
+    values = EdgeColumns(
+        bodies=np.empty((count, 2), dtype=np.uint32),
+        normal_impulse=np.empty(count, dtype=np.float32),
+        tangential_impulse=np.empty(count, dtype=np.float32),
+        mode=np.empty(count, dtype=np.uint8),
+        colour=np.empty(count, dtype=np.uint32),
+        width=np.empty(count, dtype=np.float32),
     )
+    for (frame, part), unit in zip(contacts.parts(edges), middle.tolist(), strict=True):
+        of_frame = EdgeColumns._make(column[part] for column in values)
+        encoding.write_contacts(frame.pairs, frame.rows, unit, drawing.COLOURS, widths, of_frame)
     columns: list[ComponentColumn] = [
-        any_column("bodies", ends.ravel(), 2 * edges),
-        any_column("normal_impulse", impulses[0], edges),
-        any_column("tangential_impulse", impulses[1], edges),
-        any_column("mode", mode, edges),
-        any_column("impulse_colour", colour, edges),
-        any_column("impulse_width", width, edges),
+        any_column("bodies", values.bodies.ravel(), 2 * edges),
+        any_column("normal_impulse", values.normal_impulse, edges),
+        any_column("tangential_impulse", values.tangential_impulse, edges),
+        any_column("mode", values.mode, edges),
+        any_column("impulse_colour", values.colour, edges),
+        any_column("impulse_width", values.width, edges),
     ]
-    return columns, array_bytes(ends, impulses, mode, colour, width)
+    return columns, array_bytes(*values)
 
 
 def force_rows(

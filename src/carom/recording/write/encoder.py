@@ -267,19 +267,11 @@ class BatchEncoder:
         contacts = BatchContacts(batch)
         count = int(contacts.edges.sum())
         strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
-        encoding.draw_edges(
-            contacts.addresses,
-            contacts.edges,
-            points,
-            self.header.radius,
-            self._box,
-            np.array(palette.STAGES, dtype=np.uint32),
-            palette.SERIAL_STAGE,
-            np.uint32(palette.WHITE),
-            strips,
-            shown,
-            extremes,
-        )
+        for f, (frame, part) in enumerate(contacts.parts(contacts.edges)):
+            encoding.draw_edges(
+                *(frame, points[f], self.header.radius, self._box, palette.STAGE_COLOURS),
+                *(strips[part], shown[part], extremes[f]),
+            )
         columns: list[ComponentColumn] = [
             line_column(strips, contacts.edges),
             plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),

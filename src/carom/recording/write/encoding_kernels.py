@@ -1,51 +1,44 @@
 """Loops over the bodies and contacts of a batch of frames that turn float64 state into the float32 that is drawn.
 
-They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. One
-call handles a whole batch: a call for every frame takes the lock so often that it costs twice the work itself.
+They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. Those
+over bodies handle a whole batch at a time and release the lock. Those over contacts handle a frame, whose arrays lie
+where the physics made them, and keep the lock: they take microseconds, and waiting for the lock takes longer.
 """
 
 from __future__ import annotations
 
-import numba
+from typing import NamedTuple
+
 import numpy as np
-from numba import carray, types  # type: ignore[attr-defined]
 from numpy.typing import NDArray
 
-from carom.contact_table import CONTACT_ROW
+from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
-from carom.physics.jit.intrinsics import pointer_to
 from carom.recording.layout.drawing import part_of_longest
-
-FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]
-IntArray = NDArray[np.int64]
-ColourArray = NDArray[np.uint32]
-
-PAIRS, NORMALS, OVERLAPS, COLOURS, ROWS, IMPACTS = range(6)  # columns of `locate`
-
-_reals, _integers = pointer_to(types.float64), pointer_to(types.int64)
-_records = pointer_to(numba.from_dtype(CONTACT_ROW))
 
 _part_of_longest = inline(part_of_longest)  # the same function, compiled: NumPy takes the other for arrays
 
 
-@kernel
-def locate(
-    pairs: IntArray,
-    normals: FloatArray,
-    overlaps: FloatArray,
-    colours: IntArray,
-    rows: NDArray[np.void],
-    impacts: NDArray[np.void],
-    addresses: IntArray,
-) -> None:
-    """Write where the contacts of a frame lie, (6,): a batch need not copy them together, which is megabytes.
+class FrameContacts(NamedTuple):
+    """The edges of the collision graph of a frame, its contacts and its impacts."""
 
-    The arrays are contiguous and must be kept as long as the addresses are used.
-    """
-    addresses[PAIRS], addresses[NORMALS] = pairs.ctypes.data, normals.ctypes.data
-    addresses[OVERLAPS], addresses[COLOURS] = overlaps.ctypes.data, colours.ctypes.data
-    addresses[ROWS], addresses[IMPACTS] = rows.ctypes.data, impacts.ctypes.data
+    pairs: IntArray  # (m, 2)
+    normals: FloatArray  # (m, 3)
+    overlaps: FloatArray  # (m,) m
+    colours: IntArray  # (m,)
+    rows: Records  # (k,) `CONTACT_ROW`, sorted by pair
+    impacts: Records  # (l,) `CONTACT_ROW`, in order of time
+
+
+class EdgeColumns(NamedTuple):
+    """A value for each edge."""
+
+    bodies: NDArray[np.uint32]  # (m, 2)
+    normal_impulse: SingleArray
+    tangential_impulse: SingleArray
+    mode: NDArray[np.uint8]
+    colour: ColourArray
+    width: SingleArray
 
 
 @long_kernel
@@ -125,16 +118,13 @@ def draw_arrows(
             c += 1
 
 
-@long_kernel
+@kernel
 def draw_edges(
-    addresses: IntArray,
-    each: IntArray,
+    contacts: FrameContacts,
     points: SingleArray,
     radius: FloatArray,
     box: FloatArray,
-    cycle: ColourArray,
-    serial: int,
-    serial_colour: np.uint32,
+    stages: ColourArray,
     strips: SingleArray,
     drawn: ColourArray,
     extremes: FloatArray,
@@ -145,106 +135,82 @@ def draw_edges(
 
     Parameters
     ----------
-    addresses, each
-        (frames, 6) where the contacts of each frame lie, and (frames,) how many it has.
+    stages
+        The colour of each stage; the last is that of all later ones.
     extremes
-        (frames, 3), overwritten: the deepest overlap in m, the deepest over the smaller radius, and the number of
-        colours.
+        (3,), overwritten: the deepest overlap in m, the deepest over the smaller radius, and the number of colours.
     """
-    c = 0
-    for f in range(len(each)):
-        deepest, deepest_share, most = 0.0, 0.0, -1
-        at, m = addresses[f], each[f]
-        pairs, normals = carray(_integers(at[PAIRS]), (m, 2)), carray(_reals(at[NORMALS]), (m, 3))
-        overlaps, colours = carray(_reals(at[OVERLAPS]), m), carray(_integers(at[COLOURS]), m)
-        for e in range(m):
-            i, j = pairs[e, 0], pairs[e, 1]
-            smaller = radius[i]
+    deepest, deepest_share, most = 0.0, 0.0, -1
+    pairs, normals, overlaps, colours = contacts.pairs, contacts.normals, contacts.overlaps, contacts.colours
+    for e in range(len(pairs)):
+        i, j = pairs[e, 0], pairs[e, 1]
+        smaller = radius[i]
+        if j < len(radius):
+            smaller = min(smaller, radius[j])
+        deepest = max(deepest, overlaps[e])
+        deepest_share = max(deepest_share, overlaps[e] / smaller)
+        most = max(most, colours[e])
+        for k in range(3):
+            start = points[i, k]
             if j < len(radius):
-                smaller = min(smaller, radius[j])
-            deepest = max(deepest, overlaps[e])
-            deepest_share = max(deepest_share, overlaps[e] / smaller)
-            most = max(most, colours[e])
-            for k in range(3):
-                start = points[f, i, k]
-                if j < len(radius):
-                    end = points[f, j, k]
-                    if box[k] > 0.0:
-                        end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
-                else:
-                    end = start + np.float32((radius[i] - overlaps[e]) * normals[e, k])
-                strips[c, k] = start
-                strips[c, 3 + k] = end
-            drawn[c] = serial_colour if colours[e] >= serial else cycle[colours[e] % len(cycle)]
-            c += 1
-        extremes[f, 0], extremes[f, 1], extremes[f, 2] = deepest, deepest_share, most + 1
+                end = points[j, k]
+                if box[k] > 0.0:
+                    end -= np.float32(box[k] * np.floor((end - start) / box[k] + 0.5))
+            else:
+                end = start + np.float32((radius[i] - overlaps[e]) * normals[e, k])
+            strips[e, k] = start
+            strips[e, 3 + k] = end
+        drawn[e] = stages[min(colours[e], len(stages) - 1)]
+    extremes[0], extremes[1], extremes[2] = deepest, deepest_share, most + 1
 
 
-@long_kernel
+@kernel
 def write_contacts(
-    addresses: IntArray,
-    edges: IntArray,
-    each: IntArray,
-    middle: FloatArray,
+    pairs: IntArray,
+    rows: Records,
+    middle: float,
     scale: ColourArray,
     widths: SingleArray,
-    ends: NDArray[np.uint32],
-    normal: SingleArray,
-    tangential: SingleArray,
-    mode: NDArray[np.uint8],
-    colour: ColourArray,
-    width: SingleArray,
+    columns: EdgeColumns,
 ) -> None:
-    """Write what the contacts at edges did, and how the edges are drawn by their impulses.
+    """Write what the contacts of a frame did, and how the edges are drawn by their impulses.
 
     Parameters
     ----------
-    addresses, edges, each
-        (frames, 6) where the contacts of each frame lie, sorted by pair, and (frames,) how many edges and rows it has.
+    pairs, rows
+        Of the edges, and of the contacts, which are more where some opened within the step; both sorted by pair.
     middle
-        (frames,) N s, the impulse in the middle of the scale.
+        N s, the impulse in the middle of the scale.
     scale, widths
         (levels,) colours and radii by rising impulse.
     """
-    c = 0
-    for f in range(len(edges)):
-        pairs = carray(_integers(addresses[f, PAIRS]), (edges[f], 2))
-        rows = carray(_records(addresses[f, ROWS]), each[f])
-        a = 0
-        for e in range(edges[f]):
-            i, j = pairs[e, 0], pairs[e, 1]
-            while a < each[f] and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
-                a += 1
-            row = rows[a]
-            ends[c, 0], ends[c, 1] = i, j
-            x, y, z = row.friction_x, row.friction_y, row.friction_z
-            normal[c] = np.float32(row.normal_impulse)
-            tangential[c] = np.float32(np.sqrt(x * x + y * y + z * z))
-            mode[c] = row.mode
-            level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middle[f])))
-            colour[c], width[c] = scale[level], widths[level]
-            c += 1
+    a = 0
+    for e in range(len(pairs)):
+        i, j = pairs[e, 0], pairs[e, 1]
+        while a < len(rows) and (rows[a].i < i or (rows[a].i == i and rows[a].j < j)):
+            a += 1
+        row = rows[a]
+        columns.bodies[e, 0], columns.bodies[e, 1] = i, j
+        x, y, z = row.friction_x, row.friction_y, row.friction_z
+        columns.normal_impulse[e] = np.float32(row.normal_impulse)
+        columns.tangential_impulse[e] = np.float32(np.sqrt(x * x + y * y + z * z))
+        columns.mode[e] = row.mode
+        level = min(len(scale) - 1, int(len(scale) * _part_of_longest(max(0.0, row.normal_impulse), middle)))
+        columns.colour[e], columns.width[e] = scale[level], widths[level]
 
 
-@long_kernel
-def middles(addresses: IntArray, each: IntArray, positive: FloatArray, middle: FloatArray) -> None:
-    """Write the median of each frame's normal impulses (N s) that are more than zero; 1 if it has none.
+@kernel
+def middle_of(rows: Records, positive: FloatArray) -> float:
+    """Return the median of the normal impulses (N s) that are more than zero; 1 if there are none.
 
-    Parameters
-    ----------
-    addresses, each
-        (frames, 6) where the contacts of each frame lie, and (frames,) how many rows it has.
-    positive
-        As many as the most rows of a frame, overwritten.
+    ``positive``, at least as many numbers, is overwritten.
     """
-    for f in range(len(each)):
-        rows = carray(_records(addresses[f, ROWS]), each[f])
-        count = 0
-        for c in range(each[f]):
-            if rows[c].normal_impulse > 0.0:
-                positive[count] = rows[c].normal_impulse
-                count += 1
-        middle[f] = 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
+    count = 0
+    for c in range(len(rows)):
+        if rows[c].normal_impulse > 0.0:
+            positive[count] = rows[c].normal_impulse
+            count += 1
+    return 1.0 if count == 0 else max(_median(positive[:count]), 2.2250738585072014e-308)
 
 
 @inner
@@ -285,60 +251,34 @@ def _select(values: FloatArray, place: int) -> float:
     return float(values[place])
 
 
-@inner
-def _pick_strongest(rows: NDArray[np.void], count: int, scratch: FloatArray, chosen: IntArray) -> None:
-    """Write which rows have the largest normal impulses, ``count`` of them, in their order; of equal ones the first."""
-    m = len(rows)
-    if count <= 0:
-        return
-    if count >= m:
-        for c in range(m):
-            chosen[c] = c
-        return
-    for c in range(m):
-        scratch[c] = rows[c].normal_impulse
-    least = _select(scratch[:m], m - count)
-    equal = count  # how many of those as large as the smallest that is chosen
-    for c in range(m):
-        equal -= rows[c].normal_impulse > least
-    found = 0
-    for c in range(m):
-        impulse = rows[c].normal_impulse
-        if impulse > least or (impulse == least and equal > 0):
-            equal -= impulse == least
-            chosen[found] = c
-            found += 1
-
-
-@long_kernel
-def pick_strongest(
-    addresses: IntArray, column: int, each: IntArray, counts: IntArray, scratch: FloatArray, chosen: IntArray
-) -> None:
-    """Write which rows of each frame have the largest normal impulses, as many as it counts, frame after frame.
+@kernel
+def pick_strongest(rows: Records, scratch: FloatArray, chosen: IntArray, picked: Records) -> None:
+    """Pick the rows with the largest normal impulses, in their order, of equal ones the first; as many as ``picked``.
 
     Parameters
     ----------
-    column, each
-        Of the addresses, `ROWS` or `IMPACTS`, and how many of them each frame has.
     scratch
-        As many as the most rows of a frame, overwritten.
+        At least as many numbers as rows, overwritten.
+    chosen, picked
+        Overwritten: which rows they are, and copies of them.
     """
-    first = 0
-    for f in range(len(each)):
-        rows = carray(_records(addresses[f, column]), each[f])
-        _pick_strongest(rows, counts[f], scratch, chosen[first:])
-        first += counts[f]
-
-
-@long_kernel
-def gather(addresses: IntArray, column: int, counts: IntArray, chosen: IntArray, found: NDArray[np.void]) -> None:
-    """Copy the chosen rows of each frame, ``counts`` of them, one frame's after another's."""
-    c = 0
-    for f in range(len(counts)):
-        rows = carray(_records(addresses[f, column]), 1 << 62)
-        for _ in range(counts[f]):
-            found[c] = rows[chosen[c]]
-            c += 1
+    m, count = len(rows), len(picked)
+    if count == 0:
+        return
+    least, equal = -np.inf, 0  # the smallest impulse that is chosen, and how many of those as large
+    if count < m:
+        for c in range(m):
+            scratch[c] = rows[c].normal_impulse
+        least, equal = _select(scratch[:m], m - count), count
+        for c in range(m):
+            equal -= rows[c].normal_impulse > least
+    found = 0
+    for c in range(m):
+        impulse = rows[c].normal_impulse
+        if count == m or impulse > least or (impulse == least and equal > 0):
+            equal -= impulse == least
+            chosen[found], picked[found] = c, rows[c]
+            found += 1
 
 
 @long_kernel
