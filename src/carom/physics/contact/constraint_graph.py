@@ -12,13 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.intrinsics import lowest_bit
-
-IntArray = NDArray[np.int64]
-FloatArray = NDArray[np.float64]
 
 OVERFLOW = 64  # colour of the contacts that do not fit into 64 stages: resolved last, one by one
 

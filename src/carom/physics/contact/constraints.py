@@ -10,17 +10,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import BoolArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.aligned import CACHE_LINE, record
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.index import from_front
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.contact_table import IMPACT_MODE, OPEN, RESTING, SLIDING, STICKING
 from carom.physics.contact.constraint_graph import empty_graph
 from carom.physics.contact.constraints import CONTACT
@@ -15,10 +15,6 @@ from carom.physics.contact.pair_order import comes_before
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.vector import nearest_image
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 
 class Ends(NamedTuple):

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
@@ -29,10 +29,6 @@ from carom.physics.contact.law import IMPULSES, Materials
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
-
 
 class Impulses(NamedTuple):
     """The impulses of contacts at one moment of a step; a pair may occur more than once."""
@@ -43,7 +39,7 @@ class Impulses(NamedTuple):
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
     time: FloatArray  # (k,) s, when
     turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
-    impact: NDArray[np.bool_] | None = None  # (k,) whether the contact closed faster than its rest speed;
+    impact: BoolArray | None = None  # (k,) whether the contact closed faster than its rest speed;
     # None: they hold contacts at rest
 
 

@@ -10,17 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.lanes import where
 from carom.physics.vector import nearest_image
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 
 @inline

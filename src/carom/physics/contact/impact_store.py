@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import Records
 from carom.contact_table import CONTACT_ROW, NO_ROWS
 from carom.physics.aligned import joined, picked
-
-Records = NDArray[np.void]
 
 MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; beyond that the largest are kept and the others counted
 

@@ -10,8 +10,8 @@ not fall. Without gravity the speed is 0, and every contact is an impact.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
 from carom.physics.contact.union_find import join, join_shared, root_of
@@ -19,10 +19,6 @@ from carom.physics.jit.atomics import atomic_load, atomic_max
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.vector import between, sizes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 MIN_PER_LOOK = 4000  # bodies, about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices of the largest values
@@ -166,7 +162,7 @@ def _stand_alone(
     field: FloatArray,
     parent: IntArray,
     largest: FloatArray,
-    found: NDArray[np.bool_],
+    found: BoolArray,
 ) -> None:
     """Make each body an island; note in ``found`` whether accelerations differ. If not, islands need not be joined."""
     first = -1.0
@@ -213,7 +209,7 @@ def _write_speeds(
     joined: bool,
     dt: float,
     states: Records,
-    found: NDArray[np.bool_],
+    found: BoolArray,
 ) -> None:
     """Write the rest speed of each contact; the same for all where islands were not ``joined``."""
     presses, rest_speed = False, 0.0

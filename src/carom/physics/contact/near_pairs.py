@@ -8,8 +8,8 @@ next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.broad_phase.search import search_by
@@ -18,9 +18,6 @@ from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.jit.thread_team import Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
 LARGEST_SKIN = 0.1  # of the smallest radius

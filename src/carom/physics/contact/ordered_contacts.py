@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraint_graph import OVERFLOW, colour_bodies, colour_contacts
 from carom.physics.contact.solve_order import SolveOrder, solve_order_of
-
-IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,8 +16,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import PhysicsError
 from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
@@ -47,10 +47,6 @@ from carom.plan.features import Requirements
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 # Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
 # with five and 1.32 with three, which leave four times the overlap after 3 s (benchmarks/heap.py, 1000 spheres).

@@ -14,12 +14,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.thread_team import Team
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TASK = 5000
 DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be found, too small to be visible
@@ -80,7 +79,7 @@ class PlaneGuard:
             rows.append(np.stack((np.zeros_like(work), np.zeros_like(work), -work), axis=1))
         return np.concatenate(rows)
 
-    def _first_touch(self, stopped: NDArray[np.intp], crossed: NDArray[np.bool_]) -> FloatArray:
+    def _first_touch(self, stopped: NDArray[np.intp], crossed: BoolArray) -> FloatArray:
         """Return the positions where bodies first touched a plane that they crossed, (k, 3) m."""
         start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
         before, after = self._heights(start), self._heights(end)
@@ -102,7 +101,7 @@ class PlaneGuard:
 
 @long_kernel
 def _look_behind(
-    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: NDArray[np.bool_]
+    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: BoolArray
 ) -> None:
     """Set a flag if the centre of one of the bodies [lo, hi) is behind a plane."""
     for k in range(len(offset)):

@@ -8,16 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.ordered_contacts import OrderedContacts
 from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 class SeenContacts:

@@ -20,9 +20,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import BoolArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.checkpoint import SleepCheckpoint
 from carom.physics.contact.constraint_graph import empty_graph
@@ -39,9 +38,6 @@ from carom.physics.jit.thread_team import SOLO
 from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
 ASLEEP = -1.0  # in place of the time for which a body has been slow

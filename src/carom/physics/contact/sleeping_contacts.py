@@ -5,17 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED
 from carom.physics.contact.snapshot import late_contacts
 from carom.physics.contact.solver.warm_start import impulses_of
 from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,15 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.constraint_graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.events.drift import Impacts
 from carom.physics.jit.decorators import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.physics.contact.constraint_graph import OVERFLOW
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.lanes import WIDTH
-
-IntArray = NDArray[np.int64]
 
 CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration
 

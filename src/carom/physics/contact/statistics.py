@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraint_graph import first_of
@@ -22,10 +22,6 @@ from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import Team
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 MIN_BLOCKS_PER_TASK = 2
 

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.jit.decorators import kernel
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 NOTHING_BORNE = np.empty(0)  # m/s², if there are no lasting contacts
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.thread_team import Team
-
-FloatArray = NDArray[np.float64]
 
 MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
 

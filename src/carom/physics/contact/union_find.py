@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from carom.arrays import FloatArray, IntArray
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.atomics import atomic_replace
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.jit.index import from_front
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 
 @inner

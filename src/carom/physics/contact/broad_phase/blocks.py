@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.thread_team import Team
-
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block begin; how many
 

@@ -25,15 +25,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.prefetch import AHEAD, prefetch
 from carom.physics.jit.thread_team import Team
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
-Records = NDArray[np.void]
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would approach that margin
@@ -85,7 +83,7 @@ class Layout(NamedTuple):
 
     grids: IntArray  # (1,) g
     grid: Records  # (k,) `GRID`
-    into: NDArray[np.bool_]  # (k, k) whether the bodies of a grid search another
+    into: BoolArray  # (k, k) whether the bodies of a grid search another
     origin: FloatArray  # (3,) m, the corner where cells begin
     box: FloatArray  # (3,) m, zeros in open space
 

@@ -15,8 +15,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
 from carom.physics.contact.broad_phase.near import are_near
@@ -24,9 +24,6 @@ from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.vector import between, sizes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
 ALL_PAIRS_UP_TO = 100  # bodies; testing every pair of so few is faster than sorting them into cells

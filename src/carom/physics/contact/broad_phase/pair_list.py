@@ -12,8 +12,8 @@ of the time of a step that searches; with 4 and 12 calls 0.54 and 0.43.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.near import are_near
@@ -22,10 +22,6 @@ from carom.physics.jit.decorators import borrowing, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.vector import between, minimum_image, sizes
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; 1.3 and 3 times as many pairs in a heap
 CALLS = 10  # for which a list is made

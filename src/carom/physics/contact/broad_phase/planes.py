@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
 from carom.physics.contact.constraint_graph import first_of
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import Team
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 BODIES_PER_BLOCK = 1024
 MIN_BLOCKS_PER_TASK = 1
