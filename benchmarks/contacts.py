@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.search import KdTree
-from carom.physics.contact.constraint_graph import colour_contacts
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.pairs import KdTree
+from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import IMPULSES, materials_of
-from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.thread_team import Team
 from carom.scene.matter import PairCoefficients

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 

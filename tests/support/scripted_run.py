@@ -11,7 +11,7 @@ import rerun as rr
 
 from carom.event import Event
 from carom.physics.checkpoint import Books
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline, Origin
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extreme, Extremes

@@ -9,9 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraint_graph import colour_contacts
+from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import materials_of
-from carom.physics.contact.solve_order import solve_order_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.thread_team import Team
 from carom.scene.matter import PairCoefficients

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.checkpoint import ContactCheckpoint
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.diagnostics.energy import Energy, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import MonitorState
 from carom.physics.diagnostics.extremes import Extremes

@@ -11,7 +11,7 @@ from carom.contact_table import NO_ROWS
 from carom.physics.aligned import Buffer
 from carom.physics.batch_step import BatchStepper
 from carom.physics.checkpoint import Checkpoint
-from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.fingerprint import fingerprint

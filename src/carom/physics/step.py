@@ -9,7 +9,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.contact.support import NOTHING_BORNE
+from carom.physics.contact.reactions import NOTHING_BORNE
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials

@@ -24,7 +24,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.contact.support import NOTHING_BORNE
+from carom.physics.contact.reactions import NOTHING_BORNE
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.step_rule import (

@@ -16,8 +16,8 @@ import numpy as np
 
 from carom.contact_table import CONTACT_ROW
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
-from carom.physics.contact.broad_phase.search import search_by
+from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
+from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.islands import Islands, largest_values

@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW
-from carom.physics.contact.impact_store import MOST_IMPACTS
+from carom.physics.contact.contact_tap import MOST_IMPACTS
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import Column, flat, reading

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError, RecordingError, SceneError
-from carom.physics.contact.limits import OVERLAPS
+from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
 from carom.recording.edit.clip import Clip, clip

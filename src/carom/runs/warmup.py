@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO
-from carom.physics.contact.union_find import number_sets
+from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
+from carom.physics.contact.islands import number_sets
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.jit.decorators import Compilations, cache_folder
 from carom.physics.jit.thread_team import load_helpers, sharing_all

@@ -10,7 +10,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError, RecordingError
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus

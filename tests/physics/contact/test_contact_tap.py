@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.contact_table import CONTACT_ROW, MODES
-from carom.physics.contact import impact_store
+from carom.physics.contact import contact_tap as impact_store
 from carom.physics.frame import Frame, FrameStore
 from carom.physics.schedule import every
 from carom.physics.space import Space

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
-from carom.physics.contact.broad_phase.hierarchical_grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
-from carom.physics.contact.broad_phase.pair_list import PairList
-from carom.physics.contact.broad_phase.search import KdTree
-from carom.physics.contact.constraint_graph import (
+from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
+from carom.physics.contact.broad_phase.pairs import KdTree, PairList
+from carom.physics.contact.graph import (
+    CONTACTS_PER_PIECE,
     OVERFLOW,
     colour_bodies,
     colour_contacts,
+    solve_order_of,
 )
-from carom.physics.contact.solve_order import CONTACTS_PER_PIECE, solve_order_of
 from carom.physics.jit.thread_team import Team
 from small_scenes import random_bodies, solver_of
 
@@ -113,7 +113,7 @@ def test_grids_find_what_trees_find(seed: int, count: int, decades: float, far: 
     for box in (np.zeros(3), np.array([4.0, 6.0, 20.0]) * radius.max()):
         if box[0] == 0.0:
             position[0] += far
-        with mock.patch("carom.physics.contact.broad_phase.hierarchical_grid.ALL_PAIRS_UP_TO", few):
+        with mock.patch("carom.physics.contact.broad_phase.grid.ALL_PAIRS_UP_TO", few):
             grid, trees = HierarchicalGrid(radius, box), KdTree(radius, box)
         assert np.array_equal(grid.pairs(position, scale), trees.pairs(position, scale))
         moved = position + rng.normal(0.0, 0.1, position.shape)

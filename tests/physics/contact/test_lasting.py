@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from carom.physics.contact.checkpoint import SleepCheckpoint
+from carom.physics.contact.contact_checkpoint import SleepCheckpoint
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space

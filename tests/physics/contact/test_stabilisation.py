@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import RECORDED
 from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 import event_driven_oracle
-from carom.physics.contact.constraint_graph import OVERFLOW, CollisionGraph
+from carom.physics.contact.graph import OVERFLOW, CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.schedule import every
 from carom.physics.space import Space

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.constraints import SHARED_FROM
 from carom.physics.jit.atomics import atomic_load, atomic_store

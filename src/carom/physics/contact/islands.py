@@ -12,13 +12,69 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.contact.broad_phase.near import are_near
 from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
-from carom.physics.contact.union_find import join, join_shared, root_of
-from carom.physics.jit.atomics import atomic_load, atomic_max
-from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.contact.geometry import are_near
+from carom.physics.jit.atomics import atomic_load, atomic_max, atomic_replace
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
+from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.vector import between, sizes
+
+
+@inner
+def root_of(parent: IntArray, i: int) -> int:
+    """Return the lowest body of the set of a body; halves the path to it."""
+    while parent[i] != i:
+        parent[i] = parent[from_front(parent[i])]
+        i = from_front(parent[i])
+    return i
+
+
+@inner
+def join(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
+    if parent[i] == parent[j]:  # as most are in a heap
+        return
+    i, j = root_of(parent, i), root_of(parent, j)
+    parent[max(i, j)] = min(i, j)
+
+
+@inner
+def join_shared(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
+        i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
+
+
+@inline
+def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
+    """Join the sets of the bodies at the ends of each pair, unless one is fixed."""
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join(parent, i, j)
+
+
+@kernel
+def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
+    """Write the number of the set of each body, where pairs join sets; return how many there are.
+
+    Sets are numbered in the order of their lowest bodies.
+    """
+    for i in range(len(label)):
+        label[i] = i
+    for c in range(len(first)):
+        join(label, first[c], second[c])
+    count = 0
+    for i in range(len(label)):
+        if label[i] == i:
+            label[i] = count
+            count += 1
+        else:  # the parent is lower, so it has its number
+            label[i] = label[label[i]]
+    return count
+
 
 MIN_PER_LOOK = 4000  # bodies, about 10 µs of work
 SQUARE, COORDINATE = range(2)  # indices of the largest values

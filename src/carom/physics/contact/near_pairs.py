@@ -11,8 +11,8 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
+from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.broad_phase.search import search_by
 from carom.physics.contact.islands import largest_values
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.jit.thread_team import Team

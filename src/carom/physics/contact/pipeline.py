@@ -21,26 +21,22 @@ from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import PhysicsError
 from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
-from carom.physics.contact.checkpoint import ContactCheckpoint
-from carom.physics.contact.constraint_graph import empty_graph
+from carom.physics.contact.broad_phase.planes import PlaneGuard
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.events.drift import NO_IMPACTS, EventDrivenDrift, Impacts
 from carom.physics.contact.events.next_impact import step_by_impacts
+from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.law import Materials
-from carom.physics.contact.limits import limits_of, still_closing
 from carom.physics.contact.near_pairs import NearPairs
-from carom.physics.contact.ordered_contacts import OrderedContacts
-from carom.physics.contact.plane_guard import PlaneGuard
+from carom.physics.contact.reactions import Torques, borne
 from carom.physics.contact.seen_contacts import SeenContacts
-from carom.physics.contact.sleep import NOTHING_LOST, Sleepers
-from carom.physics.contact.sleeping_contacts import NO_SLEEPERS
+from carom.physics.contact.sleep.sleepers import NO_SLEEPERS, NOTHING_LOST, Sleepers
 from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.position_correction import BAUMGARTE
 from carom.physics.contact.solver.warm_start import ImpulseCache
-from carom.physics.contact.statistics import NO_CONTACTS
-from carom.physics.contact.support import borne
-from carom.physics.contact.torques import Torques
+from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.thread_team import Team
 from carom.plan.features import Requirements

@@ -11,8 +11,8 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
-from carom.physics.contact.ordered_contacts import OrderedContacts
-from carom.physics.contact.sleeping_contacts import NO_SLEEPERS, SleepingContacts
+from carom.physics.contact.graph import OrderedContacts
+from carom.physics.contact.sleep.sleepers import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.snapshot import EMPTY_SNAPSHOT, ContactSnapshot, late_contacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 

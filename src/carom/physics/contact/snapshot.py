@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.constraint_graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.events.drift import Impacts
+from carom.physics.contact.graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
 from carom.physics.jit.decorators import kernel
 
 

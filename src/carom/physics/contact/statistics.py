@@ -1,7 +1,7 @@
-"""Contact statistics of a step: their number, the hardest and deepest, and their energies.
+"""Contact statistics of a step: their number, the hardest and deepest, and their energies; the limits that it met.
 
-They are computed in every step, block by block, from the records of the solver. The graph of the contacts is built only
-on demand (`snapshot`).
+Statistics are computed in every step, block by block, from the records of the solver. The graph of the contacts is
+built only on demand (`snapshot`).
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
 from carom.physics.contact.events.drift import Impacts
-from carom.physics.contact.ordered_contacts import OrderedContacts
-from carom.physics.contact.pair_order import comes_before
+from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import Team
+from carom.scene.schema import ContactSettings
 
 MIN_BLOCKS_PER_TASK = 2
 
@@ -232,3 +231,70 @@ def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
 def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
     """Tell whether a value is larger than the largest so far, or equal and of an earlier pair."""
     return value > largest or (value == largest and comes_before(i, j, first, second))
+
+
+DEEP_OVERLAP = 0.1  # of the smaller radius; rigid spheres do not overlap at all
+OVERLAPS = f"Bodies overlap by more than {DEEP_OVERLAP:.0%} of the smaller radius"
+
+
+def limits_of(
+    contact: ContactSettings,
+    *,
+    serial_stage: bool,
+    too_few_sweeps: bool,
+    exhausted: bool,
+    crossed: bool,
+    deepest: float,
+    at_impacts: bool,
+) -> list[tuple[str, str]]:
+    """Return the limits that a step met: level, `WARN` or `INFO`, and text.
+
+    Parameters
+    ----------
+    contact
+        The scene's section.
+    serial_stage
+        Whether contacts need more colours than there are parallel stages.
+    too_few_sweeps
+        Whether contacts still closed after the sweeps.
+    exhausted
+        Whether a body had so many impacts that its contacts were held.
+    crossed
+        Whether a body would have passed through a plane.
+    deepest
+        The deepest overlap over the smaller radius.
+    at_impacts
+        Whether impacts are resolved at their own times.
+    """
+    reached = []
+    if serial_stage:  # this costs time only
+        text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
+        reached.append(("INFO", text))
+    if too_few_sweeps:
+        reached.append(("WARN", still_closing(contact)))
+    if exhausted:
+        text = (
+            "A body had so many impacts in one step that its last contacts were held, without a rebound; in shorter "
+            "steps (time.fixed_dt, time.cfl) more of them rebound."
+        )
+        reached.append(("WARN", text))
+    if crossed:
+        longer = "" if at_impacts else ' or contact.timing = "time-of-impact"'
+        text = (
+            "A body would have passed through a plane within one step and was stopped where it touched the plane; "
+            f"try a shorter step (time.fixed_dt, time.cfl){longer}."
+        )
+        reached.append(("WARN", text))
+    if deepest > DEEP_OVERLAP and not contact.allow_overlap:
+        more = " or more sweeps (contact.sweeps)" if contact.sweeps != "auto" else ""
+        text = f"{OVERLAPS}; try a shorter step (time.fixed_dt, time.cfl){more}."
+        reached.append(("WARN", text))
+    return reached
+
+
+def still_closing(contact: ContactSettings) -> str:
+    """Return the text of too few sweeps."""
+    return (
+        f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
+        "what is left is resolved in later steps."
+    )

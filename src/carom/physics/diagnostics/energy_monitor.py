@@ -13,7 +13,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION

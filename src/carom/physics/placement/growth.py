@@ -25,7 +25,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import SceneError
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.time_of_impact import time_of_impact
 from carom.physics.contact.events.trajectories import both_ways

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import ColourArray, FloatArray, IntArray
-from carom.physics.contact.constraint_graph import colour_bodies
+from carom.physics.contact.graph import colour_bodies
 from carom.recording.schema import palette
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.

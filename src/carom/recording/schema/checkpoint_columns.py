@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.physics.checkpoint import Books, Checkpoint
-from carom.physics.contact.checkpoint import ContactCheckpoint, SleepCheckpoint
+from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepCheckpoint
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame

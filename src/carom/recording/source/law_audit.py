@@ -21,7 +21,7 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.event import Event
-from carom.physics.contact.union_find import number_sets
+from carom.physics.contact.islands import number_sets
 from carom.physics.diagnostics.energy import Energy
 from carom.recording.source.proximity import EngineMoment, Near, lengths
 from carom.recording.source.source import Setup

@@ -11,7 +11,7 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books
-from carom.physics.contact.constraint_graph import CollisionGraph
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.energy import Energy, EnergyAccount
 from carom.physics.diagnostics.energy_monitor import MonitorState

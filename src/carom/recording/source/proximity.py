@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.constraint_graph import CollisionGraph, empty_graph
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
+from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.vector import minimum_images
 from carom.recording.source.source import Setup
 

@@ -1,12 +1,23 @@
-"""Planes in the broad phase."""
+"""Planes in the broad phase: which bodies touch them, and a guard that lets no body pass through one within a step.
+
+Planes are tested at the positions at the end of a drift. A body that drifts farther than its radius may end behind a
+plane. So may a body with more impacts than a drift resolves, or one that a position correction moves off a much larger
+body. If the centre of a body is behind a plane and was in front of it when the step began, the body is put back on the
+straight line between both positions, to where it first touches a plane. The region in front of all planes is convex, so
+this position is in front of each of them, also in a corner. The impact follows at the end of the step, like any other.
+
+The potential of the body changes by -m a·Δx, which is booked as stabilisation, like that of a position correction.
+"""
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
-from carom.physics.contact.constraint_graph import first_of
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.physics.bodies import Bodies
+from carom.physics.contact.broad_phase.pairs import BLOCK, close_up
+from carom.physics.contact.graph import first_of
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import Team
@@ -83,3 +94,95 @@ def _merge(
                     merged[m, 0], merged[m, 1] = i, len(radius) + k
                     m += 1
         blocks[block].begin, blocks[block].count = begin, m - begin
+
+
+MIN_BODIES_PER_TASK = 5000
+DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be found, too small to be visible
+ROUNDING = 8  # units in the last place of the coordinates, which add to that overlap
+DEEPEST = 0.5  # of the radius, however coarse the coordinates are
+
+
+class PlaneGuard:
+    """Keeps bodies from passing through planes within a step.
+
+    Parameters
+    ----------
+    bodies, planes
+        The bodies, and the planes that they must not pass through.
+    team
+        Threads that look for bodies behind a plane.
+    """
+
+    def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
+        self._bodies, self._planes, self._team = bodies, planes, team
+        self._start = bodies.position.copy()  # m, at the beginning of the step
+        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and by how much they were put back, m
+
+    def remember(self) -> None:
+        """Begin a step at the present positions."""
+        np.copyto(self._start, self._bodies.position)
+        self._stopped.clear()
+
+    def stop(self) -> bool:
+        """Put back bodies that have passed through a plane since the step began; tell whether there were any."""
+        position, planes = self._bodies.position, self._planes
+        found = np.zeros(1, dtype=np.bool_)
+        self._team.divide(
+            len(position), MIN_BODIES_PER_TASK, _look_behind, position, planes.normal, planes.offset, found
+        )
+        if not found[0]:
+            return False
+        crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
+        stopped = np.flatnonzero(crossed.any(axis=1))
+        if len(stopped) == 0:  # bodies behind a plane began there
+            return False
+        places = self._first_touch(stopped, crossed[stopped])
+        self._stopped.append((stopped, places - position[stopped]))
+        position[stopped] = places
+        return True
+
+    @property
+    def has_stopped(self) -> bool:
+        """Whether a body was put back in this step."""
+        return bool(self._stopped)
+
+    def work(self) -> FloatArray:
+        """Return the energy changes of stopped bodies, (k, 3) J, at the present accelerations."""
+        rows = []
+        for stopped, moved in self._stopped:
+            a, mass = self._bodies.acceleration[stopped], self._bodies.mass[stopped]
+            work = mass * (a[:, 0] * moved[:, 0] + a[:, 1] * moved[:, 1] + a[:, 2] * moved[:, 2])
+            rows.append(np.stack((np.zeros_like(work), np.zeros_like(work), -work), axis=1))
+        return np.concatenate(rows)
+
+    def _first_touch(self, stopped: NDArray[np.intp], crossed: BoolArray) -> FloatArray:
+        """Return the positions where bodies first touched a plane that they crossed, (k, 3) m."""
+        start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
+        before, after = self._heights(start), self._heights(end)
+        largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
+        depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))
+        with np.errstate(invalid="ignore", divide="ignore"):  # of planes that were not crossed
+            part = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
+        places: FloatArray = start + np.clip(part.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
+        lost = ((self._heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
+        places[lost] = start[lost]  # by rounding, where a radius is a few units in the last place
+        return places
+
+    def _heights(self, position: FloatArray) -> FloatArray:
+        """Return the heights of centres above each plane, (k, p) m; summed here, since rounding in BLAS varies."""
+        N = self._planes.normal
+        heights = -self._planes.offset + position[:, :1] * N[:, 0]
+        return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
+
+
+@long_kernel
+def _look_behind(
+    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: BoolArray
+) -> None:
+    """Set a flag if the centre of one of the bodies [lo, hi) is behind a plane."""
+    for k in range(len(offset)):
+        N, o = normal[k], offset[k]
+        for i in range(lo, hi):
+            if -o + N[0] * position[i, 0] + N[1] * position[i, 1] + N[2] * position[i, 2] < 0.0:
+                found[0] = True
+                return

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.search import Search
+from carom.physics.contact.broad_phase.grid import HierarchicalGrid
+from carom.physics.contact.broad_phase.pairs import Search
 from carom.physics.contact.events.event_loop import IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
 from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.simultaneous import resolve_touching

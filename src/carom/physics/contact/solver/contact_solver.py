@@ -13,9 +13,9 @@ from carom.physics.aligned import Buffer, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import MIN_PER_TASK, SETTINGS, SHARED_FROM, ConstraintSystem
 from carom.physics.contact.geometry import update_geometry
+from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import Islands
 from carom.physics.contact.law import Materials
-from carom.physics.contact.solve_order import SolveOrder, solve_order_of
 from carom.physics.contact.solver.begin_contacts import begin_contacts
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing

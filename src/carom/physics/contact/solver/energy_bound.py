@@ -19,7 +19,7 @@ from __future__ import annotations
 from typing import Any
 
 from carom.physics.contact.constraints import ConstraintSystem, ends_of
-from carom.physics.contact.union_find import join_islands
+from carom.physics.contact.islands import join_islands
 from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.jit.decorators import inline, unowned
 

@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray
 from carom.physics.aligned import columns
-from carom.physics.contact.constraint_graph import first_of
 from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.graph import comes_before, first_of
 from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
-from carom.physics.contact.pair_order import comes_before
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.prefetch import AHEAD, prefetch_record

@@ -21,8 +21,8 @@ from carom.physics.contact.constraints import (
     SEARCH,
     ConstraintSystem,
 )
+from carom.physics.contact.graph import SolveOrder
 from carom.physics.contact.law import Materials
-from carom.physics.contact.solve_order import SolveOrder
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]

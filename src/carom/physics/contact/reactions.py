@@ -1,12 +1,13 @@
-"""The torques of a step: what its contacts changed of the spins."""
+"""What the contacts of a step do to the bodies: the torques, and the part of each acceleration that they bear."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.jit.decorators import long_kernel
+from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import Team
 
 MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
@@ -61,3 +62,28 @@ def _turn(
         for k in range(3):
             torque[i, k] = inertia[i] * (angular_velocity[i, k] - before[i, k]) / dt
             angular_acceleration[i, k] = torque[i, k] / inertia[i]
+
+
+NOTHING_BORNE = np.empty(0)  # m/s², if there are no lasting contacts
+
+
+def borne(cache: ImpulseCache, inverse_mass: FloatArray) -> FloatArray:
+    """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², with h the kick of the impulses.
+
+    Opposing forces add up, so the sum is large for a body that is squeezed between two others.
+    """
+    if cache.kick == 0.0 or len(cache.pairs) == 0:
+        return NOTHING_BORNE
+    return _sum_normal_impulses(cache.pairs, cache.place, cache.contacts, inverse_mass, cache.kick)
+
+
+@kernel
+def _sum_normal_impulses(
+    pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, kick: float
+) -> FloatArray:
+    sums = np.zeros(len(inverse_mass))
+    for c in range(len(pairs)):
+        impulse = contacts[place[c]].normal_impulse
+        for end in range(2):
+            sums[pairs[c, end]] += impulse * inverse_mass[pairs[c, end]] / kick
+    return sums

@@ -1,8 +1,9 @@
-"""A list of pairs that is searched again only when bodies have moved far enough to need it (Verlet 1967).
+"""Searches for touching pairs, and a list of pairs that spares most of them (Verlet 1967).
 
-The list has the pairs within a margin of what was asked for. Two bodies that have moved by at most d since have come
-closer by at most 2d. As long as 2d is within the margin, all pairs within reach are in the list. They get the exact
-test of the search, in the order of the list, so the result is that of a search.
+The list is made again only when bodies have moved far enough to need it. It has the pairs within a margin of what was
+asked for. Two bodies that have moved by at most d since have come closer by at most 2d. As long as 2d is within the
+margin, all pairs within reach are in the list. They get the exact test of the search, in the order of the list, so the
+result is that of a search.
 
 The margin follows the pace of the bodies: it lasts for `CALLS` calls, within limits. A wider list costs more to test,
 and is made less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a step then take 0.45
@@ -11,17 +12,45 @@ of the time of a step that searches; with 4 and 12 calls 0.54 and 0.43.
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.broad_phase.blocks import BLOCK, close_up
-from carom.physics.contact.broad_phase.hierarchical_grid import HierarchicalGrid
-from carom.physics.contact.broad_phase.near import are_near
+from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import borrowing, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.vector import between, minimum_image, sizes
+
+BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block begin; how many
+
+MIN_BLOCKS_PER_COPY = 2
+
+
+def close_up(pairs: IntArray, blocks: Records, team: Team) -> IntArray:
+    """Return a copy of the pairs of all blocks, (m, 2), without the gaps between them; blocks are (k,) `BLOCK`."""
+    if len(blocks) == 1:
+        begin, count = blocks[0].item()
+        return pairs[begin : begin + count].copy()
+    ends = np.cumsum(blocks["count"])
+    together = np.empty((ends[-1] if len(ends) else 0, 2), dtype=np.int64)
+    team.divide(len(blocks), MIN_BLOCKS_PER_COPY, _close_up, pairs, blocks, ends, together)
+    return together
+
+
+@long_kernel
+def _close_up(lo: int, hi: int, pairs: IntArray, blocks: Records, ends: IntArray, together: IntArray) -> None:
+    """Copy the pairs of the blocks [lo, hi) to their final places."""
+    for block in range(lo, hi):
+        begin, count = blocks[block].begin, blocks[block].count
+        for k in range(count):
+            m = ends[block] - count + k
+            together[m, 0], together[m, 1] = pairs[begin + k, 0], pairs[begin + k, 1]
+
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; 1.3 and 3 times as many pairs in a heap
 CALLS = 10  # for which a list is made
@@ -153,3 +182,34 @@ def _test(
             found[m, 0], found[m, 1] = i, j  # without a branch, which would often be mispredicted
             m += are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin)
         blocks[block].begin, blocks[block].count = begin, m - begin
+
+
+class Search(Protocol):
+    """A search for the pairs of spheres that touch."""
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
+        ...
+
+
+class KdTree:
+    """The reference engine's broad phase: 2 to 8 times slower than `HierarchicalGrid` (benchmarks/contacts.py)."""
+
+    def __init__(self, radius: FloatArray, box: FloatArray) -> None:
+        self._radius = radius
+        self._box = box if box[0] > 0.0 else None
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
+        return overlapping_pairs(position, self._radius * scale + 0.5 * skin, self._box)
+
+
+def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
+    """Return the search of a scene's ``contact.search``; a team searches the grids.
+
+    Few bodies are tested pair by pair, which takes no longer than a list.
+    """
+    if method == "k-d-tree":
+        return KdTree(radius, box)
+    grid = HierarchicalGrid(radius, box, team)
+    return grid if len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius, box, team)

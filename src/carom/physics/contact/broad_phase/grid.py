@@ -19,7 +19,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
-from carom.physics.contact.broad_phase.near import are_near
+from carom.physics.contact.geometry import are_near
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.thread_team import SOLO, Team
