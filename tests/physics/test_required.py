@@ -167,10 +167,10 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"forces.gravity.direct.pull_few"}
-TURNING = {"rotation.turn", "contact.torques._turn"}
+TURNING = {"rotation.turn", "contact.reactions._turn"}
 MEETING = {
     "contact.geometry.update_geometry",
-    "contact.constraint_graph._colour_contacts",
+    "contact.graph._colour_contacts",
     "contact.solver.phases.work",
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.look_for_largest"}
