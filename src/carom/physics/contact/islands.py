@@ -84,8 +84,7 @@ UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some con
 class Islands:
     """Finds the island and the rest speed of each contact; keeps its tables.
 
-    Threads join islands at the same time (`union_find`). The root of an island is its lowest body, independent of the
-    order of the threads.
+    Threads join islands at the same time. The root of an island is its lowest body, whatever the order of the threads.
 
     Parameters
     ----------
