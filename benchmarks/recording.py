@@ -30,7 +30,7 @@ from carom.runs.process_settings import keep_freed_memory
 keep_freed_memory()  # as the carom command does, before NumPy starts its threads
 
 from carom.physics.space import Space  # noqa: E402
-from carom.recording.write.recorder import Recorder  # noqa: E402
+from carom.recording.write.recorder import FrameRecorder  # noqa: E402
 from carom.runs import run as experiment  # noqa: E402
 from carom.runs.run import Outcome, recording_space, simulate  # noqa: E402
 from carom.scene.schema import Scene  # noqa: E402
@@ -75,7 +75,7 @@ def timed_threads() -> Iterator[dict[str, float]]:
 
         return call
 
-    stepping, recording = experiment._Physics, Recorder
+    stepping, recording = experiment._Physics, FrameRecorder
     physics: Any = mock.patch.object(stepping, "_run", timed("physics", stepping._run))
     recorder: Any = mock.patch.object(recording, "_record", timed("recorder", recording._record))
     with physics, recorder:

@@ -68,7 +68,7 @@ def soak(path: Path, minutes: float, faster: float, apart: bool) -> list[Sample]
         stack.enter_context(mock.patch.object(streams, "monotonic", lambda: faster * time.monotonic()))
         if apart:
             stack.enter_context(mock.patch.object(streams, "PROMPT_BATCHES", 10**9))
-        recorder = stack.enter_context(recorders.Recorder(path, header_of(space)))
+        recorder = stack.enter_context(recorders.FrameRecorder(path, header_of(space)))
         began, length = time.monotonic(), 60.0 * minutes
         for frame in space.run(store=recorder.store_for(space.state)):
             recorder.put(frame)

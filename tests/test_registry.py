@@ -24,12 +24,12 @@ def install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
     one, other = ("one", "1.0"), ("other", "2.0")
     parts = {
         "series": {
-            "right": (registry.Origin("right_part:PART", *one),),
-            "broken": (registry.Origin("broken_part:PART", *one),),
-            "twice": (registry.Origin("right_part:PART", *one), registry.Origin("right_part:PART", *other)),
+            "right": (registry.PartOrigin("right_part:PART", *one),),
+            "broken": (registry.PartOrigin("broken_part:PART", *one),),
+            "twice": (registry.PartOrigin("right_part:PART", *one), registry.PartOrigin("right_part:PART", *other)),
         },
-        "data_formats": {"csv": (registry.Origin("right_part:PART", *one),)},
-        "forces": {"pull": (registry.Origin("broken_part:PART", *one),)},
+        "data_formats": {"csv": (registry.PartOrigin("right_part:PART", *one),)},
+        "forces": {"pull": (registry.PartOrigin("broken_part:PART", *one),)},
     }
     registry._installed.cache_clear()
     monkeypatch.setattr(registry, "_all_installed", lambda: parts)

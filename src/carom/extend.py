@@ -91,13 +91,13 @@ if TYPE_CHECKING:
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
-    from carom.recording.source.adapters.box3d import PACKAGE as PACKAGE
-    from carom.recording.source.adapters.box3d import box3d as box3d
-    from carom.recording.source.adapters.mujoco import mujoco as mujoco
-    from carom.recording.source.adapters.newton import newton as newton
+    from carom.recording.source.adapters.box3d_source import PACKAGE as PACKAGE
+    from carom.recording.source.adapters.box3d_source import box3d as box3d
+    from carom.recording.source.adapters.mujoco_source import mujoco as mujoco
+    from carom.recording.source.adapters.newton_source import newton as newton
     from carom.recording.source.adapters.package import engine_package as engine_package
-    from carom.recording.source.adapters.pybullet import pybullet as pybullet
-    from carom.recording.source.adapters.rebound import rebound as rebound
+    from carom.recording.source.adapters.pybullet_source import pybullet as pybullet
+    from carom.recording.source.adapters.rebound_source import rebound as rebound
     from carom.recording.source.law_audit import Fault as Fault
     from carom.recording.source.law_audit import Tolerances as Tolerances
     from carom.recording.source.observer import Observer as Observer
@@ -118,7 +118,7 @@ if TYPE_CHECKING:
     from carom.recording.source.source import setup_of as setup_of
     from carom.recording.source.source import time_of as time_of
     from carom.recording.write.durable_sink import DiskReserve as DiskReserve
-    from carom.recording.write.recorder import Recorder as Recorder
+    from carom.recording.write.recorder import FrameRecorder as FrameRecorder
     from carom.recording.write.whole_file import new_name as new_name
     from carom.recording.write.whole_file import whole_file as whole_file
     from carom.recording.write.whole_file import write_whole as write_whole
@@ -288,12 +288,12 @@ _HOMES = {
     "carom.recording.schema.palette": "LINES",
     "carom.recording.schema.paths": "STEP",
     "carom.recording.schema.series": "Past Plot Sample Series",
-    "carom.recording.source.adapters.box3d": "PACKAGE box3d",
-    "carom.recording.source.adapters.mujoco": "mujoco",
-    "carom.recording.source.adapters.newton": "newton",
+    "carom.recording.source.adapters.box3d_source": "PACKAGE box3d",
+    "carom.recording.source.adapters.mujoco_source": "mujoco",
+    "carom.recording.source.adapters.newton_source": "newton",
     "carom.recording.source.adapters.package": "engine_package",
-    "carom.recording.source.adapters.pybullet": "pybullet",
-    "carom.recording.source.adapters.rebound": "rebound",
+    "carom.recording.source.adapters.pybullet_source": "pybullet",
+    "carom.recording.source.adapters.rebound_source": "rebound",
     "carom.recording.source.law_audit": "Fault Tolerances",
     "carom.recording.source.observer": "Observer header_of_source not_finite",
     "carom.recording.source.source": (
@@ -301,7 +301,7 @@ _HOMES = {
         "refuse_no_rotation setup_of time_of"
     ),
     "carom.recording.write.durable_sink": "DiskReserve",
-    "carom.recording.write.recorder": "Recorder",
+    "carom.recording.write.recorder": "FrameRecorder",
     "carom.recording.write.whole_file": "new_name whole_file write_whole",
     "carom.runs.outcome": "closing_of Verdict judge",
     "carom.runs.overview": "ONCE_A_STEP in_words",

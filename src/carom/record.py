@@ -12,11 +12,11 @@ Any object with a `Model` and a method ``state`` that returns a `State` is a `So
 from __future__ import annotations
 
 from carom.lab.engines.engine_recorder import Recorder
-from carom.recording.source.adapters.box3d import box3d
-from carom.recording.source.adapters.mujoco import mujoco
-from carom.recording.source.adapters.newton import newton
-from carom.recording.source.adapters.pybullet import pybullet
-from carom.recording.source.adapters.rebound import rebound
+from carom.recording.source.adapters.box3d_source import box3d
+from carom.recording.source.adapters.mujoco_source import mujoco
+from carom.recording.source.adapters.newton_source import newton
+from carom.recording.source.adapters.pybullet_source import pybullet
+from carom.recording.source.adapters.rebound_source import rebound
 from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.source import Model, Plane, Source, State
 

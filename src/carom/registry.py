@@ -80,7 +80,7 @@ class ExtensionError(SceneError):
     """A part that is not installed, cannot be imported, or is defined twice."""
 
 
-class Origin(NamedTuple):
+class PartOrigin(NamedTuple):
     """Where a part comes from."""
 
     target: str  # module:attribute
@@ -99,7 +99,7 @@ def installed(kind: str) -> tuple[str, ...]:
     return tuple(sorted(_installed(kind)))
 
 
-def origin(kind: str, name: str) -> Origin | None:
+def origin(kind: str, name: str) -> PartOrigin | None:
     """Return where a part of an installed package comes from; None if no package has one of that name.
 
     Raises
@@ -155,16 +155,16 @@ def _imported(target: str) -> Any:
 
 
 @cache
-def _installed(kind: str) -> Mapping[str, tuple[Origin, ...]]:
+def _installed(kind: str) -> Mapping[str, tuple[PartOrigin, ...]]:
     """Return the parts of installed packages, by name; a package that is found twice counts once."""
     return _all_installed().get(kind, {})
 
 
 @cache
-def _all_installed() -> Mapping[str, Mapping[str, tuple[Origin, ...]]]:
+def _all_installed() -> Mapping[str, Mapping[str, tuple[PartOrigin, ...]]]:
     from importlib.metadata import distributions  # noqa: PLC0415 - takes 20 ms, which `carom --version` need not wait for
 
-    found: dict[str, dict[str, dict[str, Origin]]] = {}
+    found: dict[str, dict[str, dict[str, PartOrigin]]] = {}
     for distribution in distributions():
         text = distribution.read_text("entry_points.txt") or ""
         if f"[{PREFIX}" not in text:
@@ -173,7 +173,7 @@ def _all_installed() -> Mapping[str, Mapping[str, tuple[Origin, ...]]]:
         for entry in distribution.entry_points:
             if entry.group.startswith(PREFIX) and entry.group[len(PREFIX) :] in KINDS:
                 by_name = found.setdefault(entry.group[len(PREFIX) :], {}).setdefault(entry.name, {})
-                by_name.setdefault(package, Origin(entry.value, package, distribution.version))
+                by_name.setdefault(package, PartOrigin(entry.value, package, distribution.version))
     return {
         kind: {name: tuple(origins.values()) for name, origins in by_name.items()} for kind, by_name in found.items()
     }

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import carom as library
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun
 from small_scenes import pair
 
@@ -16,7 +16,7 @@ from small_scenes import pair
 @pytest.fixture(scope="session")
 def _recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path, scripted = tmp_path_factory.mktemp("recorded") / "run.rrd", ScriptedRun(20)
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(100):
             recorder.put(frame)
         recorder.finish("completed", {"contacts.total": 1234})

@@ -7,7 +7,7 @@ import pytest
 
 from carom import record
 from carom.recording.edit import bundle
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.runs.run import run
 from carom_command import carom
 from scripted_run import ScriptedRun
@@ -18,7 +18,7 @@ from small_scenes import pair
 def other(tmp_path: Path) -> Path:
     """The recording `run.rrd` once more, with other numbers behind its bits and in its scene."""
     scripted = ScriptedRun(20, scene_toml='title = "A merry-go-round"\nseed = 3\n')
-    with Recorder(tmp_path / "other.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "other.rrd", scripted.header) as recorder:
         for frame in scripted.frames(100):
             moved = frame.position + (1e-3 if frame.step >= 40 else 0.0)
             recorder.put(replace(frame, position=moved))

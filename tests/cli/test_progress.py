@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from carom.cli.progress import Progress
+from carom.cli.progress import RunProgress
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from carom_command import carom
@@ -26,7 +26,7 @@ from carom_command import carom
 def test_a_largest_step_that_makes_a_run_long_is_named_before_the_run(
     time: dict[str, Any], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with Progress(Scene.from_dict({"time": time, "body": [{"radius": 1.0}]})):
+    with RunProgress(Scene.from_dict({"time": time, "body": [{"radius": 1.0}]})):
         pass
     shown = " ".join(capsys.readouterr().err.split())
     assert said in shown and ("max_dt" in shown) == bool(said)

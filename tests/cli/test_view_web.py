@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import pytest
 
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.show.web import site
 from carom_command import carom
 from scripted_run import ScriptedRun
@@ -23,7 +23,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         raise KeyboardInterrupt
 
     path, scripted = tmp_path / "run.rrd", ScriptedRun(3)
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(3):
             recorder.put(frame)
         recorder.finish("completed")

@@ -17,7 +17,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
 from small_scenes import cloud
 
@@ -228,9 +228,9 @@ def test_an_older_recording_whose_scene_was_altered_is_compared_before_it_is_res
 ) -> None:
     run = resumable_run(altered_scene(whole, tmp_path / "altered.rrd", digest=False), 2.0)
     with pytest.raises(RecordingError, match="cannot be resumed: run again, it differs at step"):
-        resume(run, run.space())
+        continue_run(run, run.space())
     untouched = resumable_run(Recording.open(whole), 1.5)
-    assert resume(untouched, untouched.space(), tmp_path / "longer.rrd").ok
+    assert continue_run(untouched, untouched.space(), tmp_path / "longer.rrd").ok
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from carom.errors import SceneError
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.runs.replay import replay
 from carom.runs.report import report
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 
 
@@ -32,7 +32,7 @@ def assert_read_by_all(recording: carom.Recording, folder: Path, monkeypatch: py
     assert recorded_scene(recording).toml == recording.scene_toml
     assert replay(recording).same
     run = resumable_run(recording, until=0.004)
-    assert resume(run, run.space(), folder / "longer.rrd").status == "completed"
+    assert continue_run(run, run.space(), folder / "longer.rrd").status == "completed"
     monkeypatch.setattr("carom.runs.report.try_to_render", lambda *_: "not of interest here")
     assert "same bits" in report(recording, folder / "x.zip").replayed
 

@@ -17,7 +17,7 @@ from PIL import Image
 
 from browser import chromium, settled, wait_until_loaded
 from carom.errors import RecordingError
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.runs import publish as publishing
 from carom.show.web import site
 from carom_command import carom
@@ -35,7 +35,7 @@ def record(path: Path, title: str = TITLE) -> Path:
     error: dict[str, float | str] = {"value": 1e-6, "step": 20, "time": 1.0}
     moments = {"impact": impact, "contacts": most, "energy_error": error}
     named = {f"moments.{name}.{key}": value for name, moment in moments.items() for key, value in moment.items()}
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed", named)

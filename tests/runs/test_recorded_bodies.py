@@ -24,7 +24,7 @@ from carom.recording.schema import paths
 from carom.runs.environment import versions
 from carom.runs.replay import replay
 from carom.runs.report import report
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from carom_command import carom as carom_command
 
@@ -92,7 +92,7 @@ def test_a_recording_replays_resumes_clips_and_reports_without_the_data_files(
     with opened(tmp_path / "x.zip") as path:
         assert replay(Recording.open(path)).same
     run = resumable_run(recording, until=0.04)
-    assert resume(run, run.space(), tmp_path / "longer.rrd").status == "completed"
+    assert continue_run(run, run.space(), tmp_path / "longer.rrd").status == "completed"
     longer = Recording.open(tmp_path / "longer.rrd")
     assert replay(longer).same
     assert diff(recording, longer).verdict.kind == "same"
@@ -102,7 +102,7 @@ def test_a_recording_and_what_is_made_of_it_list_the_columns_that_were_not_used(
     recording: Recording, tmp_path: Path
 ) -> None:
     run = resumable_run(recording, until=0.03)
-    resume(run, run.space(), tmp_path / "longer.rrd")
+    continue_run(run, run.space(), tmp_path / "longer.rrd")
     clip(recording.path, tmp_path / "clip.rrd", 0.01, 0.02)
     for path in (recording.path, tmp_path / "longer.rrd", tmp_path / "clip.rrd"):
         found = Recording.open(path)

@@ -20,7 +20,7 @@ from carom.plan.auto import integrator
 from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
-from carom.runs.resume import claimed_target, resumable_run, resume
+from carom.runs.resume import claimed_target, continue_run, resumable_run
 from carom.runs.run import simulate
 from carom.scene.schema import Scene
 from small_scenes import bundled, cloud, two_planets
@@ -81,7 +81,7 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
     part = stopped(scene, tmp_path / "part.rrd", 0.6 * scene.time.duration)
     run = resumable_run(part)
     assert run.step > 0
-    outcome = resume(run, run.space(threads=1))
+    outcome = continue_run(run, run.space(threads=1))
     assert outcome.status == carom_outcome(whole) and outcome.path == tmp_path / "part.rrd"
     assert_same_recording(whole, Recording.open(outcome.path))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["part.rrd", "whole.rrd"]
@@ -92,7 +92,7 @@ def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Pa
     long = carom.run(cloud(time={"duration": 3.0}, record={"every": 0.02}), tmp_path / "long.rrd")
     run = resumable_run(short, until=3.0)
     assert run.time < 1.503
-    outcome = resume(run, run.space(threads=1), tmp_path / "resumed.rrd")
+    outcome = continue_run(run, run.space(threads=1), tmp_path / "resumed.rrd")
     assert_same_recording(long, Recording.open(outcome.path))
     assert outcome.begin == run.time
     assert Recording.open(tmp_path / "short.rrd").frames == short.frames, "the first recording is as it was"
@@ -109,7 +109,7 @@ def test_a_longer_run_keeps_the_integrator_that_its_first_duration_chose(tmp_pat
 def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Path) -> None:
     short = carom.run(cloud(time={"duration": 1.0}), tmp_path / "short.rrd")
     run = resumable_run(short, until=1.5)
-    resumed = Recording.open(resume(run, run.space()).path)
+    resumed = Recording.open(continue_run(run, run.space()).path)
     assert resumed.versions["carom"] == short.versions["carom"]
     assert resumed.properties["resumed.step"] == run.step
     assert resumed.properties["resumed.version.carom"]
@@ -130,7 +130,7 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(tmp_path: Path) -> None:
     killed = opened_or_repaired(path)
     assert killed.frames > 20 and not killed.outcome.startswith("completed")
     run = resumable_run(killed)
-    resumed = Recording.open(resume(run, run.space()).path)
+    resumed = Recording.open(continue_run(run, run.space()).path)
     whole = [frame.fingerprint for frame in Space(run.scene).run()]
     assert resumed.fingerprints()["fingerprint"].to_pylist() == whole
     assert resumed.outcome == "completed"
@@ -184,6 +184,6 @@ def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path)
     space = run.space()
     space.state.velocity[0] = float("nan")
     with pytest.raises(RecordingError, match="unchanged: failed: the state is no longer finite"):
-        resume(run, space)
+        continue_run(run, space)
     assert recording.path.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["cloud.rrd"]

@@ -20,7 +20,7 @@ from PIL import Image
 
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.show.movie import frame_times
 from carom_command import carom
 from needs import PICTURES
@@ -142,7 +142,7 @@ def test_a_picture_shows_the_last_recorded_frame_before_its_time(recorded: Path)
 @pytest.mark.needs(PICTURES)
 def test_the_command_makes_a_movie_in_which_the_bodies_move(tmp_path: Path) -> None:
     scripted = ScriptedRun(12)
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed")

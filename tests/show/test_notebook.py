@@ -9,7 +9,7 @@ import pytest
 
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.show import notebook
 from scripted_run import ScriptedRun
 
@@ -63,7 +63,7 @@ def viewers(monkeypatch: pytest.MonkeyPatch) -> list[SpyViewer]:
 @pytest.fixture
 def recording(tmp_path: Path) -> Recording:
     path, scripted = tmp_path / "run.rrd", ScriptedRun(5)
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(5):
             recorder.put(frame)
         recorder.finish("completed")

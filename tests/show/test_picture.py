@@ -11,7 +11,7 @@ from carom.errors import RecordingError
 from carom.physics.placement.initial_state import place
 from carom.recording.layout import drawing
 from carom.recording.schema import palette
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.scene.scene_file import bundled_scenes
 from carom.show.picture import _marked, drawable, is_picture_of_carom, render
 from carom.show.request import Request
@@ -28,7 +28,7 @@ SIZE = (1600, 1000)
 def picture(tmp_path_factory: pytest.TempPathFactory) -> Pixels:
     folder = tmp_path_factory.mktemp("picture")
     scripted = ScriptedRun(60)
-    with Recorder(folder / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(folder / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(150):
             recorder.put(frame)
         recorder.finish("completed")
@@ -115,7 +115,7 @@ def test_the_ground_is_dark(picture: Pixels) -> None:
 @pytest.mark.needs(PICTURES)
 def test_a_picture_at_no_time_shows_the_hardest_impact(tmp_path: Path) -> None:
     scripted = ScriptedRun(8)
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(60):
             recorder.put(frame)
         recorder.finish("completed", {"moments.impact.time": 1.25})
@@ -184,7 +184,7 @@ def test_without_a_driver_the_packages_are_named(
     tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch, hidden: tuple[str, ...]
 ) -> None:
     """Without Mesa's OpenGL there is no adapter; with it, one that the viewer cannot draw with."""
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.put(next(scripted.frames(1)))
         recorder.finish("completed")
     monkeypatch.setenv("VK_DRIVER_FILES", "/nowhere.json")  # the Vulkan loader then finds no driver

@@ -14,7 +14,7 @@ from carom.recording.layout.plot_views import energy_view, place_legend
 from carom.recording.read.recorded_header import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.show.picture import render
 from carom.show.request import Request
 from needs import PICTURES
@@ -30,7 +30,7 @@ DOT = 80  # px, of a dot in the legend, with its soft edge
 def energy(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, Path, Pixels]:
     """The theme, a recording, and the picture of its energies."""
     folder, theme = tmp_path_factory.mktemp("plots"), str(request.param)
-    with Recorder(folder / "run.rrd", ScriptedRun(20).header) as recorder:
+    with FrameRecorder(folder / "run.rrd", ScriptedRun(20).header) as recorder:
         for frame in ScriptedRun(20).frames(150):
             recorder.put(frame)
         recorder.finish("completed")

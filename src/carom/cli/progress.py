@@ -26,7 +26,7 @@ MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
 LEAST_FRAMES = 0.9  # of those asked for; fewer are pointed out
 
 
-class Progress(LiveLine):
+class RunProgress(LiveLine):
     """Time simulated, pace, and time left of one run; then how it ended."""
 
     def __init__(self, scene: Scene, quiet: bool = False, heading: str = "") -> None:

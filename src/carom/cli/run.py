@@ -26,7 +26,7 @@ from carom.scene.units.dimension import TIME
 from carom.scene.wording import command
 
 if TYPE_CHECKING:
-    from carom.cli.progress import Progress
+    from carom.cli.progress import RunProgress
     from carom.runs.run import Outcome
     from carom.scene.units.system import UnitSystem
 
@@ -67,10 +67,10 @@ def run(
     path = output or default_output(Path(scene).stem)
 
     with claimed_output(path, force) as claim:
-        from carom.cli.progress import Progress, preparing, watch_look_ahead
+        from carom.cli.progress import RunProgress, preparing, watch_look_ahead
         from carom.runs.run import recording_space, simulate
 
-        progress = Progress(loaded, quiet=as_json)
+        progress = RunProgress(loaded, quiet=as_json)
         announce_compilation(progress.say, helped)
         with preparing(loaded, progress) as patience:
             space = recording_space(loaded, threads, watch_look_ahead(loaded, patience))
@@ -92,7 +92,7 @@ def telling_of(path: Path) -> Iterator[None]:
         raise
 
 
-def report(outcome: Outcome, progress: Progress, as_json: bool) -> None:
+def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
     """Say how a run ended; exit with 1 if it did not end well."""
     from carom.runs.overview import in_words
 
@@ -151,10 +151,10 @@ def resume(
 ) -> None:
     """Continue a run that was interrupted, killed or has ended; results are the same as without interruption."""
     from carom.cli.compiling import announce_compilation
-    from carom.cli.progress import Progress
+    from carom.cli.progress import RunProgress
     from carom.recording.read.recording import Recording
     from carom.runs.resume import claimed_target, resumable_run, under_way
-    from carom.runs.resume import resume as go_on
+    from carom.runs.resume import continue_run as go_on
 
     if until is not None and not 0.0 < until < float("inf"):
         raise typer.BadParameter(f"{until:g}: expected a time later than the start", param_hint="--until")
@@ -162,7 +162,7 @@ def resume(
         recording = Recording.open(file)
         run = resumable_run(recording, simulated_or_none(until, recording.units))
         began = recording.units.text(run.time, TIME)
-        progress = Progress(run.scene, quiet=as_json, heading=f"From t = {began} on: ")
+        progress = RunProgress(run.scene, quiet=as_json, heading=f"From t = {began} on: ")
         announce_compilation(progress.say)
         space = run.space(threads)
         address = live_viewer() if live else None

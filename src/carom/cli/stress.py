@@ -33,7 +33,7 @@ def stress(
 ) -> None:
     """Run the scenes at the limits of the method and compare each with its criteria; exit with 1 on a miss."""
     from carom.cli.compiling import announce_compilation
-    from carom.cli.progress import Progress
+    from carom.cli.progress import RunProgress
     from carom.runs.output import output_folder
     from carom.runs.stress import attempt, extremes
     from carom.scene.schema import Scene
@@ -45,7 +45,7 @@ def stress(
     trials: list[Trial] = []
     try:
         for number, (short, scene) in enumerate(scenes.items(), start=1):
-            with Progress(scene, quiet=as_json, heading=f"{number}/{len(scenes)}  {short}: ") as progress:
+            with RunProgress(scene, quiet=as_json, heading=f"{number}/{len(scenes)}  {short}: ") as progress:
                 trials.append(attempt(short, scene, folder, watch=progress.update))
             if trials[-1].status == "interrupted":
                 break

@@ -21,7 +21,7 @@ from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.time_scale import TimeScale
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.runs.comparison import Mismatch, StaticCheck, Value
 from carom.runs.environment import versions
 from carom.runs.frame_check import WORDS_OF_EXTREMES, FrameCheck, is_whole, text_of, told_of
@@ -155,7 +155,7 @@ def replay(
         recorder = None
         if dense is not None:
             stack.enter_context(claimed_output(dense, force))
-            recorder = stack.enter_context(Recorder(dense, header_of(space)))
+            recorder = stack.enter_context(FrameRecorder(dense, header_of(space)))
         ended = _run_again(space, run, recorder, begin, consent, watch)
         if recorder is not None:
             recorder.finish(ended or "completed")
@@ -178,7 +178,7 @@ def replay(
 
 
 def _run_again(
-    space: Space, run: _Comparison, recorder: Recorder | None, begin: float, consent: Consent, watch: Watcher
+    space: Space, run: _Comparison, recorder: FrameRecorder | None, begin: float, consent: Consent, watch: Watcher
 ) -> str:
     """Run up to the end of the window or the first difference; return why it ended before, empty if it did not.
 

@@ -112,7 +112,7 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
         yield claim
 
 
-def resume(
+def continue_run(
     run: ResumableRun,
     space: Space,
     output: Path | None = None,

@@ -24,7 +24,7 @@ from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header, Scalar, ShownMaterials, SweepMember
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.whole_file import Claim
 from carom.runs.environment import environment
 from carom.runs.outcome import Verdict, closing_of, judge
@@ -215,7 +215,7 @@ def _simulate(
         header = replace(header, properties=properties)
     if member is not None:
         header = replace(header, member=member, properties={**header.properties, "command": member.command})
-    recorder = Recorder(path, header, live=live, continued=continued)
+    recorder = FrameRecorder(path, header, live=live, continued=continued)
     physics = _Physics(space, recorder, continued)
     try:
         _wait(physics, watch, interrupts)
@@ -271,7 +271,7 @@ def outcome_text(status: str, reason: str) -> str:
 class _Physics:
     """The physics thread: steps a space and hands its frames to the recorder."""
 
-    def __init__(self, space: Space, recorder: Recorder, continued: Continuation | None) -> None:
+    def __init__(self, space: Space, recorder: FrameRecorder, continued: Continuation | None) -> None:
         self.space = space
         self.warnings = continued.recording.warnings(until=continued.step) if continued else []
         self._known = continued.step if continued else -1  # the step whose frame the recorder has

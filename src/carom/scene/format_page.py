@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
-from carom.scene.schema.forces import know_installed_forces
+from carom.scene.schema.force_settings import know_installed_forces
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
 

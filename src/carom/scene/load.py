@@ -38,7 +38,7 @@ from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.schema.forces import know_installed_forces
+from carom.scene.schema.force_settings import know_installed_forces
 from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
 

@@ -12,7 +12,7 @@ from carom.lab.diff.diff import Diff, _nearest_in_order, diff, differing, impact
 from carom.lab.diff.diff_command import _short
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.runs.run import run
 from carom.scene.schema import Scene
 from edited_recordings import changed, without_column
@@ -28,7 +28,7 @@ RMS = float(np.sqrt(np.mean(np.sum(PATTERN**2, axis=1))))
 
 def record(path: Path, change: Change = lambda t: 0.0, dt: float = 0.05, frames: int = 200, **header: Any) -> Recording:
     scripted = ScriptedRun(BODIES, **header)
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(frames, dt):
             moved = change(frame.time)
             if moved:

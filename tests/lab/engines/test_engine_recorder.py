@@ -16,7 +16,7 @@ from carom.recording.read.recorded_header import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.adapters.pybullet import calls_per_frame
+from carom.recording.source.adapters.pybullet_source import calls_per_frame
 from carom.recording.source.source import StateMemory
 from carom.runs.overview import overview
 from carom_command import carom as command

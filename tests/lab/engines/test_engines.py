@@ -13,7 +13,7 @@ from carom.errors import ExperimentError
 from carom.lab.compared_run import sample_times
 from carom.lab.engines.engine import engine_called
 from carom.lab.engines.rebound import shortest_period
-from carom.lab.engines.stepped import Simulation, problem_of
+from carom.lab.engines.stepped import EngineSimulation, problem_of
 from carom.lab.engines.watched import watch
 from carom.lab.tradeoff.tradeoff import Study
 from carom.recording.read.recording import Recording
@@ -188,7 +188,7 @@ def test_an_engine_without_names_gets_those_of_the_scene() -> None:
 
 def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path) -> None:
     scene, engine = orbit(units="au, day, solar mass"), Restarting()
-    simulation = Simulation(engine, engine.step, 0.1)
+    simulation = EngineSimulation(engine, engine.step, 0.1)
     seen = watch(simulation, scene, sample_times(scene), tmp_path / "run.rrd")
     assert seen.outcome == "failed: the engine's time went back from 0.5 day to 0 day."
     assert Recording.open(tmp_path / "run.rrd").outcome == seen.outcome

@@ -21,7 +21,7 @@ from carom.physics.schedule import at, every
 from carom.physics.space import Space
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 
@@ -255,7 +255,7 @@ def test_a_recording_with_impacts_is_replayed_and_resumed_with_the_same_bits(tmp
     recording = carom.run(scene, tmp_path / "three.rrd")
     assert replay(recording).same
     run = resumable_run(recording, until=3.0)
-    resumed = Recording.open(resume(run, run.space(), tmp_path / "more.rrd").path)
+    resumed = Recording.open(continue_run(run, run.space(), tmp_path / "more.rrd").path)
     assert replay(resumed).same
 
 

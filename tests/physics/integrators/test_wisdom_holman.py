@@ -17,7 +17,7 @@ from carom.physics.space import Space
 from carom.plan.features import require
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from small_scenes import scene_of
 
@@ -208,7 +208,7 @@ def test_a_recording_is_replayed_and_resumed_with_the_same_bits(passing: Scene, 
     assert replay(recording).same
     assert replay(recording, 2.0 * YEAR, 2.1 * YEAR).same  # from a checkpoint, in the encounter
     run = resumable_run(recording, until=4.0 * YEAR)
-    resumed = Recording.open(resume(run, run.space(), tmp_path / "more.rrd").path)
+    resumed = Recording.open(continue_run(run, run.space(), tmp_path / "more.rrd").path)
     assert replay(resumed).same
 
 

@@ -12,7 +12,7 @@ from carom.physics.frame import Frame
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun
 
 FIRST, LAST = 45, 73  # steps of the clip that most tests make: frame 45 lies inside a phase, and at no checkpoint
@@ -124,7 +124,7 @@ def frames_of(scripted: ScriptedRun) -> dict[int, Frame]:
 def test_a_clip_of_a_few_bodies_shows_them_and_the_contacts_among_them(tmp_path: Path, box: Any) -> None:
     scripted, kept = ScriptedRun(60, box=box), list(range(0, 60, 2))
     frames = frames_of(scripted)
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames.values():
             recorder.put(frame)
         recorder.finish("completed")
@@ -160,7 +160,7 @@ def test_contacts_with_planes_are_those_of_the_body(tmp_path: Path) -> None:
         overlaps, colours = np.append(graph.overlaps, [0.01, 0.01]), np.append(graph.colours, [0, 0])
         return replace(frame, contacts=replace(graph, pairs=pairs, normals=normals, overlaps=overlaps, colours=colours))
 
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(10):  # so early nobody touches another
             recorder.put(touching_a_plane(frame))
         recorder.finish("completed")
@@ -227,7 +227,7 @@ def test_a_run_that_was_killed_can_be_clipped(run_file: Path, tmp_path: Path) ->
 def test_a_clip_of_one_per_cent_of_400_mb_takes_less_than_300_mb_of_memory(tmp_path: Path) -> None:
     scripted = ScriptedRun(2000)
     some = list(scripted.frames(24))
-    with Recorder(tmp_path / "long.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "long.rrd", scripted.header) as recorder:
         for step in range(7200):
             recorder.put(replace(some[step % 24], step=step, time=0.05 * step, events=()))
         recorder.finish("completed")

@@ -14,7 +14,7 @@ from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, messages
 from carom.recording.schema import paths
 from carom.recording.schema.time_scale import TimeScale
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.stream import Stream
 from carom.runs.replay import replay
 from edited_recordings import changed, mapped
@@ -133,7 +133,7 @@ def test_messages_after_a_wrong_length_are_found_again(run_file: Path, tmp_path:
 def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_misplaced(tmp_path: Path) -> None:
     scripted = ScriptedRun(5)
     frames = list(scripted.frames(9))
-    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=6) as recorder:  # 3 frames a batch
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header, queue_size=6) as recorder:  # 3 frames a batch
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")
@@ -153,7 +153,7 @@ def test_frames_of_which_a_piece_is_lost_are_left_out_of_the_table_and_not_mispl
 def batches(tmp_path: Path) -> Path:
     """A run of 5 bodies and 9 frames, 3 frames a batch."""
     scripted, path = ScriptedRun(5), tmp_path / "run.rrd"
-    with Recorder(path, scripted.header, queue_size=6) as recorder:
+    with FrameRecorder(path, scripted.header, queue_size=6) as recorder:
         for frame in scripted.frames(9):
             recorder.put(frame)
         recorder.finish("completed")

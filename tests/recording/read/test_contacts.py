@@ -29,7 +29,7 @@ from carom.recording.write.impact_plan import ImpactPlan, impact_rows
 from carom.recording.write.rows import Rows
 from carom.runs.impact_check import LEFT_OUT
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, repacked, stream, with_column
 from scripted_run import ScriptedRun
@@ -302,7 +302,7 @@ def test_rows_without_values_are_refused_by_a_replay(
 def test_a_resumed_run_has_the_impacts_of_one_that_never_stopped(recording: Recording, tmp_path: Path) -> None:
     path = carom.run(scene(duration=1.0), tmp_path / "half.rrd").path
     half = resumable_run(Recording.open(path), until=2.0)
-    resume(half, half.space(), tmp_path / "whole.rrd")
+    continue_run(half, half.space(), tmp_path / "whole.rrd")
     whole = Recording.open(tmp_path / "whole.rrd")
     assert whole.impacts().equals(recording.impacts())
     assert replay(whole).same

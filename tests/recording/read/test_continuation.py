@@ -11,7 +11,7 @@ from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun, write_events_without_kinds
 
 LARGEST = Event(8, 0.4, "INFO", "Hardest impact of the run, 3 J of approach (½ μ v_n²): a and b.", "extreme")
@@ -20,7 +20,7 @@ FRAMES = 20
 
 def recorded(path: Path, scripted: ScriptedRun, event: Event) -> Recording:
     """Record a run with one event on its way, one extreme, and an end."""
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(FRAMES):
             recorder.put(replace(frame, events=(event,) if frame.step == event.step else ()))
         recorder.finish("interrupted: stopped by the user", {}, (LARGEST,))

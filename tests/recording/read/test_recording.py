@@ -7,7 +7,7 @@ import rerun as rr
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun, write_events_without_kinds
 
 KEPT: dict[str, float | bool] = {"measured": 0.1, "limit": 0.2, "met": True}
@@ -16,7 +16,7 @@ HIT: dict[str, float] = {"value": 2.0, "step": 4, "time": 0.2}
 
 @pytest.fixture
 def path(tmp_path: Path, scripted: ScriptedRun) -> Path:
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(100):
             recorder.put(frame)
         recorder.finish(
@@ -33,7 +33,7 @@ def path(tmp_path: Path, scripted: ScriptedRun) -> Path:
 
 
 def test_a_recording_without_a_title_is_untitled(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with Recorder(tmp_path / "run.rrd", replace(scripted.header, title="")) as recorder:  # Rerun drops empty texts
+    with FrameRecorder(tmp_path / "run.rrd", replace(scripted.header, title="")) as recorder:  # Rerun drops empty texts
         recorder.put(next(iter(scripted.frames(1))))
         recorder.finish("completed")
     assert Recording.open(tmp_path / "run.rrd").title == "Untitled scene"
@@ -107,7 +107,7 @@ def test_counts_of_the_run_take_precedence_over_the_recorded_frames(path: Path) 
 
 
 def test_a_recording_without_a_frame_has_no_moment_to_look_at(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.finish("failed: no room for the bodies")
     with pytest.raises(RecordingError, match="holds no frame: failed: no room"):
         Recording.open(tmp_path / "run.rrd").moment()
@@ -117,7 +117,7 @@ def test_the_most_interesting_moment_is_the_hardest_impact(tmp_path: Path, scrip
     frames = list(scripted.frames(60))
     hit = frames[33].energy
     harder = replace(hit, ledger=replace(hit.ledger, restitution=hit.ledger.restitution + 1e6))
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames:
             recorder.put(replace(frame, energy=harder) if frame.step == 33 else frame)
         recorder.finish("completed")
@@ -128,7 +128,7 @@ def test_events_recorded_before_there_were_kinds_get_them_from_their_texts(
     tmp_path: Path, scripted: ScriptedRun, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_events_without_kinds(monkeypatch)
-    with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "old.rrd", scripted.header) as recorder:
         for frame in scripted.frames(50):
             recorder.put(frame)
         recorder.finish("failed: the end is a warning, too")
@@ -141,7 +141,7 @@ def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(
     tmp_path: Path, scripted: ScriptedRun
 ) -> None:
     n = len(scripted.header.mass)
-    with Recorder(tmp_path / "old.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "old.rrd", scripted.header) as recorder:
         recorder.put(next(iter(scripted.frames(1))))
         impact = {f"moments.impact.{key}": value for key, value in HIT.items()}
         recorder.finish("completed", impact | {"moments.impact.bodies": f"3,{n + 1}"})
@@ -150,7 +150,7 @@ def test_planes_are_told_from_bodies_in_a_recording_of_before_they_had_a_key(
 
 
 def test_a_series_that_no_recording_has_is_refused_with_those_there_are(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(3):
             recorder.put(frame)
         recorder.finish("completed")

@@ -12,7 +12,7 @@ from carom.recording.layout.plot_views import CurveOutline, shown_series
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES
 from carom.recording.schema.series import PLOTS, SERIES, names_below, recorded
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from scripted_run import ScriptedRun
 
 DOCS = Path(__file__).parents[3] / "docs" / "recording.md"
@@ -73,7 +73,7 @@ def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -
         ("all", ScriptedRun(5)),
         ("few", ScriptedRun(5, spins=False, collides=False, forces=frozenset())),
     ):
-        with Recorder(tmp_path / f"{name}.rrd", scripted.header) as recorder:
+        with FrameRecorder(tmp_path / f"{name}.rrd", scripted.header) as recorder:
             for frame in scripted.frames(30):
                 recorder.put(frame)
             recorder.finish("completed")
@@ -89,7 +89,7 @@ def test_the_impact_rate_is_impacts_since_the_last_frame_over_the_time_between(t
         replace(frame, books=replace(frame.books, moments=replace(frame.books.moments, impacts=int(impacts))))
         for frame, impacts in zip(scripted.frames(len(counts)), counts, strict=True)
     ]
-    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=3) as recorder:  # several batches
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header, queue_size=3) as recorder:  # several batches
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")

@@ -10,12 +10,12 @@ from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import encode, size
-from carom.recording.write.recorder import CheckpointPlan, Recorder
+from carom.recording.write.recorder import CheckpointPlan, FrameRecorder
 from scripted_run import ScriptedRun
 
 
 def record(path: Path, scripted: ScriptedRun, frames: list[Frame]) -> Recording:
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in frames:
             recorder.put(frame)
         recorder.finish("completed")

@@ -5,7 +5,7 @@ import pytest
 
 from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.show.viewer import Viewer
 from needs import PICTURES
 from scripted_run import ScriptedRun
@@ -16,13 +16,13 @@ def test_nobody_listening_is_told_at_once(tmp_path: Path, scripted: ScriptedRun)
         taken.bind(("127.0.0.1", 0))
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         with pytest.raises(RecordingError, match="no viewer listens"):
-            Recorder(tmp_path / "run.rrd", scripted.header, live=address)
+            FrameRecorder(tmp_path / "run.rrd", scripted.header, live=address)
     assert not (tmp_path / "run.rrd").exists()
 
 
 def test_an_address_without_a_port_is_explained(tmp_path: Path, scripted: ScriptedRun) -> None:
     with pytest.raises(RecordingError, match="HOST:PORT"):
-        Recorder(tmp_path / "run.rrd", scripted.header, live="localhost")
+        FrameRecorder(tmp_path / "run.rrd", scripted.header, live="localhost")
 
 
 @pytest.mark.slow
@@ -31,7 +31,7 @@ def test_an_address_without_a_port_is_explained(tmp_path: Path, scripted: Script
 def test_a_viewer_that_goes_away_does_not_stop_the_file(tmp_path: Path, scripted: ScriptedRun) -> None:
     frames = list(scripted.frames(400))
     with Viewer("--headless") as viewer:
-        recorder = Recorder(tmp_path / "run.rrd", scripted.header, live=viewer.address)
+        recorder = FrameRecorder(tmp_path / "run.rrd", scripted.header, live=viewer.address)
         for frame in frames[:200]:
             recorder.put(frame)
         viewer.until("receive the run", 30, lambda: bool(viewer.client.get_state().recordings))

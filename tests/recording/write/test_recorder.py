@@ -19,7 +19,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write import stream
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.recording.write.rows import Index, frame_rows, plain_column
 from carom.recording.write.stream import Stream
 from carom.runs.run import header_of
@@ -29,8 +29,8 @@ from scripted_run import ScriptedRun
 SUPPORT = str(Path(scripted_run.__file__).parent)
 
 
-def record(path: Path, scripted: ScriptedRun, frames: int, outcome: str = "completed") -> Recorder:
-    with Recorder(path, scripted.header) as recorder:
+def record(path: Path, scripted: ScriptedRun, frames: int, outcome: str = "completed") -> FrameRecorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(frames):
             recorder.put(frame)
         recorder.finish(outcome, {"contacts.total": 1234, "expect.energy_error": True})
@@ -140,7 +140,7 @@ def test_the_file_is_at_most_a_fifth_larger_than_what_is_in_it(tmp_path: Path) -
 def test_a_scene_of_billions_of_years_says_how_time_is_scaled(tmp_path: Path) -> None:
     scripted = ScriptedRun(5, duration=1e17)
     frames = [replace(frame, time=frame.time * 2e16) for frame in scripted.frames(20)]
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in frames:
             recorder.put(replace(frame, events=()))
         recorder.finish("completed")
@@ -150,7 +150,7 @@ def test_a_scene_of_billions_of_years_says_how_time_is_scaled(tmp_path: Path) ->
 
 
 def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with pytest.raises(ZeroDivisionError), Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with pytest.raises(ZeroDivisionError), FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         for frame in scripted.frames(10):
             recorder.put(frame)
         raise ZeroDivisionError("the physics fell over")
@@ -160,7 +160,7 @@ def test_leaving_before_the_end_says_so_in_the_file(tmp_path: Path, scripted: Sc
 
 
 def test_a_run_without_a_frame_is_still_a_recording(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.finish("failed before the first step")
     recording = Recording.open(tmp_path / "run.rrd")
     assert recording.frames == 0
@@ -169,13 +169,13 @@ def test_a_run_without_a_frame_is_still_a_recording(tmp_path: Path, scripted: Sc
 
 def test_a_folder_that_is_not_there_is_told_at_once(tmp_path: Path, scripted: ScriptedRun) -> None:
     with pytest.raises(RecordingError, match=r"cannot write .*No such file"):
-        Recorder(tmp_path / "missing" / "run.rrd", scripted.header)
+        FrameRecorder(tmp_path / "missing" / "run.rrd", scripted.header)
 
 
 def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, scripted: ScriptedRun) -> None:
     frames = list(scripted.frames(3))
     bad = replace(frames[2], time=float("nan"))
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.put(frames[0])
         recorder.put(frames[1])
         recorder.put(bad)
@@ -187,7 +187,7 @@ def test_a_bad_frame_stops_the_physics_and_the_file_says_why(tmp_path: Path, scr
 
 
 def test_a_full_queue_holds_the_physics_and_drops_nothing(tmp_path: Path, scripted: ScriptedRun) -> None:
-    with Recorder(tmp_path / "run.rrd", scripted.header, queue_size=1) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header, queue_size=1) as recorder:
         producers = [threading.Thread(target=recorder.put, args=(frame,)) for frame in scripted.frames(40)]
         for producer in producers:
             producer.start()
@@ -203,7 +203,7 @@ def test_a_slow_recorder_with_three_slots_overwrites_no_frame_that_waits(
     monkeypatch.setattr(Stream, "flush", lambda self: time.sleep(0.005))
     scene = Scene.load("two-spheres", ["time.duration=0.1", "time.fixed_dt=0.01", "record.every=step"])
     space = Space(scene, threads=1)
-    with Recorder(tmp_path / "run.rrd", replace(header_of(space), exact=True), queue_size=1) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", replace(header_of(space), exact=True), queue_size=1) as recorder:
         store = recorder.store_for(space.state)
         for frame in space.run(store=store):
             recorder.put(frame)
@@ -232,7 +232,7 @@ def test_joined_batches_hold_what_separate_ones_do(tmp_path: Path, monkeypatch: 
     for name, prompt in {"joined": 2, "separate": 1000}.items():
         monkeypatch.setattr(stream, "PROMPT_BATCHES", prompt)
         monkeypatch.setattr(stream, "OF_TIME", 1e9)  # all that waits is written at the end
-        with Recorder(tmp_path / f"{name}.rrd", scripted.header, queue_size=10) as recorder:  # 5 frames a batch
+        with FrameRecorder(tmp_path / f"{name}.rrd", scripted.header, queue_size=10) as recorder:  # 5 frames a batch
             for frame in scripted.frames(120):
                 recorder.put(frame)
             recorder.finish("completed")
@@ -261,7 +261,7 @@ def test_rows_that_wait_are_written_though_no_frame_follows(
 ) -> None:
     monkeypatch.setattr(stream, "PROMPT_BATCHES", 0)
     monkeypatch.setattr(stream, "OF_TIME", 0.5)
-    with Recorder(tmp_path / "run.rrd", scripted.header) as recorder:
+    with FrameRecorder(tmp_path / "run.rrd", scripted.header) as recorder:
         recorder.put(next(iter(scripted.frames(1))))
         deadline = time.monotonic() + 30.0
         while not (frames := _frames_so_far(tmp_path / "run.rrd")) and time.monotonic() < deadline:
@@ -282,7 +282,7 @@ def test_an_earlier_recording_stays_until_the_new_one_is_whole(tmp_path: Path, s
     record(path, scripted, 5)
     path.chmod(0o600)
     before = path.read_bytes()
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(9):
             recorder.put(frame)
         assert path.read_bytes() == before
@@ -322,11 +322,11 @@ from pathlib import Path
 sys.path.insert(0, {tests!r})
 from scripted_run import ScriptedRun
 from carom.recording.read.recording import Recording
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 
 def record(path):
     scripted = ScriptedRun(5)
-    with Recorder(path, scripted.header) as recorder:
+    with FrameRecorder(path, scripted.header) as recorder:
         for frame in scripted.frames(50):
             recorder.put(frame)
         recorder.finish("completed")
@@ -353,12 +353,12 @@ import os, sys, time
 from pathlib import Path
 sys.path.insert(0, {tests!r})
 from scripted_run import ScriptedRun
-from carom.recording.write.recorder import Recorder
+from carom.recording.write.recorder import FrameRecorder
 from carom.errors import RecordingError
 scripted = ScriptedRun(200)
 path = Path({path!r})
 {before}
-recorder = Recorder(path, scripted.header)
+recorder = FrameRecorder(path, scripted.header)
 try:
     for frame in scripted.frames(2000):
         recorder.put(frame)

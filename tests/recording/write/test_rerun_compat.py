@@ -32,7 +32,7 @@ from carom.recording.write.rerun_compat import (
     send_to_notebook,
 )
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from small_scenes import pair
 
 APPLICATION = "carom-2-0123456789ab"
@@ -161,7 +161,7 @@ def test_without_a_private_interface_a_run_is_recorded_read_resumed_and_clipped(
     monkeypatch.setattr(rerun_compat, "bindings", SimpleNamespace(**known))
     recording = carom.run(pair(time={"duration": 0.2, "max_dt": 0.02}), tmp_path / "run.rrd")
     run = resumable_run(recording, 0.3)
-    assert resume(run, run.space(), tmp_path / "longer.rrd").ok
+    assert continue_run(run, run.space(), tmp_path / "longer.rrd").ok
     clip(tmp_path / "longer.rrd", tmp_path / "clip.rrd", 0.1, 0.2)
     for name in ("run", "longer", "clip"):
         read = Recording.open(tmp_path / f"{name}.rrd")

@@ -14,7 +14,7 @@ from carom import Scene
 from carom.extend import PACKAGE, Plane, engine_package
 from carom.extend import box3d as source_of
 from carom.lab.compared_run import Setting
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 
 SUBSTEPS = 4  # the default, in a step
 
@@ -49,7 +49,7 @@ class Box3D(SteppedEngine):
         found = [f"single precision, {SUBSTEPS} substeps"]
         return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         engine, problem, dt = engine_package(PACKAGE), problem_of(self.name, scene), dt_of(setting)
         backend, turns = engine_package(f"{PACKAGE}._ffi", PACKAGE), engine_package(f"{PACKAGE}.math", PACKAGE)
@@ -77,4 +77,4 @@ class Box3D(SteppedEngine):
             box.add_box((half, half, half), friction=friction, restitution=own.restitution)
             x, y, z = (float(component) for component in np.asarray(normal))
             planes.append(Plane((x, y, z), float(offset), name))
-        return Simulation(source_of(world, tuple(planes)), lambda: world.step(dt), dt)
+        return EngineSimulation(source_of(world, tuple(planes)), lambda: world.step(dt), dt)

@@ -11,7 +11,7 @@ from carom.arrays import FloatArray
 from carom.errors import ExperimentError
 from carom.extend import suggestion
 from carom.lab.compared_run import Setting, Trajectory
-from carom.lab.engines.stepped import Simulation
+from carom.lab.engines.stepped import EngineSimulation
 
 
 class Engine(Protocol):
@@ -33,7 +33,7 @@ class Engine(Protocol):
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the few settings for `carom crosscheck`."""
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start, to be taken step by step."""
 
     def settings(self, scene: Scene) -> list[Setting]:

@@ -24,6 +24,7 @@ from carom.extend import (
     SI,
     TIME,
     Fault,
+    FrameRecorder,
     Header,
     Model,
     Observer,
@@ -50,7 +51,6 @@ from carom.extend import (
     setup_of,
     time_of,
 )
-from carom.extend import Recorder as FileRecorder
 
 # `SnapshotWriter`: the thread that records the snapshots of another engine's run.
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
@@ -83,7 +83,7 @@ class SnapshotWriter:
         self._observer, self._new = observer, new
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
-        self._recorder = FileRecorder(path, header)
+        self._recorder = FrameRecorder(path, header)
         self._store = self._recorder.store_for(observer.bodies)
         size = 104 * header.bodies
         room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made

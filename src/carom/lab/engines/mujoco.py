@@ -18,7 +18,7 @@ from carom.arrays import IntArray
 from carom.extend import Coefficients, Source, State, engine_package
 from carom.extend import mujoco as source_of
 from carom.lab.compared_run import Setting
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
+from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
@@ -40,7 +40,7 @@ class MuJoCo(SteppedEngine):
         found = [f"contacts are springs that bounce in {BOUNCE:g} steps"]
         return found + (["one coefficient of friction, the kinetic"] if _has_friction(scene) else [])
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         engine, problem, dt = engine_package(self.package), problem_of(self.name, scene), dt_of(setting)
         spec = engine.MjSpec()
@@ -76,7 +76,7 @@ class MuJoCo(SteppedEngine):
         source: Source = source_of(model, data)
         if start.fixed.any():
             source = _InOrder(source, np.argsort(np.argsort(start.fixed, kind="stable")), names)
-        return Simulation(source, lambda: engine.mj_step(model, data), dt)
+        return EngineSimulation(source, lambda: engine.mj_step(model, data), dt)
 
 
 class _InOrder:

@@ -17,7 +17,7 @@ from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package
 from carom.extend import newton as source_of
 from carom.lab.compared_run import Setting
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of
+from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
 
 ITERATIONS = 2  # of the solver in a step, its default
 
@@ -45,12 +45,12 @@ class Newton(SteppedEngine):
             warp.config.log_level = warp.LOG_ERROR
         super().ensure_installed()
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         _compile()
         return self._build(scene, dt_of(setting))
 
-    def _build(self, scene: Scene, dt: float) -> Simulation:
+    def _build(self, scene: Scene, dt: float) -> EngineSimulation:
         engine, warp = engine_package(self.package), engine_package("warp", "warp-lang")
         problem = problem_of(self.name, scene)
         start, law = problem.start, problem.between
@@ -85,7 +85,7 @@ class Newton(SteppedEngine):
             states.reverse()
             steps[0] += 1
 
-        return Simulation(source_of(model, lambda: (states[0], steps[0] * dt)), step, dt)
+        return EngineSimulation(source_of(model, lambda: (states[0], steps[0] * dt)), step, dt)
 
 
 @cache

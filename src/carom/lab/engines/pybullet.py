@@ -15,7 +15,7 @@ from carom import Scene
 from carom.extend import engine_package
 from carom.extend import pybullet as source_of
 from carom.lab.compared_run import Setting
-from carom.lab.engines.stepped import Simulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
 
 ITERATIONS = 50  # of the solver, its default
 _NO_DAMPING = {
@@ -47,7 +47,7 @@ class PyBullet(SteppedEngine):
         """Say what is translated differently."""
         return ["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else []
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         engine, problem, dt = engine_package(self.package), problem_of(self.name, scene), dt_of(setting)
         self.check(scene)
@@ -93,4 +93,4 @@ class PyBullet(SteppedEngine):
             engine.stepSimulation(client)
             source.stepped()
 
-        return Simulation(source, step, dt)
+        return EngineSimulation(source, step, dt)

@@ -32,7 +32,7 @@ from carom.extend import (
 )
 from carom.extend import rebound as record
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
-from carom.lab.engines.stepped import FINER, Simulation, refuse
+from carom.lab.engines.stepped import FINER, EngineSimulation, refuse
 from carom.lab.engines.watched import watch
 
 NAME = "rebound"
@@ -87,13 +87,13 @@ class Rebound:
         """Say what is translated differently."""
         return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
 
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start, to be taken step by step."""
         simulation = _simulation(scene, setting, safe=True)
         start = place(scene)
         order = np.argsort(_heaviest_first(start.mass))
         dt = simulation.dt if "dt=" in " ".join(setting.overrides) else 0.0
-        return Simulation(_InOrder(record(simulation), order, start.name), lambda: simulation.steps(1), dt)
+        return EngineSimulation(_InOrder(record(simulation), order, start.name), lambda: simulation.steps(1), dt)
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
         """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""

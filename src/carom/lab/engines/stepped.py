@@ -110,7 +110,7 @@ FINER = (1.0, 4.0)  # the scene's step over those that are compared
 
 
 @dataclass(frozen=True, slots=True)
-class Simulation:
+class EngineSimulation:
     """A scene in another engine."""
 
     source: Source
@@ -130,7 +130,7 @@ class SteppedEngine(ABC):
         """Raise ExperimentError if the engine cannot represent a scene; nothing is built yet."""
 
     @abstractmethod
-    def begin(self, scene: Scene, setting: Setting) -> Simulation:
+    def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
 
     @abstractmethod

@@ -20,8 +20,8 @@ from carom.extend import (
     TIME,
     Extremes,
     Fault,
+    FrameRecorder,
     Observer,
-    Recorder,
     Setup,
     State,
     Tolerances,
@@ -35,7 +35,7 @@ from carom.extend import (
 from carom.lab.compared_run import RunStoppedError, Trajectory, between
 
 if TYPE_CHECKING:
-    from carom.lab.engines.stepped import Simulation
+    from carom.lab.engines.stepped import EngineSimulation
 
 ROUNDING = 1e-9  # of the duration, that the sum of the steps may lack
 COMPLETED = "completed"
@@ -57,7 +57,7 @@ class Watched:
 
 
 def watch(
-    simulation: Simulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
+    simulation: EngineSimulation, scene: Scene, times: FloatArray, path: Path | None = None, limit: float = np.inf
 ) -> Watched:
     """Run a simulation to the end of its scene.
 
@@ -105,7 +105,7 @@ def watch(
 class _Walk:
     """Takes a simulation from its start to the end of its scene, and looks at it on the way."""
 
-    def __init__(self, simulation: Simulation, scene: Scene, observer: Observer, samples: _Samples) -> None:
+    def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, samples: _Samples) -> None:
         self.observer = observer
         self.frame: Frame  # the last one
         self._simulation, self._scene, self._samples = simulation, scene, samples
@@ -196,7 +196,7 @@ class _Log:
             properties={**environment(1), "engine": setup.engine},
             units=scene.unit_system,
         )
-        self._recorder = stack.enter_context(Recorder(path, header))
+        self._recorder = stack.enter_context(FrameRecorder(path, header))
 
     def see(self, frame: Frame) -> None:
         """Record a frame if it is due, the last, or in the log."""

@@ -34,7 +34,7 @@ _FACTOR = 0.4  # moment of inertia of a solid sphere over m r²
 
 
 @dataclass(frozen=True, slots=True)
-class Moment:
+class BodyStates:
     """The state of all bodies at one step of a run."""
 
     step: int
@@ -45,7 +45,7 @@ class Moment:
     spin: FloatArray | None  # (n, 3) rad/s
 
     @classmethod
-    def of(cls, frame: Frame) -> Moment:
+    def of(cls, frame: Frame) -> BodyStates:
         """Return the state of a frame that owns its arrays."""
         return cls(frame.step, frame.time, frame.dt, frame.position, frame.velocity, frame.angular_velocity)
 
@@ -80,7 +80,7 @@ def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> N
             body["inertia_factor"] = _inertia_factor(start, k)
 
 
-def at_moment(document: Document, moment: Moment, duration: float) -> Document:
+def at_moment(document: Document, moment: BodyStates, duration: float) -> Document:
     """Return a document that begins with the state of a moment and lasts for so many seconds."""
     bodies = []
     for k, body in enumerate(document[BODIES]):
@@ -159,7 +159,7 @@ def _plain(value: Any) -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SceneWithBodies:
     """A scene with its bodies, and what it was called."""
 
     name: str
@@ -167,7 +167,7 @@ class Source:
     start: InitialBodies
 
 
-def source_of(given: str, overrides: list[str]) -> Source:
+def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
     """Read a scene, or the scene and the first checkpoint of a recording or a bundle.
 
     Raises
@@ -178,7 +178,7 @@ def source_of(given: str, overrides: list[str]) -> Source:
     path = Path(given)
     if not is_recording(path):
         scene = load_scene(given, overrides)
-        return Source(given, scene, place(scene))
+        return SceneWithBodies(given, scene, place(scene))
     with opened(path) as file:
         recording = Recording.open(file)
         if recording.clip.get("bodies"):
@@ -190,7 +190,7 @@ def source_of(given: str, overrides: list[str]) -> Source:
     if left <= 0.0:
         raise RecordingError(f"{path}: it has only its last state, so there is nothing to run again")
     later = scene.time.model_copy(update={"duration": left}) if checkpoint.time > 0.0 else scene.time
-    return Source(given, scene.model_copy(update={"time": later}), start)
+    return SceneWithBodies(given, scene.model_copy(update={"time": later}), start)
 
 
 def is_recording(path: Path) -> bool:

@@ -30,7 +30,7 @@ class Stage:
 
 
 @dataclass(slots=True)
-class Progress:
+class ReducerProgress:
     """What a watcher sees."""
 
     stage: str = "running the scene"
@@ -84,11 +84,11 @@ class Reducer:
 
     condition: Condition
     seconds: float = math.inf
-    watch: Callable[[Progress], None] = lambda progress: None
+    watch: Callable[[ReducerProgress], None] = lambda progress: None
     keep: Callable[[Document, str], None] = lambda document, said: None
     before: tuple[int, int] | None = None
     workers: int | None = 1
-    _progress: Progress = field(default_factory=Progress)
+    _progress: ReducerProgress = field(default_factory=ReducerProgress)
     _stages: list[Stage] = field(default_factory=list)
 
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:

@@ -12,8 +12,8 @@ from carom.extend import ForceOption, JsonOption, SetOption, command, counted, s
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from carom.lab.shrink.literal import Source
-    from carom.lab.shrink.reducer import Progress, Reducer, Reduction
+    from carom.lab.shrink.literal import SceneWithBodies
+    from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
 
 EVERY = 10.0  # s, after which progress is printed again where there is no terminal
 
@@ -119,7 +119,7 @@ def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
     return Reducer(asked, inf if seconds is None else seconds, workers=workers)
 
 
-def _reduced(reducer: Reducer, given: Source, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
+def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
     """Reduce, print the progress, and leave the smallest scene so far in the file."""
     from carom.lab.shrink.result_file import text_of, unfinished_text, write
 
@@ -150,7 +150,7 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
             return work()
     said, since = "", 0.0
 
-    def watch(progress: Progress) -> None:
+    def watch(progress: ReducerProgress) -> None:
         nonlocal said, since
         if said != progress.stage or progress.seconds >= since + EVERY:
             said, since = progress.stage, progress.seconds
@@ -160,7 +160,7 @@ def _watched(reducer: Reducer, work: Callable[[], Reduction]) -> Reduction:
     return work()
 
 
-def _line(progress: Progress) -> str:
+def _line(progress: ReducerProgress) -> str:
     return (
         f"{progress.stage}: {counted(progress.bodies, 'body')}, {counted(progress.steps, 'step')}; "
         f"{counted(progress.candidates, 'candidate')}, {progress.kept} kept, {progress.seconds:.1f} s"

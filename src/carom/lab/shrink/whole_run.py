@@ -136,7 +136,7 @@ INVARIANCES = (*IMAGES, STEPS, ARRAYS)
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class FinalState:
     """How a run ended."""
 
     step: int
@@ -146,7 +146,7 @@ class Ending:
     error: str
 
     @classmethod
-    def of(cls, space: Space) -> Ending:
+    def of(cls, space: Space) -> FinalState:
         """Run a space to its end."""
         error = ""
         try:
@@ -226,7 +226,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     space = Space(scene_from_dict(document), threads=1)
     start = space.state.position.copy(), space.state.velocity.copy()
     image = image_of(space)
-    here, there = Ending.of(space), Ending.of(Space(scene_from_dict(image.of(document)), threads=1))
+    here, there = FinalState.of(space), FinalState.of(Space(scene_from_dict(image.of(document)), threads=1))
     if here.error or there.error:
         return "" if bool(here.error) == bool(there.error) else f"one ends with: {here.error or there.error}"
     if here.step != there.step:
@@ -246,7 +246,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     return f"a position is off by {units.text(off, LENGTH, '.3g')}, and roundings explain {explained}"
 
 
-def _grown(document: Document, here: Ending, reach: float, speed: float) -> float:
+def _grown(document: Document, here: FinalState, reach: float, speed: float) -> float:
     """Return how far apart runs are whose starts differ by roundings of a position and of a speed, in m."""
     found = 0.0
     for seed in range(PERTURBED):
@@ -259,7 +259,7 @@ def _grown(document: Document, here: Ending, reach: float, speed: float) -> floa
                     nudge = 4.0 * EPS * size * rng.choice([-1.0, 1.0], 3)
                     changed[key] = [float(x) for x in np.array(body.get(key, [0.0, 0.0, 0.0])) + nudge]
             bodies.append(changed)
-        there = Ending.of(Space(scene_from_dict(document | {BODIES: bodies}), threads=1))
+        there = FinalState.of(Space(scene_from_dict(document | {BODIES: bodies}), threads=1))
         if there.error or there.step != here.step:
             return np.inf
         found = max(found, float(np.abs(there.position - here.position).max()))
@@ -299,7 +299,7 @@ def _by_arrays(scene: Scene) -> str:
     names = ("position", "velocity", "angular_velocity", "mass", "radius", "inertia", "fixed")
     arrays: dict[str, Any] = {name: getattr(start, name) for name in names}
     given = Scene.from_arrays(**arrays, name=list(start.name), **kept)
-    here, there = Ending.of(Space(scene, threads=1)), Ending.of(Space(given, threads=1))
+    here, there = FinalState.of(Space(scene, threads=1)), FinalState.of(Space(given, threads=1))
     same = (here.step, here.time, bool(here.error)) == (there.step, there.time, bool(there.error))
     return "" if same and np.array_equal(here.position, there.position) else "the bits differ from those of arrays"
 

@@ -128,7 +128,7 @@ def _report_of(ended: Ended) -> Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Ending:
+class SweepEnding:
     """How a sweep ended."""
 
     manifest: Manifest
@@ -166,7 +166,7 @@ def sweep(
     workers: int | None = None,
     force: bool = False,
     command: str = "",
-) -> Ending:
+) -> SweepEnding:
     """Make all missing runs of a plan.
 
     Parameters
@@ -218,7 +218,7 @@ def sweep(
         except OSError as error:
             path = error.filename or folder.table
             untabled = f"{path}: cannot be written: {error.strerror}; the same command writes it again"
-    return Ending(manifest, found, stopped, untabled)
+    return SweepEnding(manifest, found, stopped, untabled)
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from carom.extend import LiveLine, SetOption, bar, bundled, command, duration_te
 
 if TYPE_CHECKING:
     from carom.lab.sweep.manifest import SweepRun
-    from carom.lab.sweep.sweep import Ending
+    from carom.lab.sweep.sweep import SweepEnding
     from carom.lab.sweep.sweep_table import Row
 
 
@@ -199,7 +199,7 @@ def _run(
     cluster: str | None,
     force: bool,
     quiet: bool,
-) -> Ending:
+) -> SweepEnding:
     from carom.extend import command_line, needing
     from carom.lab.sweep.plan import plan
     from carom.lab.sweep.sweep import sweep as make
@@ -212,7 +212,7 @@ def _run(
         return make(planned, folder, progress, address=cluster, workers=workers, force=force, command=command_line())
 
 
-def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> None:
+def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool) -> None:
     """Say how a sweep ended."""
     if ending.untabled:
         typer.echo(f"carom: {ending.untabled}", err=True)
@@ -234,7 +234,7 @@ def _tell(ending: Ending, folder: Path, figure: Path | None, as_json: bool) -> N
     typer.echo(f"next: {command('sweep', '--table', folder)}")
 
 
-def _document(ending: Ending, figure: Path | None) -> dict[str, Any]:
+def _document(ending: SweepEnding, figure: Path | None) -> dict[str, Any]:
     from dataclasses import asdict
 
     return {

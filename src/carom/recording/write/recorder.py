@@ -1,4 +1,4 @@
-"""`Recorder`: writes frames of the physics to an .rrd in its own thread, with a checkpoint from time to time."""
+"""`FrameRecorder`: writes frames of the physics to an .rrd in its own thread, with a checkpoint from time to time."""
 
 from __future__ import annotations
 
@@ -167,7 +167,7 @@ _LOOK = 1.25  # times as many frames from one look of the camera to the next
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
-class Recorder:
+class FrameRecorder:
     """Writes one recording.
 
     ``put`` only enqueues, and blocks while the queue is full: no frame is dropped. The first fault

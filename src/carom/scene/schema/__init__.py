@@ -6,7 +6,7 @@ a group. Unknown keys are refused.
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, Spin, StaticPlane, Velocity
 from carom.scene.schema.contact import Coefficients, ContactSettings, Material, MaterialPair
-from carom.scene.schema.forces import Drag, Gravity
+from carom.scene.schema.force_settings import Drag, Gravity
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import LARGEST
 from carom.scene.schema.scene import Scene

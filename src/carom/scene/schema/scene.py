@@ -11,7 +11,7 @@ from pydantic import Field, PrivateAttr, model_validator
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, StaticPlane
 from carom.scene.schema.contact import DEFAULT, ContactSettings, Material, MaterialPair
-from carom.scene.schema.forces import Forces
+from carom.scene.schema.force_settings import Forces
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record

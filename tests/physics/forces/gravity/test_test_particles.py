@@ -23,7 +23,7 @@ from carom.recording.export.export import snapshots, write
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.runs.replay import replay
-from carom.runs.resume import resumable_run, resume
+from carom.runs.resume import continue_run, resumable_run
 from carom.scene.schema import Scene
 from carom_command import carom as command
 
@@ -186,7 +186,7 @@ def test_runs_with_test_particles_are_replayed_resumed_clipped_and_read_again(tm
     assert replay(recording).same
     assert recording.bodies.mass.tolist() == [1.0, 0.0]
     run = resumable_run(recording, until=3.0)
-    assert resume(run, run.space(1), tmp_path / "b.rrd").status == "completed"
+    assert continue_run(run, run.space(1), tmp_path / "b.rrd").status == "completed"
     clip(recording.path, tmp_path / "c.rrd", 1.0, 2.0, bodies=[1])
     assert replay(Recording.open(tmp_path / "c.rrd")).same
     write(tmp_path / "out.npz", snapshots(recording, None, everything=True), series=True)

@@ -14,7 +14,7 @@ PACKAGE = "robox3d"
 MOST_SHAPES = 64  # of a body that are looked at
 
 
-class Box3D:
+class Box3DSource:
     """The bodies of a world. Box3D computes in single precision.
 
     Dynamic bodies of one sphere are judged, if no joint is attached to anything. Others are drawn as spheres of their
@@ -76,9 +76,9 @@ class Box3D:
         into.state.time = self._world.time
 
 
-def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3D:
+def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3DSource:
     """Return the source of a robox3d.World; see `Box3D`."""
-    return Box3D(world, planes)
+    return Box3DSource(world, planes)
 
 
 def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:

@@ -19,7 +19,7 @@ READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in m
 ROW = np.dtype((np.void, 8 * len(READ)))  # all of them, copied as one: six times as fast as six numbers
 
 
-class Rebound:
+class ReboundSource:
     """The particles of a simulation, in its ``units``; without any, in SI if its G is that of SI, or in no units.
 
     Parameters
@@ -85,9 +85,9 @@ class Rebound:
         into.state.time = simulation.t
 
 
-def rebound(simulation: Any, radius: float | None = None) -> Rebound:
+def rebound(simulation: Any, radius: float | None = None) -> ReboundSource:
     """Return the source of a rebound.Simulation; see `Rebound`."""
-    return Rebound(simulation, radius)
+    return ReboundSource(simulation, radius)
 
 
 def _variational(simulation: Any) -> int:

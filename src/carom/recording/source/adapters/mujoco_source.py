@@ -14,7 +14,7 @@ from carom.recording.source.source import Model, Plane, State
 WORLD = 0  # the body that everything static belongs to
 
 
-class MuJoCo:
+class MuJoCoSource:
     """The bodies of a MuJoCo model.
 
     A body whose one shape is a sphere about its centre of mass and whose one joint is free is judged. Another is drawn
@@ -110,9 +110,9 @@ class MuJoCo:
         return np.asarray(ends[(ends >= 0).all(axis=1)], dtype=np.int64)
 
 
-def mujoco(model: Any, data: Any) -> MuJoCo:
+def mujoco(model: Any, data: Any) -> MuJoCoSource:
     """Return the source of a mujoco.MjModel and its mujoco.MjData; see `MuJoCo`."""
-    return MuJoCo(model, data)
+    return MuJoCoSource(model, data)
 
 
 def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> bool:

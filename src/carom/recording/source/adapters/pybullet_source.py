@@ -19,7 +19,7 @@ SELDOM = 5  # steps for a frame of 1000 bodies: reading it takes a sixth of one 
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
-class PyBullet:
+class PyBulletSource:
     """The bodies of a physics server.
 
     Each body takes two calls to hand over its state, so a `Recorder` takes each fifth frame of 1000 by default.
@@ -98,9 +98,9 @@ def pybullet(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     client: int = 0,
     steps_per_frame: int = 1,
-) -> PyBullet:
+) -> PyBulletSource:
     """Return the source of a physics server; see `PyBullet`."""
-    return PyBullet(time_step, gravity, client, steps_per_frame)
+    return PyBulletSource(time_step, gravity, client, steps_per_frame)
 
 
 def calls_per_frame(bodies: int) -> int:

@@ -16,7 +16,7 @@ WORLD = -1  # the body that static shapes belong to
 _NAMES = ("body_label", "body_key")  # of the array of names, in newer and older versions
 
 
-class Newton:
+class NewtonSource:
     """The bodies of a Newton model.
 
     Parameters
@@ -76,9 +76,9 @@ class Newton:
         return State(float(time), position, rate[:, :3], pose[:, 3:], rate[:, 3:])
 
 
-def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> Newton:
+def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> NewtonSource:
     """Return the source of a newton.Model; see `Newton`."""
-    return Newton(model, now)
+    return NewtonSource(model, now)
 
 
 def _plane(place: SingleArray, number: int) -> Plane:
