@@ -7,19 +7,20 @@ at the ends. A body that was struck follows its flight from impact to impact.
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
 from carom import Frame, Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.extend import TIME, every, frame_interval, minimum_images, whole_file
+from carom.extend import TIME, every, frame_interval, minimum_images, whole_file, write_whole
 
 # How far a compared run may go: a number of steps, which is the same on every machine, and a CPU time.
 TELLING = 5.0  # s between two lines of progress
@@ -374,3 +375,8 @@ def between(
     moved = s * (u0 + s * (c2 + s * (c3 + s * (c4 + s * c5))))
     velocity = (u0 + s * (2 * c2 + s * (3 * c3 + s * (4 * c4 + s * 5 * c5)))) / dt
     return moved, velocity
+
+
+def write_document(path: Path, document: dict[str, Any]) -> None:
+    """Write the document of a study, so that an interrupted study can be continued."""
+    write_whole(path, json.dumps(document, indent=1, ensure_ascii=False))

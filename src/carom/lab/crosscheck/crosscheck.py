@@ -9,10 +9,10 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from carom import Recording, Scene
 from carom.arrays import FloatArray
@@ -31,9 +31,8 @@ from carom.extend import (
     place,
     recording_space,
     simulate,
-    write_whole,
 )
-from carom.lab.compared_run import Setting, Trajectory, sample_times
+from carom.lab.compared_run import Setting, Trajectory, sample_times, write_document
 from carom.lab.crosscheck.parting import NumberedImpacts, parting_of
 from carom.lab.engines.engine import Engine, engine_called
 from carom.lab.engines.watched import COMPLETED, Watched, watch
@@ -150,8 +149,8 @@ def execute(task: CrosscheckTask) -> Followed:
         return Followed(seen, None, str(error))
 
 
-class Runs:
-    """Follows runs; a context, which ends what is unfinished.
+class Runs(ExitStack):
+    """Follows runs; as a context, it ends the processes of unfinished runs.
 
     Parameters
     ----------
@@ -160,20 +159,12 @@ class Runs:
     """
 
     def __init__(self, workers: int | None) -> None:
+        super().__init__()
         self._workers = workers
         self._tasks: dict[Path, CrosscheckTask] = {}
         self._pool: LocalWorkers | None = None
         self._begun: set[Path] = set()
         self._ended: dict[Path, Ended] = {}
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._pool is not None:
-            self._pool.__exit__(kind, error, traceback)
 
     def announce(self, task: CrosscheckTask) -> None:
         """Take a run that will be asked for."""
@@ -184,7 +175,7 @@ class Runs:
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
-        self._pool = LocalWorkers(min(workers, len(self._tasks)), attempts=1)
+        self._pool = self.enter_context(LocalWorkers(min(workers, len(self._tasks)), attempts=1))
         self._begun = set(self._tasks)
         self._pool.send(execute, self._tasks)
 
@@ -291,7 +282,7 @@ class Crosscheck:
     def time(self, repeats: int, tell: Teller) -> None:
         """Time each run so many times, in turns."""
         self.study.measure(self._settings(), repeats, tell)
-        self._save()
+        write_document(self.folder / DOCUMENT, self.document())
 
     def _settings(self) -> list[Setting]:
         return [OWN, *(setting for engine in self.engines for setting in engine.examined(self.scene))]
@@ -331,7 +322,7 @@ class Crosscheck:
         if name not in self.examinations:
             tell(f"{name}: laws")
             self.examinations[name] = self._examined(result)
-            self._save()
+            write_document(self.folder / DOCUMENT, self.document())
 
     def _examined(self, result: SettingResult) -> Examination:
         """Look at a run that is measured."""
@@ -365,9 +356,6 @@ class Crosscheck:
 
     def _names(self) -> Names:
         return Names(place(self.scene).name, half_spaces(self.scene).name)
-
-    def _save(self) -> None:
-        write_whole(self.folder / DOCUMENT, json.dumps(self.document(), indent=1, ensure_ascii=False))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT

@@ -22,8 +22,17 @@ import numpy as np
 from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.extend import TIME, at, cores, environment, output_folder, with_promise, write_whole
-from carom.lab.compared_run import AS_WRITTEN, RunBound, RunStoppedError, Setting, Trajectory, follow, sample_times
+from carom.extend import TIME, at, cores, environment, output_folder, with_promise
+from carom.lab.compared_run import (
+    AS_WRITTEN,
+    RunBound,
+    RunStoppedError,
+    Setting,
+    Trajectory,
+    follow,
+    sample_times,
+    write_document,
+)
 from carom.lab.engines.engine import engine_called
 from carom.lab.tradeoff.reference import BUDGET, COMPARED, NAMES, Reference, fineness, make_reference
 from carom.lab.tradeoff.setting_results import (
@@ -162,7 +171,7 @@ class Study:
                 heading = f"{_count(number, results)}{result.setting.name}: errors"
                 tell(heading)
                 self._follow(result, lambda text: tell(heading + text))  # noqa: B023
-                self._save()
+                write_document(self.folder / DOCUMENT, self.document())
                 self.examine(result, tell)
         for turn in range(repeats):
             for number, result in enumerate(results, start=1):
@@ -172,7 +181,7 @@ class Study:
                     tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
                     result.costs.append(self._cost(result))
                     self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
-                    self._save()
+                    write_document(self.folder / DOCUMENT, self.document())
         return results
 
     def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
@@ -185,7 +194,7 @@ class Study:
             for result in self.results:  # of an earlier study, compared with a coarser reference so far
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
-            self._save()
+            write_document(self.folder / DOCUMENT, self.document())
         return self.reference
 
     def floor(self, error: str) -> float:
@@ -295,9 +304,6 @@ class Study:
         engine = [f"engine={result.setting.engine}"] if result.setting.engine else []
         name = hashlib.sha256("\n".join([*result.setting.overrides, *threads, *engine]).encode()).hexdigest()[:12]
         return self.folder / f"{name}.npz"
-
-    def _save(self) -> None:
-        write_whole(self.folder / DOCUMENT, json.dumps(self.document(), indent=1, ensure_ascii=False))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT
