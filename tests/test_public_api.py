@@ -18,7 +18,8 @@ from carom.physics.simulation import StepStatus
 
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:
-    assert dir(carom) == ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
+    functions = ["replay", "resume", "run"]
+    assert dir(carom) == ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", *functions]
     assert carom.__version__ == version("carom")
     assert carom.errors.SceneError.__doc__
 
@@ -35,6 +36,21 @@ def test_a_scene_runs_by_its_name_and_says_where_it_stands(tmp_path: Path) -> No
     assert recording.outcome == "completed" and seen[-1].step == 800
     with pytest.raises(carom.errors.SceneError, match="two-sphers"):
         carom.run("two-sphers", tmp_path / "other.rrd")
+
+
+def test_a_run_is_continued_and_replayed_by_its_path(tmp_path: Path) -> None:
+    whole = carom.run("two-spheres", tmp_path / "whole.rrd")
+    half = carom.run(carom.Scene.load("two-spheres", ["time.duration=2.0"]), tmp_path / "half.rrd")
+    seen: list[StepStatus] = []
+    resumed = carom.resume(str(half.path), 4.0, tmp_path / "longer.rrd", watch=seen.append)
+    assert resumed.path == tmp_path / "longer.rrd" and resumed.outcome == "completed" and seen[-1].step == 800
+    assert resumed.fingerprints().equals(whole.fingerprints())
+    result = carom.replay(tmp_path / "longer.rrd", dense=str(tmp_path / "dense.rrd"))
+    assert result.same and result.compared == resumed.frames
+    assert carom.Recording.open(tmp_path / "dense.rrd").frames == 801
+    with pytest.raises(carom.errors.RecordingError, match=r"has been simulated to 4 s already"):
+        carom.resume(resumed)
+    assert carom.resume(half, 3.0).path == half.path, "by default the recording is replaced by the longer one"
 
 
 def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_asked(

@@ -5,6 +5,8 @@ for frame in carom.Space(scene).run():   # physics only, no file
     ...
 recording = carom.run(scene, "recordings/cloud.rrd")
 recording.energy()                       # a pyarrow.Table over step and sim_time
+carom.replay(recording).same             # whether it runs again with the same bits
+carom.resume(recording, until=20.0)      # the same run, to a later time
 """
 
 from __future__ import annotations
@@ -18,18 +20,22 @@ if TYPE_CHECKING:
     from carom.physics.frame import Frame as Frame
     from carom.physics.space import Space as Space
     from carom.recording.read.recording import Recording as Recording
+    from carom.runs.replay import replay as replay
+    from carom.runs.resume import resume as resume
     from carom.runs.run import run as run
     from carom.scene.schema import Scene as Scene
 
     __version__: str
 
-__all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "run"]
+__all__ = ["Frame", "Recording", "Scene", "Space", "__version__", "errors", "record", "replay", "resume", "run"]
 
 _HOMES = {
     "Frame": "carom.physics.frame",
     "Recording": "carom.recording.read.recording",
     "Scene": "carom.scene.schema",
     "Space": "carom.physics.space",
+    "replay": "carom.runs.replay",
+    "resume": "carom.runs.resume",
     "run": "carom.runs.run",
 }
 

@@ -16,6 +16,7 @@ from carom.event import Event
 from carom.physics.frame import Frame
 from carom.physics.schedule import at, every
 from carom.physics.space import Space
+from carom.recording.edit.bundle import opened
 from carom.recording.read.moment import interval, tolerance
 from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
@@ -106,34 +107,42 @@ class Replay:
 
 
 def replay(
-    recording: Recording,
+    recording: Recording | str | Path,
     begin: float = 0.0,
     end: float = np.inf,
     *,
     threads: int | None = None,
-    dense: Path | None = None,
+    dense: str | Path | None = None,
     force: bool = False,
     consent: Consent = lambda seconds: True,
     watch: Watcher = lambda status: None,
 ) -> Replay:
-    """Run a recording again, from the last checkpoint before the window to its end.
+    """Run a recording again, and compare every frame with the recorded one, bit for bit.
+
+    It begins at the last checkpoint before the window, and ends at the first difference.
 
     Parameters
     ----------
     recording
-        The recording to run again.
+        The recording to run again, or its file: an ``.rrd``, or the ``.zip`` that `carom report` made.
     begin, end
-        s; the window.
+        s, the window; by default the whole run.
     threads
         Threads for the kernels; the bits do not depend on it.
     dense
-        Where to record every step of the window, if anywhere.
+        The ``.rrd`` in which every step of the window is recorded, if any.
     force
         Whether ``dense`` may replace a file.
     consent
         Called once, after a second of stepping, with the time that the rest will take; returns whether to continue.
     watch
-        Called after every frame with the progress of the run.
+        Called after every frame with a `StepStatus`: step, time in s, dt, contacts, energy error.
+
+    Returns
+    -------
+    result
+        ``result.same`` is whether all recorded frames have the same bits; ``result.difference`` is the first that has
+        not. The interrupt key ends a replay early, which ``result.ended`` states.
 
     Raises
     ------
@@ -141,6 +150,11 @@ def replay(
         If the recording cannot be run or holds no frame, the window lies outside of it, or the state is no longer
         finite.
     """
+    if not isinstance(recording, Recording):
+        with opened(Path(recording)) as path:
+            whole = Recording.open(path)
+            return replay(whole, begin, end, threads=threads, dense=dense, force=force, consent=consent, watch=watch)
+    dense = None if dense is None else Path(dense)
     if dense is not None:
         refuse_output(dense, force)
         refuse_itself(dense, recording.path)

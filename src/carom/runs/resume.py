@@ -19,7 +19,7 @@ from carom.recording.write.whole_file import Claim
 from carom.runs.environment import environment
 from carom.runs.output import claimed_output, refuse_name, refuse_output
 from carom.runs.replay import replay
-from carom.runs.run import Outcome, Watcher, simulate
+from carom.runs.run import Outcome, Watcher, recording_of, simulate, watched
 from carom.runs.window import space_of
 from carom.scene.integrators import AUTO
 from carom.scene.schema import Scene
@@ -81,6 +81,59 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         raise RecordingError(f"{path} has no checkpoint to resume from")
     checkpoint = recording.checkpoint(steps[-1])
     return ResumableRun(recording, scene, checkpoint.step, checkpoint.time, [checkpoint])
+
+
+def resume(
+    recording: Recording | str | Path,
+    until: float | None = None,
+    path: str | Path | None = None,
+    *,
+    force: bool = False,
+    threads: int | None = None,
+    watch: Watcher | None = None,
+    progress: bool = False,
+) -> Recording:
+    """Continue a run that was interrupted, killed or has ended; the result is that of an uninterrupted run.
+
+    Parameters
+    ----------
+    recording
+        The recording to continue, or its file. Clips cannot be continued.
+    until
+        s, the simulated time at which the run ends; by default the duration of the scene.
+    path
+        The ``.rrd`` to write; by default the recording is replaced once the new one is complete.
+    force
+        Whether to replace another file, and a file that an earlier attempt left.
+    threads
+        Threads for the kernels; the bits do not depend on it.
+    watch
+        Called several times a second, and at the end, with a `StepStatus`: step, time in s, dt, contacts, energy error.
+    progress
+        Whether to show a progress bar, in a terminal or a notebook.
+
+    Returns
+    -------
+    recording
+        The whole run, opened.
+
+    Raises
+    ------
+    SceneError, RecordingError, PhysicsError
+        If the run has already reached that time, the recording cannot be continued, the file cannot be written, or the
+        state stops being finite.
+    KeyboardInterrupt
+        If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
+    """
+    source = recording.path if isinstance(recording, Recording) else Path(recording)
+    target = None if path is None else Path(path)
+    with claimed_target(source, target, force) as claim:
+        run = resumable_run(recording if isinstance(recording, Recording) else Recording.open(source), until)
+        space = run.space(threads)
+        with watched(run.scene, watch, progress) as report:
+            outcome = continue_run(run, space, target, force=force, claim=claim, watch=report)
+            report(space.status)
+    return recording_of(outcome)
 
 
 @contextlib.contextmanager

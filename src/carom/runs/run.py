@@ -114,15 +114,15 @@ def run(
     if path is None:
         path = default_output("scene" if isinstance(scene, Scene) else Path(scene).stem)
     refuse_name(Path(path))
-    watchers = [watch] if watch else []
-    with (
-        claimed_output(Path(path), force) as claim,
-        _progress_bar(loaded) if progress else contextlib.nullcontext() as bar,
-    ):
-        watchers += [bar] if bar else []
+    with claimed_output(Path(path), force) as claim, watched(loaded, watch, progress) as report:
         space = recording_space(loaded, threads)
-        outcome = simulate(space, path, claim=claim, watch=lambda status: _tell(watchers, status))
-        _tell(watchers, space.status)
+        outcome = simulate(space, path, claim=claim, watch=report)
+        report(space.status)
+    return recording_of(outcome)
+
+
+def recording_of(outcome: Outcome) -> Recording:
+    """Open the recording of a run that went to its end; raise what ended it otherwise."""
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
@@ -130,11 +130,6 @@ def run(
     if outcome.status == "interrupted":  # the file is complete up to there; the caller's program ends, too
         raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
-
-
-def _tell(watchers: list[Watcher], status: StepStatus) -> None:
-    for watcher in watchers:
-        watcher(status)
 
 
 def recording_space(
@@ -425,14 +420,19 @@ def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -
 
 
 @contextmanager
-def _progress_bar(scene: Scene) -> Iterator[Callable[[StepStatus], None]]:
-    """Show a progress bar in a terminal or a notebook, and yield the function that moves it."""
+def watched(scene: Scene, watch: Watcher | None, progress: bool) -> Iterator[Watcher]:
+    """Yield a function that passes the status on to ``watch`` and, if wanted, to a progress bar."""
+    report = watch or (lambda status: None)
+    if not progress:
+        yield report
+        return
     end, units = scene.time.duration, scene.unit_system
     columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TextColumn("{task.fields[now]}")
     with Progress(*columns, TimeRemainingColumn()) as shown:
         task = shown.add_task(scene.title, total=end, now="")
 
         def move(status: StepStatus) -> None:
+            report(status)
             now = f"t = {units.text(status.time, TIME, '.5g')}, step {status.step}, {status.contacts} contacts"
             shown.update(task, completed=min(status.time, end), now=now)
 
