@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from carom.errors import DamageError
 from carom.physics.space import Space
+from carom.plan.auto import auto_interval
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
 from carom.recording.read.recording import Recording
@@ -148,6 +149,10 @@ class StaticCheck:
         self._recording = recording
         scene = space.scene
         self._header = replace(header_of(space), record_impacts=scene.record.impacts, group=groups_of(scene))
+        usual = auto_interval(scene, scene.time.duration)
+        if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
+            # a program chose it, and the replay judges errors at it
+            self._skip(IDENTITY, "check_interval", "is not the scene's")
         self._first = int(recording.fingerprints()["step"][0].as_py())
 
     def difference(self) -> Mismatch | None:
