@@ -371,7 +371,13 @@ def test_a_run_says_where_impacts_are_not_exact() -> None:
     assert inexact_impacts(billiards) == ""
     assert inexact_impacts(pair(gravity=FALLING, plane=[{}])) == ""
     assert "err by up to 1e-04 or so; time.accuracy keeps" in inexact_impacts(cloud(8, time={"cfl": "auto"}))
-    assert "right to second order" in inexact_impacts(billiards.changed(["drag.relaxation_time=1"]))
+    dragged = billiards.changed(["drag.relaxation_time=1"])
+    assert inexact_impacts(dragged) == ""
+    assert "time.max_dt = 0.8 s makes them exact" in inexact_impacts(dragged.changed(["drag.relaxation_time=0.1"]))
+    assert inexact_impacts(dragged.changed(["drag.relaxation_time=0.1", "time.max_dt=0.8"])) == ""
+    blown = {"domain": {"boundary": "periodic", "size": [4, 4, 4]}, "gravity": {"constant": 0.0}}
+    blown |= {"body": [balls[0], {**ball, "fixed": True}], "drag": {"relaxation_time": 1, "medium_velocity": [1, 0, 0]}}
+    assert "straight within a step in a periodic box" in inexact_impacts(Scene.from_dict(blown))
     assert "up to a step late" in inexact_impacts(billiards.changed(["time.integrator=yoshida4"]))
     assert inexact_impacts(cloud(8, time={"accuracy": 1e-6, "cfl": "auto"})) == ""
 

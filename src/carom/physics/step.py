@@ -245,9 +245,11 @@ class KickDriftStepper:
             contact.drift(kick, dt)
             return
         before = self._world.bodies.ends.velocity.copy()
-        contact.drift(kick, dt, self._damping.along(damped))
+        contact.drift(*damped.path[:1], dt, *damped.path[1:])
         if len(contact.impacts):
-            self._exchange_energy(self._damping.lost_in_impacts(damped, before, contact.impacts))
+            self._exchanges.append(self._damping.exchange_in_impacts(damped, before, contact.impacts))
+            if self._books.impulse_audit:
+                self._books.impulse_audit.add_force(before[: len(self._world.bodies)])
 
     def _find(self, contact: ContactPipeline, dt: float) -> None:
         """Find contacts at the final positions, and correct the overlaps of those at rest."""

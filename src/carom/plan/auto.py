@@ -9,9 +9,11 @@ from typing import Literal
 from carom.plan import contact_parts, pulls
 from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
+from carom.scene.forces import MOST_RELAXATIONS
 from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
 from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
 
 FRAMES = 600  # of an "auto" recording: enough to scrub through smoothly, few enough to open at once
 FEWEST_FRAMES = 50
@@ -92,17 +94,26 @@ def why_late(scene: Scene) -> str:
 def inexact_impacts(scene: Scene) -> str:
     """Return how far an impact of two bodies that touch nothing else is from the exact one; empty if it is not.
 
-    A force that changes along a step gives the bodies another approach than on their true paths. Self-gravity does so
-    by about a dt²/r; that of bodies which are small and fast enough is rounding. The impulse follows exactly from the
-    approach.
+    A force that changes along a step with the place gives the bodies another approach than on their true paths.
+    Self-gravity does so by about a dt²/r; that of bodies which are small and fast enough is rounding. The impulse
+    follows exactly from the approach.
     """
     chosen = integrator(scene)
     if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
         return ""
     if why_late(scene):
         return f"impacts are found up to a step late, at an overlap: {why_late(scene)}"
-    if force := pulls.damping(scene):
-        return f"{force.name} changes along a step: approach speeds of impacts are right to second order in the step"
+    second_order = "approach speeds of impacts are right to second order in the step"
+    if force := pulls.further(scene):
+        return f"{force} changes along a step: {second_order}"
+    if scene.domain.boundary == "periodic" and scene.anchored and pulls.pushing(scene):
+        return f"paths are straight within a step in a periodic box: with fixed bodies, {second_order}"
+    if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
+        longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
+        return (
+            f"steps may be longer than {MOST_RELAXATIONS:g} relaxation times of the drag: impacts in such steps are "
+            f"right to first order; time.max_dt = {longest} makes them exact"
+        )
     if not pulls.gravity(scene).modelled:
         return ""
     error = _error_by_gravity(scene)

@@ -6,11 +6,13 @@ No scene here sets a step, an integrator or a timing.
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -41,14 +43,14 @@ SURROUNDINGS: dict[str, Document] = {
 }
 
 
-def oblique(x: float, **sections: Any) -> Scene:
+def oblique(x: float, spin: tuple[float, ...] = (0.0, 0.0, 0.0), **sections: Any) -> Scene:
     """A ball that comes from x at 1 m/s and hits another one off centre, by one radius."""
     balls = [
-        {"position": [x, R, 0.0], "velocity": [1.0, 0.0, 0.0], "radius": R, "mass": MASS},
+        {"position": [x, R, 0.0], "velocity": [1.0, 0, 0], "radius": R, "mass": MASS, "angular_velocity": list(spin)},
         {"position": [0.0, 0.0, 0.0], "radius": R, "mass": MASS},
     ]
     contact = {"restitution": RESTITUTION, "static_friction": FRICTION, "kinetic_friction": FRICTION}
-    return Scene.from_dict({"time": {"duration": -1.5 * x}, "contact": contact, "body": balls, **sections})
+    return Scene.from_dict({"time": {"duration": -2.3 * x}, "contact": contact, "body": balls, **sections})
 
 
 def first_impact(scene: Scene, i: int = 0) -> tuple[Any, Space]:
@@ -96,11 +98,50 @@ def test_the_values_that_a_default_run_once_got_wrong() -> None:
     assert [f"{value:.4g}" for value in found] == ["0.866", "0.1399", "0.009092"]
 
 
-def test_drag_leaves_the_impact_the_velocity_that_it_leaves_the_balls() -> None:
-    row, _ = first_impact(oblique(-0.31, drag={"relaxation_time": 0.7}))
-    impulse = 0.5 * MASS * (1.0 + RESTITUTION) * row["approach_speed"]
-    assert np.allclose([row["nx"], row["ny"]], [math.sqrt(0.75), -0.5], rtol=0, atol=EXACT)
+SPIN = (3.0, -20.0, 11.0)  # rad/s, of the ball that comes
+MEDIA: dict[str, Document] = {
+    "alone": {"gravity": {"constant": 0.0}},
+    "in a wind and a field": {"gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -PULL]}, "wind": [0.2, -0.1, 0.3]},
+    "walls near": {"gravity": {"constant": 0.0}, "plane": WALLS},
+    "in steps of a second": {"gravity": {"constant": 0.0}, "time": {"duration": 1.0, "fixed_dt": 1.0}},
+    "among a thousand others": {"gravity": {"constant": 0.0}, "group": [CROWD]},
+}
+
+
+@pytest.mark.parametrize("tau", [0.3, 0.7, 30.0])
+@pytest.mark.parametrize("around", MEDIA.values(), ids=list(MEDIA))
+def test_two_billiard_balls_strike_each_other_in_a_medium_as_the_closed_form_says(around: Document, tau: float) -> None:
+    sections = {key: value for key, value in around.items() if key != "wind"}
+    medium = {"relaxation_time": tau, "medium_velocity": around.get("wind", [0.0, 0.0, 0.0])}
+    row, space = first_impact(oblique(-0.31, SPIN, drag=medium, **sections))
+    normal = np.array([math.sqrt(0.75), -0.5, 0.0])
+    flown = 0.31 - 2.0 * R * math.sqrt(0.75)  # = τ (1 - e^{-t/τ}), relative to the other ball
+    speed, moment = 1.0 - flown / tau, -tau * math.log1p(-flown / tau)
+    approach = speed * math.sqrt(0.75)
+    impulse = 0.5 * MASS * (1.0 + RESTITUTION) * approach
+    slip = -speed * np.array([1.0, 0.0, 0.0]) + approach * normal - R * np.cross(SPIN, normal)
+    slips = float(np.linalg.norm(slip))
+    friction = -min(FRICTION * impulse, slips * MASS / 7.0) * slip / slips
+    assert row["time"] == pytest.approx(moment, rel=EXACT)
+    assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT)
+    assert row["approach_speed"] == pytest.approx(approach, rel=EXACT)
     assert row["normal_impulse"] == pytest.approx(impulse, rel=EXACT)
+    rubbed = [row["friction_x"], row["friction_y"], row["friction_z"]]
+    assert np.allclose(rubbed, friction, rtol=0, atol=EXACT * impulse)
+    lost = 0.25 * MASS * (1.0 - RESTITUTION**2) * approach**2
+    assert row["restitution_loss"] == pytest.approx(lost, rel=EXACT)
+    if "group" in around or "plane" in around:
+        return  # others may have struck them since
+    decay = math.exp(-(space.time - moment) / tau)
+    after = np.array([[speed, 0.0, 0.0], [0.0, 0.0, 0.0]]) + np.outer([-1.0, 1.0], impulse * normal + friction) / MASS
+    apart = space.state.velocity[1] - space.state.velocity[0]
+    assert np.allclose(apart, (after[1] - after[0]) * decay, rtol=0, atol=EXACT)
+    spun = np.cross(friction, normal) / (0.4 * MASS * R)
+    assert np.allclose(space.state.angular_velocity, [SPIN + spun, spun], rtol=0, atol=EXACT / R)
+    way = tau * -math.expm1(-(space.time - moment) / tau)
+    assert np.allclose(
+        space.state.position[1] - space.state.position[0], 2.0 * R * normal + (after[1] - after[0]) * way, atol=EXACT
+    )
 
 
 @pytest.mark.parametrize("height", [0.02, 0.1, 1.0, 50.0])
@@ -153,6 +194,93 @@ def test_a_ball_thrown_at_a_fixed_one_meets_it_where_the_parabola_does(speed: fl
     assert row["time"] == pytest.approx(meeting, rel=EXACT * graze)
     assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT * graze)
     assert row["approach_speed"] == pytest.approx(velocity @ normal, rel=EXACT * graze)
+
+
+class Fall:
+    """The closed form of a flight in a medium, v' = a - (v - u)/τ."""
+
+    def __init__(self, x: Any, v: Any, tau: float, wind: Any = (0.0, 0.0, 0.0)) -> None:
+        self.x, self.v, self.tau = np.array(x), np.array(v), tau
+        self.terminal = np.array(wind) + np.array([0.0, 0.0, -PULL * tau])
+
+    def place(self, t: float) -> FloatArray:
+        """Where it is after t s, in m."""
+        place: FloatArray = self.x + self.terminal * t - (self.v - self.terminal) * self.tau * math.expm1(-t / self.tau)
+        return place
+
+    def velocity(self, t: float) -> FloatArray:
+        """Its velocity after t s, in m/s."""
+        velocity: FloatArray = self.terminal + (self.v - self.terminal) * math.exp(-t / self.tau)
+        return velocity
+
+
+@pytest.mark.parametrize("time", [{}, {"fixed_dt": 0.1}], ids=["", "in steps of 0.1 s"])
+@pytest.mark.parametrize("tau", [0.1, 0.3, 5.0])
+def test_a_ball_bounces_on_a_plane_in_a_medium_as_the_closed_form_says(tau: float, time: Document) -> None:
+    wind, e, mu, radius = (0.5, -0.3, -0.2), 0.8, 0.05, 0.1
+    spin, moment, struck = np.array([2.0, 30.0, -5.0]), 0.0, []
+    flight = Fall([0.0, 0.0, 0.3], [0.7, 0.0, 1.0], tau, wind)
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 2.0, **time},
+            "gravity": {"uniform": [0.0, 0.0, -PULL], "constant": 0.0},
+            "contact": {"restitution": e, "static_friction": mu, "kinetic_friction": mu},
+            "drag": {"relaxation_time": tau, "medium_velocity": list(wind)},
+            "plane": [{}],
+            "body": [
+                {"position": flight.x.tolist(), "velocity": flight.v.tolist(), "radius": radius, "mass": 2.0}
+                | {"angular_velocity": spin.tolist()}
+            ],
+        }
+    )
+    space = Space(scene, 1, record_contacts=True)
+    for frame in space.run():
+        assert frame.impacts is not None
+        struck += list(frame.impacts)
+    assert len(struck) >= 3
+    for row in struck[: 2 if time else 3]:  # a later one may be shorter than a step, and end at rest
+        height = partial(lambda flight, t: flight.place(t)[2] - radius, flight)
+        fell = brentq(height, 1e-3 * tau, 3.0, xtol=1e-15, rtol=1e-15)
+        moment += fell
+        before = flight.velocity(fell)
+        impulse = -(1.0 + e) * 2.0 * before[2]
+        slip = np.array([before[0] - radius * spin[1], before[1] + radius * spin[0], 0.0])
+        slips = float(np.linalg.norm(slip))
+        friction = -min(mu * impulse, slips * 2.0 / 3.5) * slip / slips  # on the ball
+        assert row["time"] == pytest.approx(moment, rel=EXACT)
+        assert row["approach_speed"] == pytest.approx(-before[2], rel=EXACT)
+        assert row["normal_impulse"] == pytest.approx(impulse, rel=EXACT)
+        assert np.allclose([row["friction_x"], row["friction_y"]], -friction[:2], rtol=0, atol=EXACT * impulse)
+        assert row["z"] == pytest.approx(0.0, abs=1e-13)  # where it touches the plane
+        after = before + [0.0, 0.0, impulse / 2.0] + friction / 2.0
+        spin = spin + np.cross([0.0, 0.0, -radius], friction) / (0.4 * 2.0 * radius * radius)
+        flight = Fall(flight.place(fell), after, tau, wind)
+    assert frame.energy.relative_error <= 1e-12
+
+
+@pytest.mark.parametrize("tau", [0.1, 1.0])
+@pytest.mark.parametrize("time", [{}, {"fixed_dt": 0.5}], ids=["", "in steps of 0.5 s"])
+def test_a_ball_thrown_in_a_medium_meets_a_fixed_one_where_its_path_does(tau: float, time: Document) -> None:
+    fixed = [0.0, 0.0, 0.0]
+    flight = Fall([-0.05, 0.02, 0.4], [0.3, 0.0, 1.0], tau)
+    scene = Scene.from_dict(
+        {
+            "time": {"duration": 1.0, **time},
+            "gravity": {"uniform": [0.0, 0.0, -PULL], "constant": 0.0},
+            "contact": {"restitution": 0.8, "static_friction": 0.2},
+            "drag": {"relaxation_time": tau},
+            "body": [
+                {"position": flight.x.tolist(), "velocity": flight.v.tolist(), "radius": 0.1, "mass": 1.0},
+                {"position": fixed, "radius": 0.1, "mass": 1.0, "fixed": True},
+            ],
+        }
+    )
+    row, _ = first_impact(scene)
+    meeting = brentq(lambda t: np.linalg.norm(flight.place(t)) - 0.2, 0.0, row["time"] + 0.01, xtol=1e-15, rtol=1e-15)
+    normal = -flight.place(meeting) / 0.2
+    assert row["time"] == pytest.approx(meeting, rel=EXACT)
+    assert np.allclose([row["nx"], row["ny"], row["nz"]], normal, rtol=0, atol=EXACT)
+    assert row["approach_speed"] == pytest.approx(flight.velocity(meeting) @ normal, rel=EXACT)
 
 
 LONGEST = 0.008  # s, of a step

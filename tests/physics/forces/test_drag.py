@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from carom.errors import SceneError
-from carom.physics.forces.drag import exponentials
+from carom.physics.exponential import exponentials
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from carom.plan.auto import integrator
@@ -129,13 +129,18 @@ def test_gravity_with_drag_is_of_second_order() -> None:
     assert np.log2(energies[0] / energies[1]) == pytest.approx(2.0, abs=0.1)
 
 
-@pytest.mark.parametrize("timing", ["end-of-step", "time-of-impact"])
-def test_the_ledger_of_a_dragged_gas_that_collides_closes_to_rounding(timing: str) -> None:
-    # Without a force that changes along a step nothing is left to the integrator.
-    medium = {"relaxation_time": 0.5, "medium_velocity": [1.0, 0.0, 0.0]}
+@pytest.mark.parametrize(
+    ("timing", "steps", "tau"),
+    [("end-of-step", 100, 0.5), ("time-of-impact", 100, 0.5), ("time-of-impact", 2, 0.25), ("time-of-impact", 2, 0.05)],
+)
+def test_the_ledger_of_a_dragged_gas_that_collides_closes_to_rounding(timing: str, steps: int, tau: float) -> None:
+    # Without a force that changes along a step nothing is left to the integrator. In ten relaxation times a step, paths
+    # are not the exact ones.
+    medium = {"relaxation_time": tau, "medium_velocity": [1.0, 0.0, 0.0]}
     contact = {"timing": timing, "restitution": 0.9}
-    space, frame = run(cloud(100, gravity={"constant": 0.0}, contact=contact, drag=medium))
-    assert space.extremes.impacts > 10 and frame.energy.ledger.restitution > 1.0 and frame.energy.ledger.friction > 1.0
+    space, frame = run(cloud(steps, gravity={"constant": 0.0}, contact=contact, drag=medium))
+    losses = frame.energy.ledger.restitution, frame.energy.ledger.friction
+    assert space.extremes.impacts >= 5 and min(losses) > 0.1  # of some 300 J
     assert frame.energy.relative_error <= 1e-13
     assert frame.momentum_error is not None and frame.momentum_error <= 1e-13
     assert frame.angular_momentum_error is not None and frame.angular_momentum_error <= 1e-13

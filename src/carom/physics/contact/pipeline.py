@@ -223,10 +223,10 @@ class ContactPipeline:
             pressed[: len(self._bodies)] = self._sleepers.asleep
         self._solver.mark_pressed(self._impulses)
 
-    def drift(self, kick: float, dt: float, along: FloatArray | None = None) -> None:
+    def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
 
-        ``along`` is the rate at which velocities change during the drift, (n + p, 3) m/s² (default: the accelerations).
+        Drag slows bodies down at the rate ``damping`` in 1/s; see `DampedPath`.
         """
         assert self._event_drift is not None, "the scene asks for times of impact"
         if self._sleepers and self._sleepers.all:
@@ -235,7 +235,7 @@ class ContactPipeline:
         held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
         asleep = self._sleepers.asleep if self._sleepers else None
         self.impacts = self._event_drift.drift(
-            kick, dt, *self._near.margins(dt), held, self._solver.pressed, asleep, along
+            kick, dt, *self._near.margins(dt), held, self._solver.pressed, asleep, damping, strength
         )
         if self.tap:
             self.tap.see_drift(self.impacts)

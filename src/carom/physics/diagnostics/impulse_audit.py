@@ -49,18 +49,19 @@ class ImpulseAudit:
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
         """Add a kick, (n, 3) m/s² for dt s."""
-        self._force(acceleration * dt)
+        self.add_force(acceleration * dt)
 
     def add_change(self, before: FloatArray) -> None:
         """Add the change of velocities by forces since they were ``before``, (n, 3) m/s."""
-        self._force(self._bodies.velocity - before)
+        self.add_force(self._bodies.velocity - before)
 
     def add_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
         """Add what falling asleep took from velocities in m/s and spins in rad/s, which were so before."""
         self.add_change(velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
-    def _force(self, change: FloatArray) -> None:
+    def add_force(self, change: FloatArray) -> None:
+        """Add changes of velocities by forces, (n, 3) m/s."""
         self._kicks.append(change)
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 

@@ -8,8 +8,8 @@ drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a
     v += a k₁,   v *= φ₁,    x += v h,    v *= E/φ₁,   v += a' k₂        k₁ = h φ₂/φ₁,   k₂ = h (φ₁ - E φ₂/φ₁)
 
 Between the two factors, velocities are the mean velocities of the drift: contacts are held there, and impacts lie on
-straight lines. The lengths of the kicks make the step exact for a constant acceleration; for τ → ∞ both are h/2. The
-step is its own adjoint, hence of order 2.
+straight lines, along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks
+make the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is its own adjoint, hence of order 2.
 
 The energy that the medium took out is the change of the energy in the step less the work of the other forces
 (docs/physics.md, 6):
@@ -31,41 +31,22 @@ from numpy.typing import NDArray
 from carom.physics.aligned import columns, record
 from carom.physics.bodies import Bodies
 from carom.physics.contact.events.drift import Impacts
+from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
-from carom.physics.forces.force import DampedStep, Exchange
+from carom.physics.forces.force import DampedPath, DampedStep, Exchange
 from carom.physics.jit.decorators import kernel
 from carom.physics.jit.thread_team import Team
-from carom.scene.forces import DRAG
-from carom.scene.portable_math import exponential
+from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Records = NDArray[np.void]
 
-VANISHED = 745.0  # e^-z underflows to 0 for larger z
 SUMS = record(
     "lost"  # J, what the medium took out
     " px py pz Lx Ly Lz"  # kg m/s and kg m²/s, impulse and angular impulse of all external forces
 )
-TERMS = 20  # of a series on [0, 1]: 1/22! is below round-off
-
-
-def exponentials(z: float) -> tuple[float, float, float]:
-    """Return e^{-z}, φ₁ = (1 - e^{-z})/z and φ₂ = (1 - φ₁)/z for z ≥ 0, with the same bits on any machine.
-
-    The last bit of libm's exponential differs between machines.
-    """
-    if z <= 1.0:
-        series = 1.0
-        for k in range(TERMS + 2, 2, -1):
-            series = 1.0 - z / k * series
-        phi2 = 0.5 * series
-        phi1 = 1.0 - z * phi2
-        return 1.0 - z * phi1, phi1, phi2
-    decay = float(exponential(np.array(-z))) if z < VANISHED else 0.0
-    phi1 = (1.0 - decay) / z
-    return decay, phi1, (1.0 - phi1) / z
 
 
 class StokesDrag:
@@ -91,7 +72,6 @@ class StokesDrag:
         self._outer = outer + self.uniform
         self._bodies = bodies
         self._team = team
-        self._along = np.zeros_like(bodies.ends.acceleration)
         self._against = np.zeros_like(bodies.ends.acceleration)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
@@ -107,7 +87,12 @@ class StokesDrag:
         decay, phi1, phi2 = exponentials(dt * self._rate)
         first, held = dt * (phi2 / phi1), dt * phi2
         last = dt * (phi1 - decay * (phi2 / phi1))
-        return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held)
+        path = DampedPath(first, self._rate, 1.0)
+        if dt * self._rate > MOST_RELAXATIONS:
+            _, phi1_longest, phi2_longest = exponentials(MOST_RELAXATIONS)
+            damping = MOST_RELAXATIONS / dt
+            path = DampedPath(dt * (phi2_longest / phi1_longest), damping, self._rate / damping)
+        return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held, path)
 
     def begin(self, step: DampedStep) -> Exchange:
         """Kick, and slow down to the mean velocity of the drift."""
@@ -119,16 +104,6 @@ class StokesDrag:
         """Slow down from the mean velocity of the drift, and kick."""
         return self._exchange(_end, step, step.last_kick, step.after)
 
-    def along(self, step: DampedStep) -> FloatArray:
-        """Return the rate at which velocities change along the drift, φ₁ (a - w/τ), (n + p, 3) m/s².
-
-        This equals the drag to second order. In steps longer than τ it is at most the rate that stops a body.
-        """
-        bodies, n = self._bodies, len(self._bodies)
-        self._along[:n] = step.before * (bodies.acceleration - bodies.velocity * self._rate)
-        self._along[:n][bodies.ends.inverse_mass[:n] == 0.0] = 0.0
-        return self._along
-
     def against(self) -> FloatArray:
         """Return a - v/τ at the beginning of the step, (n + p, 3) m/s²; see `Damping`."""
         return self._against
@@ -138,28 +113,23 @@ class StokesDrag:
         bodies = self._bodies
         return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
 
-    def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
-        """Return the change of the loss by impacts during a drift, in joules.
-
-        Parameters
-        ----------
-        step
-            The step of the impacts.
-        before
-            (n + p, 3) m/s, velocities at the beginning of the drift; overwritten.
-        impacts
-            In the order of time.
-        """
-        along, ends = self._along, self._bodies.ends
-        rows = impacts.pairs, impacts.time, impacts.after
-        return _lost_in_impacts(*rows, before, along, ends.acceleration, ends.inverse_mass, self.uniform, step.share)
+    def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
+        """Return what the medium exchanges because of impacts during a drift; see `Damping`."""
+        sums, ends = np.zeros(1, SUMS), self._bodies.ends
+        state = before, ends.acceleration, ends.inverse_mass, self.uniform
+        _exchange_in_impacts(impacts.log, impacts.after, *state, *step.path, step.share, sums)
+        return _exchange_of(sums)
 
     def _exchange(self, kernel: Callable[..., None], step: DampedStep, kick: float, factor: float) -> Exchange:
         bodies, sums = self._bodies, np.zeros(1, SUMS)
         state = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
         kernel(*state, self.uniform, self._outer, step.length, step.share, kick, factor, sums)
-        impulse, angular_impulse = columns(sums, ("px", "py", "pz")), columns(sums, ("Lx", "Ly", "Lz"))
-        return Exchange(float(sums["lost"][0]), impulse[0], angular_impulse[0])
+        return _exchange_of(sums)
+
+
+def _exchange_of(sums: Records) -> Exchange:
+    impulse, angular_impulse = columns(sums, ("px", "py", "pz")), columns(sums, ("Lx", "Ly", "Lz"))
+    return Exchange(float(sums["lost"][0]), impulse[0], angular_impulse[0])
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
@@ -266,28 +236,51 @@ def _lost_in_hold(
 
 
 @kernel
-def _lost_in_impacts(
-    pairs: IntArray,
-    time: FloatArray,
+def _exchange_in_impacts(
+    log: Records,
     after: FloatArray,
     w: FloatArray,
-    along: FloatArray,
     a: FloatArray,
     inverse_mass: FloatArray,
     wind: FloatArray,
+    kick: float,
+    damping: float,
+    strength: float,
     share: float,
-) -> float:
-    """Sum J·((along - a) (t - κ) + (u/τ) t) over both bodies of each impact; J = m Δw, from the velocities after it."""
-    lost = 0.0
-    for row in range(len(pairs)):
-        t = time[row]
+    sums: Records,
+) -> None:
+    """Add what the medium exchanges because of impacts to ``sums``, and write the changes of the velocities over ``w``.
+
+    Over both bodies of each impact, with w̄ the mean of w before and after it,
+
+        lost = Σ m Δw·((f² - 1) w̄ + f (σ - k) a + (κ - σ) a + σ u/τ),    impulse = Σ m Δw (1 - f)
+    """
+    total = sums[0]
+    change = np.zeros_like(w)
+    for row in range(len(log)):
+        entry = log[row]
+        sigma = entry.clock
+        s = sigma - kick
+        f = 1.0 - damping * s
         for end in range(2):
-            i = pairs[row, end]
+            i = entry.i if end == 0 else entry.j
             if inverse_mass[i] == 0.0:
                 continue
+            arm = -entry.arm_i if end == 0 else entry.arm_j
+            px, py, pz = 0.0, 0.0, 0.0
             for k in range(3):
-                new = after[row, end, k] - along[i, k] * (t - share)
-                J = (new - w[i, k]) / inverse_mass[i]
+                old, new = w[i, k], (after[row, end, k] - strength * a[i, k] * s) / f
                 w[i, k] = new
-                lost += J * ((along[i, k] - a[i, k]) * (t - share) + wind[k] * t)
-    return lost
+                lost = (f * f - 1.0) * (0.5 * (old + new)) + (strength * f * s + share - sigma) * a[i, k]
+                total.lost += (new - old) / inverse_mass[i] * (lost + sigma * wind[k])
+                slowed = (new - old) * (1.0 - f)
+                change[i, k] += slowed
+                px, py, pz = py, pz, slowed / inverse_mass[i]
+            x, y, z = entry.x + arm * entry.nx, entry.y + arm * entry.ny, entry.z + arm * entry.nz
+            total.px += px
+            total.py += py
+            total.pz += pz
+            total.Lx += y * pz - z * py
+            total.Ly += z * px - x * pz
+            total.Lz += x * py - y * px
+    w[:] = change

@@ -60,6 +60,17 @@ class Force(Protocol):
         """
 
 
+class DampedPath(NamedTuple):
+    """How the velocities of bodies change along a drift of which w is the mean velocity.
+
+    See `carom.physics.contact.events.trajectories`.
+    """
+
+    kick: float  # s
+    damping: float  # 1/s
+    strength: float  # factor of the accelerations
+
+
 class DampedStep(NamedTuple):
     """A leapfrog step with a force that depends on velocities: kick, factor, drift, factor, kick."""
 
@@ -70,6 +81,7 @@ class DampedStep(NamedTuple):
     last_kick: float  # s
     share: float  # s, of the step: its part of the other forces' work in the drift is booked before the drift
     held_kick: float  # s, effective length of the first kick where contacts are held
+    path: DampedPath
 
 
 class Exchange(NamedTuple):
@@ -96,9 +108,6 @@ class Damping(Force, Protocol):
     def end(self, step: DampedStep) -> Exchange:
         """Change velocities from their mean along the drift to those at its end, and kick."""
 
-    def along(self, step: DampedStep) -> FloatArray:
-        """Return the rate at which velocities change along the drift, (n + p, 3) m/s²."""
-
     def against(self) -> FloatArray:
         """Return the accelerations against which contacts are held, (n + p, 3) m/s²: those at the start of the step."""
 
@@ -108,10 +117,11 @@ class Damping(Force, Protocol):
         ``before`` are the velocities before the hold, (n + p, 3) m/s.
         """
 
-    def lost_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> float:
-        """Return the change of its loss by impacts during the drift, in joules; ``before`` is overwritten.
+    def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
+        """Return what it exchanges because of impacts during the drift.
 
-        ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s.
+        ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s. They are overwritten by the changes
+        of velocities in the drift by impacts that are not their impulses over the masses.
         """
 
 

@@ -110,7 +110,7 @@ class _Kernels(NamedTuple):
         none = np.zeros(0, dtype=np.int64)
         nobody = Neighbours(none, none, none)
         return cls(
-            begin=entry_of(begin, T, 1.0, 0.0, False, np.zeros(0, dtype=np.bool_)),
+            begin=entry_of(begin, T, 1.0, 0.0, 0.0, False, np.zeros(0, dtype=np.bool_)),
             predict=entry_of(predict, 0, 0, nobody, T),
             fill_queue=entry_of(_fill_queue, T),
             resolve=entry_of(resolve, nobody, T, log),
@@ -157,7 +157,7 @@ class EventDrivenDrift:
         spin = slice(None) if friction else slice(0)
         self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
-        self._bends = bool(bending.any()) and not box.any()
+        self._bending = bending if not box.any() else np.zeros(3)
         self._log = np.empty(LOG_ROWS, dtype=IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self._trajectories = Trajectories(
@@ -183,14 +183,14 @@ class EventDrivenDrift:
         )
         drift = self._trajectories.drift[0]
         drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
-        drift["field_x"], drift["field_y"], drift["field_z"] = bending if self._bends else (0.0, 0.0, 0.0)
+        drift["field_x"], drift["field_y"], drift["field_z"] = self._bending
         self._kernels = _Kernels.of(self._trajectories, self._log)
         self._compile()
 
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
-        self._kernels.begin(T, 1.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
+        self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
             self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
@@ -210,7 +210,8 @@ class EventDrivenDrift:
         held: ImpulseCache,
         pressed: BoolArray,
         asleep: BoolArray | None,
-        along: FloatArray | None = None,
+        damping: float = 0.0,
+        strength: float = 1.0,
     ) -> Impacts:
         """Move all bodies by their velocities for dt, after a kick, both in s, and resolve their impacts.
 
@@ -225,19 +226,21 @@ class EventDrivenDrift:
             (n + p,) whether contacts have pressed each body since the last step.
         asleep
             (n,) which bodies sleep; None if none can.
-        along
-            (n + p, 3) m/s², rate of change of the velocities along the drift; by default the accelerations.
+        damping, strength
+            1/s, rate at which drag slows bodies down, and a factor of the accelerations; see `DampedPath`.
         """
         T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
-        if along is not None:
-            T = T._replace(a=np.ascontiguousarray(along))
+        if damping > 0.0:
+            field = strength * self._bending
+            T.drift["field_x"], T.drift["field_y"], T.drift["field_z"] = field
+            T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
         farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
         pairs = self._neighbours(farthest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
-            bends = self._bends and along is None and kick == 0.5 * dt  # velocities are those of the middle
-            self._kernels.begin(T, dt, kick, bends, pressed)
+            bends = bool(self._bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
+            self._kernels.begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
                 self._find_rest_speeds(pairs, dt, scale, skin)

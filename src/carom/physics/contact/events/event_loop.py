@@ -7,7 +7,8 @@ the meantime, its impact is predicted again.
 Velocities at the time τ are v + a (τ - h), with h the kick before the drift. The energies that follow are exact: the
 kicks before and after the drift do gravity's work on the actual path, with its bend, if the impulse J takes out
 -J·(v(τ) + J/2m). With a constant acceleration a rebound keeps its energy to the last bits. Where that acceleration is
-the uniform field, bodies meet where their parabolas do, so the time and the outcome of the impact are exact.
+the uniform field, bodies meet where their parabolas do, so the time and the outcome of the impact are exact. The same
+holds under drag, with the velocities and times of `trajectories`.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from carom.physics.contact.events.time_of_impact import (
     time_of_impact,
     time_of_impact_in_box,
     time_of_impact_on_parabola,
+    time_to_plane_in_medium,
 )
 from carom.physics.contact.events.trajectories import (
     MOST_HOLDS,
@@ -32,16 +34,20 @@ from carom.physics.contact.events.trajectories import (
     advance,
     centre,
     contact_geometry,
+    elapsed,
     lag,
     leaves_reach,
     rest_speed,
+    slowing,
+    velocity,
 )
 from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
 from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
+from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.rotation import turn_one
-from carom.physics.vector import add, along, between, vector
+from carom.physics.vector import Vector, add, along, between, vector
 
 Records = NDArray[np.void]
 
@@ -62,6 +68,7 @@ IMPACT = np.dtype(
         ("i", np.int64),  # i < j
         ("j", np.int64),
         ("time", np.float64),  # s from the beginning of the drift
+        ("clock", np.float64),  # s, the time σ of the straight paths, see `trajectories`
         ("nx", np.float64),  # the normal, from i to j
         ("ny", np.float64),
         ("nz", np.float64),
@@ -202,7 +209,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             xj, yj, zj = along(T.x, T.v, j, t)
             dx, dy, dz = xj - xi, yj - yi, zj - zi
             vx, vy, vz = between(T.v, i, j)
-            ax, ay, az = between(T.a, i, j)
+            ax, ay, az = _acceleration(i, j, vx, vy, vz, T)
             R = T.radius[i] + T.radius[j]
             slow = drift.slow * max(rest, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
@@ -215,6 +222,14 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             when = clock + tau
             if when < one.impact_time or (when == one.impact_time < np.inf and j < one.partner):
                 one.impact_time, one.partner, one.partner_impacts = when, j, other.impacts
+
+
+@inner
+def _acceleration(i: int, j: int, vx: float, vy: float, vz: float, T: Trajectories) -> Vector:
+    """Return the acceleration of j relative to i, drag included, in m/s²; v is their relative velocity in the drift."""
+    ax, ay, az = between(T.a, i, j)
+    damping = T.drift[0].damping
+    return ax - damping * vx, ay - damping * vy, az - damping * vz
 
 
 @inner
@@ -234,25 +249,34 @@ def _time_on_parabola(
     sign, behind, since_kick = -1.0 if T.body[j].is_straight else 1.0, lag(T), drift.clock - drift.kick
     bx, by, bz = sign * drift.field_x, sign * drift.field_y, sign * drift.field_z
     dx, dy, dz = dx - behind * bx, dy - behind * by, dz - behind * bz
-    wx, wy, wz = vx + since_kick * bx, vy + since_kick * by, vz + since_kick * bz
-    R, span = T.radius[i] + T.radius[j], drift.dt - drift.clock
-    t = time_of_impact_on_parabola(dx, dy, dz, wx, wy, wz, bx, by, bz, R, span)
+    f = slowing(T)
+    wx, wy, wz = f * vx + since_kick * bx, f * vy + since_kick * by, f * vz + since_kick * bz
+    R, span = T.radius[i] + T.radius[j], drift.dt - elapsed(T)
+    t = time_of_impact_on_parabola(dx, dy, dz, wx, wy, wz, bx, by, bz, drift.damping, R, span)
     if t == np.inf:
         return t
-    nx, ny, nz = dx + t * (wx + 0.5 * t * bx), dy + t * (wy + 0.5 * t * by), dz + t * (wz + 0.5 * t * bz)
-    ax, ay, az = between(T.a, i, j)
-    s = since_kick + t
+    phi1, phi2 = 1.0, 0.5
+    if drift.damping > 0.0:
+        _, phi1, phi2 = exponentials(drift.damping * t)
+    nx, ny = dx + t * (phi1 * wx + phi2 * t * bx), dy + t * (phi1 * wy + phi2 * t * by)
+    nz = dz + t * (phi1 * wz + phi2 * t * bz)
+    ax, ay, az = _acceleration(i, j, vx, vy, vz, T)
+    tau = min(drift.dt - drift.clock, f * phi1 * t)
+    s = since_kick + tau
     closing = -((vx + ax * s) * nx + (vy + ay * s) * ny + (vz + az * s) * nz)
-    return t if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
+    return tau if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
 
 
 @inner
 def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
     """Predict the next impact of each body in [lo, hi) with a plane, if it comes before the stored one."""
     x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
-    drift, behind = T.drift[0], lag(T)
-    clock, dt, kick = drift.clock, drift.dt, drift.kick
-    for i in range(lo, hi if len(offset) > 0 else lo):
+    if len(offset) == 0:
+        return
+    drift, behind, f = T.drift[0], lag(T), slowing(T)
+    clock, dt, kick, damping = drift.clock, drift.dt, drift.kick, drift.damping
+    span = dt - elapsed(T)
+    for i in range(lo, hi):
         body = T.body[i]
         if body.holds >= MOST_HOLDS:
             continue
@@ -267,9 +291,16 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
             bend = 0.0
             if not body.is_straight:
                 bend = N[p, 0] * drift.field_x + N[p, 1] * drift.field_y + N[p, 2] * drift.field_z
-            wait = _time_to_plane(gap - behind * bend, rate + bend * (clock - kick), bend)
+            if damping > 0.0 and bend != 0.0:
+                now = f * rate + bend * (clock - kick)
+                wait = time_to_plane_in_medium(gap - behind * bend, now, bend, damping, T.radius[i], span)
+                if wait < np.inf:
+                    wait = min(dt - clock, f * wait * exponentials(damping * wait)[1])
+            else:
+                wait = _time_to_plane(gap - behind * bend, rate + bend * (clock - kick), bend)
             if wait < np.inf:
                 when = clock + wait
+                pull -= damping * rate
                 if when <= min(dt, body.impact_time) and -(rate + pull * (when - kick)) > slow:
                     if when == body.impact_time and body.partner < len(x) + p:
                         continue
@@ -293,13 +324,13 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 @inner
 def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and log it."""
-    v, a, omega, clock = T.v, T.a, T.omega, T.drift[0].clock
+    v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]
     nx, ny, nz, ri, rj = contact_geometry(i, j, T)
     s = clock - T.drift[0].kick
     vx, vy, vz = between(v, i, j)
-    ax, ay, az = between(a, i, j)
-    vx, vy, vz = vx + ax * s, vy + ay * s, vz + az * s
+    ax, ay, az = between(T.a, i, j)
+    vx, vy, vz = f * vx + ax * s, f * vy + ay * s, f * vz + az * s
     vn = vx * nx + vy * ny + vz * nz
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
@@ -313,7 +344,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
             Jn = (landing - vn) / Kn
             entry.stabilisation_gain = entry.restitution_loss - normal_loss(Jn, vn, Kn)
     Jx, Jy, Jz = Jn * nx, Jn * ny, Jn * nz
-    entry.i, entry.j, entry.time = i, j, clock
+    entry.i, entry.j, entry.time, entry.clock = i, j, elapsed(T), clock
     entry.nx, entry.ny, entry.nz = nx, ny, nz
     entry.approach, entry.rest_speed, entry.friction_loss = max(0.0, -vn), slow, 0.0
     entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
@@ -338,11 +369,11 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:
                     _spin_up(j, rj, tx, ty, tz, T)
-    add(v, i, -mi, Jx, Jy, Jz)
+    add(v, i, -mi / f, Jx, Jy, Jz)
     if mj > 0.0:
-        add(v, j, mj, Jx, Jy, Jz)
-    entry.vix, entry.viy, entry.viz = along(v, a, i, s)
-    entry.vjx, entry.vjy, entry.vjz = along(v, a, j, s)
+        add(v, j, mj / f, Jx, Jy, Jz)
+    entry.vix, entry.viy, entry.viz = velocity(i, T)
+    entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
 
 
 @inner
@@ -357,7 +388,12 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
     drift, n = T.drift[0], len(T.x)
     pressing = nx * drift.field_x + ny * drift.field_y + nz * drift.field_z
     bend = (0.0 if T.body[i].is_straight else pressing) - (0.0 if j >= n or T.body[j].is_straight else pressing)
-    return float(an * (drift.clock - drift.kick) + 0.5 * drift.clock * bend)
+    rise = 0.5 * drift.clock  # s, `lag` over the remaining time
+    if drift.damping > 0.0:
+        left = drift.dt - drift.clock
+        rise = 1.0 / (1.0 - drift.damping * (drift.dt - drift.kick)) / drift.damping - 1.0 / drift.damping
+        rise = min(rise, lag(T) / left) if left > 0.0 else rise
+    return float(an * (drift.clock - drift.kick) + slowing(T) * rise * bend)
 
 
 @inner
@@ -370,7 +406,7 @@ def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectorie
     s = arm * T.inverse_inertia[i]
     if s == 0.0:
         return
-    left = T.drift[0].dt - T.drift[0].clock
+    left = T.drift[0].dt - elapsed(T)
     turn_one(i, T.q, T.omega, -left)
     add(T.omega, i, s, tx, ty, tz)
     turn_one(i, T.q, T.omega, left)

@@ -35,6 +35,9 @@ from carom.physics.contact.events.trajectories import (
     advance,
     centre,
     contact_geometry,
+    elapsed,
+    slowing,
+    velocity,
 )
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
@@ -354,10 +357,10 @@ def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -
 
     Summed over the group, -λ (v_n + v_n')/2 is the energy that is lost.
     """
-    clock = T.drift[0].clock
+    clock, f = T.drift[0].clock, slowing(T)
     s = clock - T.drift[0].kick
     for c in range(contacts):
-        Jn = group.impulse[c]
+        Jn = f * group.impulse[c]
         if not Jn > 0.0:
             continue
         i, j = group.ends[c, 0], group.ends[c, 1]
@@ -365,10 +368,10 @@ def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -
         ax, ay, az = between(T.a, i, j)
         vx, vy, vz = between(T.v, i, j)
         change = s * (ax * nx + ay * ny + az * nz)
-        before, after = group.before[c] + change, vx * nx + vy * ny + vz * nz + change
+        before, after = f * group.before[c] + change, f * (vx * nx + vy * ny + vz * nz) + change
         entry = log[row]
         row += 1
-        entry.i, entry.j, entry.time = i, j, clock
+        entry.i, entry.j, entry.time, entry.clock = i, j, elapsed(T), clock
         entry.nx, entry.ny, entry.nz = nx, ny, nz
         entry.approach, entry.rest_speed = max(0.0, -before), max(T.rest_speed[i], T.rest_speed[j])
         entry.restitution_loss = -Jn * (0.5 * (before + after))
@@ -377,6 +380,6 @@ def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -
         entry.friction_x = entry.friction_y = entry.friction_z = 0.0
         x, y, z = centre(i, T)
         entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
-        entry.vix, entry.viy, entry.viz = along(T.v, T.a, i, s)
-        entry.vjx, entry.vjy, entry.vjz = along(T.v, T.a, j, s)
+        entry.vix, entry.viy, entry.viz = velocity(i, T)
+        entry.vjx, entry.vjy, entry.vjz = velocity(j, T)
     return row

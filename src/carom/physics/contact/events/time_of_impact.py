@@ -13,17 +13,21 @@ their surfaces has a second derivative of at least -|b|. A gap g that closes at 
 
     2 g / (c + √(c² + 2 |b| g))
 
-These steps lead to the first root from below, at the rate of Newton's method.
+These steps lead to the first root from below, at the rate of Newton's method. Under drag with the rate λ the
+separation is d + w t φ₁ + b t² φ₂, with φ₁ and φ₂ of λ t (`carom.physics.exponential`), and its second derivative
+(b - λ w) e^{-λt}, which only shrinks.
 
 A drift uses the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick before the
-drift. A meeting is an impact if the bodies then close faster than a given speed.
+drift; under drag a - λ v takes the place of a. A meeting is an impact if the bodies then close faster than a given
+speed.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from carom.physics.jit.decorators import kernel
+from carom.physics.exponential import exponentials
+from carom.physics.jit.decorators import inline, kernel
 from carom.physics.vector import nearest_image
 
 MOST_PASSES = 100
@@ -91,6 +95,7 @@ def time_of_impact_on_parabola(
     bx: float,
     by: float,
     bz: float,
+    damping: float,
     R: float,
     span: float,
 ) -> float:
@@ -100,33 +105,83 @@ def time_of_impact_on_parabola(
     ----------
     dx, dy, dz, wx, wy, wz, bx, by, bz
         m, m/s and m/s²: present separation, velocity and acceleration of one body relative to the other.
+    damping
+        1/s, rate at which drag slows bodies down; the acceleration is that without drag.
     R
         m, the sum of radii.
     span
         s.
     """
-    b = np.sqrt(bx * bx + by * by + bz * bz)
-    ux, uy, uz = wx + 0.5 * span * bx, wy + 0.5 * span * by, wz + 0.5 * span * bz  # mean velocity of the span
-    near = R + 0.125 * b * span * span  # from the chord of the parabola
+    ax, ay, az = bx - damping * wx, by - damping * wy, bz - damping * wz
+    b = np.sqrt(ax * ax + ay * ay + az * az)
+    decay, phi1, phi2 = 1.0, 1.0, 0.5
+    if damping > 0.0:
+        decay, phi1, phi2 = exponentials(damping * span)
+    ux, uy, uz = phi1 * wx + phi2 * span * bx, phi1 * wy + phi2 * span * by, phi1 * wz + phi2 * span * bz  # mean
+    near = R + 0.125 * b * span * span  # from the chord of the path
     t = 0.0
     if dx * dx + dy * dy + dz * dz > near * near:
         t = time_of_impact(dx, dy, dz, ux, uy, uz, 0.0, 0.0, 0.0, near, span, 0.0, -np.inf)
     for _ in range(MOST_PASSES):
         if not t <= span:
             return np.inf
-        px, py, pz = dx + t * (wx + 0.5 * t * bx), dy + t * (wy + 0.5 * t * by), dz + t * (wz + 0.5 * t * bz)
+        if damping > 0.0:
+            decay, phi1, phi2 = exponentials(damping * t)
+        px, py = dx + t * (phi1 * wx + phi2 * t * bx), dy + t * (phi1 * wy + phi2 * t * by)
+        pz = dz + t * (phi1 * wz + phi2 * t * bz)
         distance = np.sqrt(px * px + py * py + pz * pz)
-        closing = -((wx + t * bx) * px + (wy + t * by) * py + (wz + t * bz) * pz) / distance
+        vx, vy, vz = decay * wx + phi1 * t * bx, decay * wy + phi1 * t * by, decay * wz + phi1 * t * bz
+        closing = -(vx * px + vy * py + vz * pz) / distance
         gap = distance - R
         if gap <= TOUCHING * R and closing > 0.0:
             return t
-        gap = max(0.0, gap)
-        root = np.sqrt(closing * closing + 2.0 * b * gap)
-        further = 2.0 * gap / (closing + root) if closing > 0.0 else (root - closing) / b
+        further = _open_for(gap, closing, decay * b)
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
     return np.inf  # a graze
+
+
+@kernel
+def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float, R: float, span: float) -> float:
+    """Return the time in s until a body touches a plane and closes; infinite if it does not within a span.
+
+    Parameters
+    ----------
+    gap, rate, bend
+        m, m/s and m/s²: present gap, its rate of change, and the acceleration without drag.
+    damping
+        1/s, rate at which drag slows bodies down.
+    R
+        m, the radius.
+    span
+        s.
+    """
+    falls = max(0.0, damping * rate - bend)
+    t = 0.0
+    for _ in range(MOST_PASSES):
+        if not t <= span:
+            return np.inf
+        decay, phi1, phi2 = exponentials(damping * t)
+        left = gap + t * (phi1 * rate + phi2 * t * bend)
+        closing = -(decay * rate + phi1 * t * bend)
+        if left <= TOUCHING * R and closing > 0.0:
+            return t
+        if falls == 0.0 and not closing > 0.0:
+            return np.inf
+        further = _open_for(left, closing, decay * falls)
+        if not t + further > t:
+            return t if closing > 0.0 else np.inf
+        t += further
+    return np.inf
+
+
+@inline
+def _open_for(gap: float, closing: float, b: float) -> float:
+    """Return how long in s a gap stays open at least that closes at a speed, and that b m/s² close faster at most."""
+    gap = max(0.0, gap)
+    root = np.sqrt(closing * closing + 2.0 * b * gap)
+    return float(2.0 * gap / (closing + root) if closing > 0.0 else (root - closing) / b)
 
 
 @kernel

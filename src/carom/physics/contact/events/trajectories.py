@@ -5,6 +5,14 @@ straight line by ½ g s (dt - s), whatever impacts happened before. Positions ar
 `lag` is added where bodies meet, so that a body in a uniform field meets a plane at the exact time. Contacts at rest
 hold their bodies with one impulse for the whole drift; the path of a held body is straight.
 
+Under linear drag with the relaxation time τ, paths are straight in a time σ that slows down with the bodies
+(`carom.physics.forces.drag`): σ = τ (1 - e^{-s/τ})/φ₁, so that σ = s at both ends of the drift. All times here are σ;
+`elapsed` returns s. With the mean velocity w of the drift and the length k of the kick before it,
+
+    dσ/ds = f = 1 - (σ - k)/τ,    v = f w + (σ - k) a,    lag = σ (k φ₁ - φ₁² σ M(φ₁ σ/τ)),    φ₁ = 1/(1 + k/τ)
+
+An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
+
 The record of each body has its own time, its next impact, and its reach: how far it may move before it can meet bodies
 that were not found as neighbours.
 """
@@ -19,8 +27,9 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray
 from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
+from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
-from carom.physics.vector import add, along, between, nearest_image, vector
+from carom.physics.vector import Vector, add, along, between, nearest_image, vector
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -58,6 +67,7 @@ DRIFT = np.dtype(
     [
         ("dt", np.float64),  # s, length of the drift
         ("kick", np.float64),  # s, the kick before it: velocities are those of this time
+        ("damping", np.float64),  # 1/s, rate at which drag slows bodies down; 0 without drag
         ("clock", np.float64),  # s, the present time
         ("slow", np.float64),  # of the rest speed; slower contacts are left to the end of the step
         ("field_x", np.float64),  # m/s², the uniform field that bends paths; zeros where no path bends
@@ -88,8 +98,8 @@ class Trajectories(NamedTuple):
     body: Records  # (n,) `TRAJECTORY`
     drift: Records  # (1,) `DRIFT`
     x: FloatArray  # (n, 3) m, at the time `now` of each
-    v: FloatArray  # (n + p, 3) m/s
-    a: FloatArray  # (n + p, 3) m/s²
+    v: FloatArray  # (n + p, 3) m/s, of the straight paths
+    a: FloatArray  # (n + p, 3) m/s², without drag
     q: FloatArray  # (n, 4) xyzw at the end of the drift; (0, 4) where nothing spins
     omega: FloatArray  # (n + p, 3) rad/s; (0, 3) without friction
     inverse_mass: FloatArray  # (n + p,) 1/kg
@@ -132,7 +142,7 @@ def write_reaches(
 
 
 @kernel
-def begin(T: Trajectories, dt: float, kick: float, bends: bool, pressed: BoolArray) -> None:
+def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, pressed: BoolArray) -> None:
     """Begin a drift.
 
     Parameters
@@ -141,13 +151,15 @@ def begin(T: Trajectories, dt: float, kick: float, bends: bool, pressed: BoolArr
         The bodies.
     dt, kick
         s, the drift and the kick before it.
+    damping
+        1/s, rate at which drag slows bodies down.
     bends
         Whether the field bends the paths of some bodies.
     pressed
         (n + p,) whether contacts have pressed each body since the last step.
     """
     drift = T.drift[0]
-    drift.dt, drift.kick, drift.clock = dt, kick, 0.0
+    drift.dt, drift.kick, drift.clock, drift.damping = dt, kick, 0.0, damping
     drift.queued = drift.strays = drift.exhausted = 0
     for i in range(len(T.body)):
         body = T.body[i]
@@ -191,10 +203,39 @@ def advance(i: int, T: Trajectories) -> None:
 
 
 @inner
-def lag(T: Trajectories) -> float:
-    """Return by how much a unit of the field sets a parabola back from its straight line at the present time, in s²."""
+def elapsed(T: Trajectories) -> float:
+    """Return the time in s since the beginning of the drift."""
     drift = T.drift[0]
-    return float(0.5 * drift.clock * (drift.dt - drift.clock))
+    if drift.damping == 0.0:
+        return float(drift.clock)
+    y = drift.damping * drift.clock / (1.0 + drift.damping * drift.kick)
+    return float(min(drift.dt, (y + y * y * log_remainder(y)) / drift.damping))
+
+
+@inner
+def slowing(T: Trajectories) -> float:
+    """Return by which factor velocities at the present time differ from those of the straight paths; 1 without drag."""
+    drift = T.drift[0]
+    return float(1.0 - drift.damping * (drift.clock - drift.kick))
+
+
+@inner
+def velocity(i: int, T: Trajectories) -> Vector:
+    """Return the velocity of a body at the present time, in m/s."""
+    f, s = slowing(T), T.drift[0].clock - T.drift[0].kick
+    (vx, vy, vz), (ax, ay, az) = vector(T.v, i), vector(T.a, i)
+    return f * vx + s * ax, f * vy + s * ay, f * vz + s * az
+
+
+@inner
+def lag(T: Trajectories) -> float:
+    """Return by how much a unit of the field sets a path back from its straight line at the present time, in s²."""
+    drift = T.drift[0]
+    if drift.damping == 0.0:
+        return float(0.5 * drift.clock * (drift.dt - drift.clock))
+    phi1 = 1.0 / (1.0 + drift.damping * drift.kick)
+    done = phi1 * drift.clock
+    return float(drift.clock * phi1 * (drift.kick - done * log_remainder(drift.damping * done)))
 
 
 @inner
