@@ -166,8 +166,8 @@ WHOLE: Sections = {
     "gravity": {"constant": 1e-3, "uniform": [0.0, 0.0, -9.81]},
     "time": {"max_dt": 0.02},
 }
-DIRECT = {"forces.gravity.direct.pull_few"}
-TURNING = {"rotation.turn", "contact.reactions._turn"}
+DIRECT = {"forces.gravity.direct.sum_few"}
+TURNING = {"rotation.rotate_rows", "contact.reactions._turn"}
 MEETING = {
     "contact.geometry.update_geometry",
     "contact.graph._colour_contacts",

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from carom.physics.rotation import BLOCK, rotate, sine_cosine, turn_one
+from carom.physics.rotation import BLOCK, rotate, rotate_one, sine_cosine
 
 
 @settings(max_examples=500, deadline=None)
@@ -70,5 +70,5 @@ def test_bodies_turned_in_blocks_have_the_bits_of_bodies_turned_one_by_one(count
     one_by_one = in_blocks.copy()
     rotate(in_blocks, spins, dt)
     for i in range(count):
-        turn_one(i, one_by_one, spins, dt)
+        rotate_one(i, one_by_one, spins, dt)
     assert np.array_equal(in_blocks, one_by_one)

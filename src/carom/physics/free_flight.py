@@ -2,7 +2,7 @@
 
 A step of three bodies takes 80 ns in a kernel, and ten microseconds where Python calls a kernel for each of its
 parts. `KickDriftStepper` therefore hands over the steps up to the next frame or check. They choose dt, kick, drift and
-turn by the same kernels, so the bits are those of single steps.
+rotate by the same kernels, so the bits are those of single steps.
 
 Where bodies can touch, a step is taken only if nothing comes near in it: within the rounding, and the distance of a
 fall from rest in a step, up to which `contact.pipeline` looks for contacts. Paths are straight, so two bodies come
@@ -23,11 +23,11 @@ from carom.physics.contact.reactions import NOTHING_BORNE
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
-from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, pull_few
+from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, sum_few
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
-from carom.physics.rotation import turn_one
+from carom.physics.rotation import rotate_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target
 from carom.physics.time_step import Timestep
 from carom.physics.vector import minimum_image, square, write
@@ -38,14 +38,14 @@ MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the prog
 NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the gap that counts as contact
 ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit, of which the search allows four
 GRAIN = 2.0**-50  # of the coordinates, more than a drift is rounded by
-PART_OF_BOX = 0.25  # of the smallest side, that bodies may move before they are looked at again
+BOX_FRACTION = 0.25  # of the smallest side, that bodies may move before they are looked at again
 FAR = 1e150  # m, the gap where there are no pairs
 
 PLAN = np.dtype(
     [
         ("fixed_dt", np.float64),  # s; 0 for the steps of a rule
-        ("pulls", np.bool_),  # whether there is a force
-        ("attracts", np.bool_),  # whether bodies pull each other
+        ("accelerates", np.bool_),  # whether there is a force
+        ("attracts", np.bool_),  # whether bodies attract each other
         ("constant", np.float64),  # m³/(kg s²), G
         ("softening_squared", np.float64),  # m²
         ("is_uniform", np.bool_),  # whether there is a uniform field
@@ -74,7 +74,7 @@ class _Clock(NamedTuple):
     until: float  # s, a step that reaches it is the last
     most: int  # steps
     average: float  # s, the smoothed step
-    struck: float  # J, the energy of recent impacts
+    impact_energy: float  # J, the energy of recent impacts
 
 
 class _Moved(NamedTuple):
@@ -83,7 +83,7 @@ class _Moved(NamedTuple):
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²
-    orientation: FloatArray  # (n, 4) xyzw; no rows where nothing turns
+    orientation: FloatArray  # (n, 4) xyzw; no rows where nothing rotates
     angular_velocity: FloatArray  # (n, 3) rad/s; no rows likewise
 
 
@@ -100,10 +100,10 @@ class _Kept(NamedTuple):
     offset: FloatArray  # (p,) m
 
 
-class _Room(NamedTuple):
+class _Buffers(NamedTuple):
     """Memory."""
 
-    found: Records  # for the limits of the step, see `Timestep.room`
+    limits: Records  # for the limits of the step, see `Timestep.buffer`
     potential: FloatArray  # (n,)
     saved: FloatArray  # (3, n, 3) positions, velocities, accelerations before a step
 
@@ -116,7 +116,7 @@ class Flight(NamedTuple):
     time: float  # s, time after it
     dt: float  # s, its length
     limit: str  # what set it
-    struck: float  # J, the energy of recent impacts, see `Activity`, before the last step
+    impact_energy: float  # J, the energy of recent impacts, see `Activity`, before the last step
 
 
 class FreeFlight:
@@ -138,7 +138,7 @@ class FreeFlight:
         self._substeps = np.array(chosen.substeps)
         self._plan = np.zeros(1, PLAN)
         plan = self._plan[0]
-        plan["fixed_dt"], plan["pulls"] = timestep.fixed_dt or 0.0, world.needs.pulls
+        plan["fixed_dt"], plan["accelerates"] = timestep.fixed_dt or 0.0, world.needs.pulls
         plan["attracts"], plan["constant"] = forces.attracts, forces.constant
         plan["softening_squared"] = forces.softening * forces.softening
         plan["is_uniform"], plan["ends_with_forces"] = forces.is_uniform, chosen.ends_with_forces
@@ -152,12 +152,12 @@ class FreeFlight:
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field),
                 *(world.box, planes.normal, planes.offset),
             ),
-            _Room(timestep.room(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
+            _Buffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
         )
         clock = _Clock(0.0, 0.0, 0.0, 0, 0.0, 0.0)
         self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self._arguments)
 
-    def take(self, time: float, end: float, until: float, most: int, struck: float = 0.0) -> Flight:
+    def take(self, time: float, end: float, until: float, most: int, impact_energy: float = 0.0) -> Flight:
         """Take steps until a time is reached, the run ends, the number of steps is reached, or something may touch.
 
         Parameters
@@ -166,13 +166,13 @@ class FreeFlight:
             s; the last step is cut to end at ``end``, but not at ``until``.
         most
             Steps.
-        struck
+        impact_energy
             J, the energy of recent impacts.
         """
         timestep = self._timestep
-        clock = _Clock(time, end, until, min(most, MOST_STEPS), timestep.previous, struck)
-        steps, before, time, dt, limit, timestep.previous, struck = self._fly(clock, *self._arguments)
-        return Flight(steps, before, time, dt, LIMIT_NAMES[limit], struck)
+        clock = _Clock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy)
+        steps, before, time, dt, limit, timestep.previous, impact_energy = self._fly(clock, *self._arguments)
+        return Flight(steps, before, time, dt, LIMIT_NAMES[limit], impact_energy)
 
 
 def can_fly(world: World) -> bool:
@@ -185,17 +185,17 @@ def can_fly(world: World) -> bool:
 
 @borrowing
 def _fly(
-    clock: _Clock, laws: _Laws, moved: _Moved, kept: _Kept, room: _Room
+    clock: _Clock, laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers
 ) -> tuple[int, float, float, float, int, float, float]:
     """Take steps; return their number, the time before and after the last one, its length and limit, the averages."""
-    time, end, until, most, average, struck = clock
-    substeps, box, saved = laws.substeps, kept.box, room.saved
+    time, end, until, most, average, impact_energy = clock
+    substeps, box, saved = laws.substeps, kept.box, buffers.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
     P, n, last = laws.plan[0], len(position), len(substeps) - 1
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
-        length, why, following = _choose(laws, moved, kept, room, average, end - time)
+        length, why, following = _choose(laws, moved, kept, buffers, average, end - time)
         after = end if why == END else time + length
         if not after > time:
             break
@@ -204,11 +204,11 @@ def _fly(
         is_free = True
         for s in range(len(substeps)):
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
-            if P.pulls and first_kick != 0.0:
+            if P.accelerates and first_kick != 0.0:
                 advance(0, n, velocity, acceleration, first_kick)
             if P.touches:
-                fastest, pull = _fastest(velocity, acceleration)
-                skin = (pull + P.field) * length * length
+                fastest, largest = _fastest(velocity, acceleration)
+                skin = (largest + P.field) * length * length
                 if not 2.0 * (gone + fastest * abs(drift) + grain) + skin < slack:
                     slack, grain = _smallest_gap(position, velocity, kept, abs(drift), skin)
                     gone = 0.0
@@ -219,25 +219,25 @@ def _fly(
             advance(0, n, position, velocity, drift)
             if box[0] > 0.0:
                 wrap_rows(0, n, position, box)
-            if P.pulls and (s < last or P.ends_with_forces):
-                _accelerate(laws, moved, kept, room)
-            if P.pulls and last_kick != 0.0:
+            if P.accelerates and (s < last or P.ends_with_forces):
+                _accelerate(laws, moved, kept, buffers)
+            if P.accelerates and last_kick != 0.0:
                 advance(0, n, velocity, acceleration, last_kick)
         if not is_free:
             _copy(saved[0], saved[1], saved[2], position, velocity, acceleration)
             break
         for i in range(len(orientation)):
-            turn_one(i, orientation, angular_velocity, length)
+            rotate_one(i, orientation, angular_velocity, length)
         if steps > 0:
-            struck = remembered(struck, 0.0)
+            impact_energy = remembered(impact_energy, 0.0)
         before, time, dt, limit, average = time, after, length, why, following
         steps += 1
-    return steps, before, time, dt, limit, average, struck
+    return steps, before, time, dt, limit, average, impact_energy
 
 
 @inline
 def _choose(
-    laws: _Laws, moved: _Moved, kept: _Kept, room: _Room, average: float, remaining: float
+    laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers, average: float, remaining: float
 ) -> tuple[float, int, float]:
     """Choose a step; return it in s, its limit, and the new average in s. ``remaining`` is the time left, in s."""
     P, R = laws.plan[0], laws.rule[0]
@@ -245,16 +245,16 @@ def _choose(
         length, limit, _ = smooth_and_cut(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
         return length, limit, average
     bodies = (moved.position, moved.velocity, moved.acceleration, kept.radius, kept.mass, kept.inverse_mass)
-    length, limit = target(laws.rule, *bodies, kept.borne, kept.field, room.found, False)
+    length, limit = target(laws.rule, *bodies, kept.borne, kept.field, buffers.limits, False)
     return smooth_and_cut(length, limit, R.smoothing, average, remaining)
 
 
 @inline
-def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, room: _Room) -> None:
+def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers) -> None:
     """Write the accelerations at the present positions."""
     P, acceleration, n = laws.plan[0], moved.acceleration, len(moved.position)
     if P.attracts:
-        pull_few(moved.position, kept.mass, P.constant, P.softening_squared, acceleration, room.potential)
+        sum_few(moved.position, kept.mass, P.constant, P.softening_squared, acceleration, buffers.potential)
     else:
         for i in range(n):
             write(acceleration, i, 0.0, 0.0, 0.0)
@@ -297,7 +297,7 @@ def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: fl
         size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
     for p in range(len(offset)):
         size = max(size, abs(offset[p]))
-    smallest = PART_OF_BOX * min(box[0], box[1], box[2]) if box[0] > 0.0 else FAR
+    smallest = BOX_FRACTION * min(box[0], box[1], box[2]) if box[0] > 0.0 else FAR
     for i in range(len(x)):
         for j in range(i + 1, len(x)):
             if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:

@@ -114,7 +114,7 @@ class KickDriftStepper:
         due, judged = goal.is_reached(clock), goal.is_check(clock)
         if world.contact:
             world.contact.rest()
-            books.activity.impact_energy = taken.struck
+            books.activity.impact_energy = taken.impact_energy
             if judged:
                 books.suspect_contacts(clock.step - 1)
             books.begin_contacts()
@@ -172,7 +172,7 @@ class KickDriftStepper:
         world, contact, damping = self._world, self._world.contact, self._damping
         potentials: Potentials = {}
         last_kick = 0.0
-        self._turn(dt)
+        self._rotate(dt)
         for index, substep in enumerate(self._substeps):
             is_last = index == len(self._substeps) - 1
             damped = damping.step(dt) if damping else None
@@ -196,8 +196,8 @@ class KickDriftStepper:
             self._resolve(contact, dt, last_kick)
         return potentials
 
-    def _turn(self, dt: float) -> None:
-        """Turn the orientations."""
+    def _rotate(self, dt: float) -> None:
+        """Rotate the bodies."""
         world, bodies = self._world, self._world.bodies
         if world.needs.orientation.modelled:
             rotate(bodies.orientation, bodies.angular_velocity, dt, world.team)

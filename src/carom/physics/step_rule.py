@@ -187,19 +187,19 @@ def target(
     """
     R = rule[0]
     dt, limit = R.max_dt, CAP
-    a_max, a_free, b_max, every, fastest, turn = 0.0, 0.0, 0.0, np.inf, np.inf, np.inf
+    a_max, a_free, b_max, every, fastest, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, np.inf
     if R.looks:
         if not is_found:
             Vx, Vy, Vz = (0.0, 0.0, 0.0) if R.anchored else centre_velocity(velocity, mass)
             cfl = R.cfl if R.cfl > 0.0 else 1.0
             look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
-        a_max, a_free, b_max, every, fastest, turn = _strictest(found)
+        a_max, a_free, b_max, every, fastest, held_time = _strictest(found)
     if R.cfl > 0.0:
         dt_v = fastest if R.by_fastest_body else every
         if dt_v < dt:
             dt, limit = dt_v, VELOCITY
     if R.target_dx > 0.0 and a_max > 0.0:
-        dt_a, why = _of_acceleration(R.target_dx, R.held_dx, R.held_part, a_max, a_free, b_max, turn)
+        dt_a, why = _of_acceleration(R.target_dx, R.held_dx, R.held_part, a_max, a_free, b_max, held_time)
         if dt_a < dt:
             dt, limit = dt_a, why
     if R.pull_fraction > 0.0:
@@ -214,7 +214,7 @@ def target(
 
 @inline
 def _of_acceleration(
-    dx: float, held_dx: float, held_part: float, a_max: float, a_free: float, b_max: float, turn: float
+    dx: float, held_dx: float, held_part: float, a_max: float, a_free: float, b_max: float, held_time: float
 ) -> tuple[float, int]:
     """Return the step that the accelerations allow, and its limit."""
     dt_a = np.sqrt(2.0 * dx / a_max)
@@ -222,7 +222,7 @@ def _of_acceleration(
         return dt_a, ACCELERATION
     dt_free = np.sqrt(2.0 * dx / a_free) if a_free > 0.0 else np.inf
     by_load = np.sqrt(2.0 * held_dx / max(a_max, b_max))
-    dt_held = max(dt_a, min(by_load, held_part * turn))
+    dt_held = max(dt_a, min(by_load, held_part * held_time))
     if dt_free < dt_held:
         return dt_free, ACCELERATION
     return dt_held, HELD
@@ -245,7 +245,7 @@ def look(
 ) -> None:
     """Write the limits that the bodies of the blocks from lo to hi set."""
     for block in range(lo, hi):
-        a_max, v2_max, fastest, every, a_free, turn, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
+        a_max, v2_max, fastest, every, a_free, held_time, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
         for i in range(block * BODIES_PER_BLOCK, min((block + 1) * BODIES_PER_BLOCK, len(radius))):
             ax, ay, az = acceleration[i, 0] - field[0], acceleration[i, 1] - field[1], acceleration[i, 2] - field[2]
             a = np.sqrt(ax * ax + ay * ay + az * az)
@@ -256,7 +256,7 @@ def look(
             if len(borne) > 0:
                 b_max = max(b_max, borne[i])
             if len(borne) > 0 and borne[i] >= BORNE * a:
-                turn = min(turn, radius[i] / u) if u > 0.0 else turn
+                held_time = min(held_time, radius[i] / u) if u > 0.0 else held_time
             else:
                 a_free = max(a_free, a)
             s = cfl * radius[i]
@@ -266,7 +266,7 @@ def look(
                 v2_max, fastest = v2, s / np.sqrt(v2)
         limits = found[block]
         limits.largest_acceleration, limits.largest_free_acceleration, limits.largest_borne = a_max, a_free, b_max
-        limits.velocity_step, limits.held_time = every, turn
+        limits.velocity_step, limits.held_time = every, held_time
         limits.fastest_step, limits.fastest_squared = fastest, v2_max
 
 
@@ -276,12 +276,12 @@ def _strictest(found: Records) -> tuple[float, float, float, float, float, float
 
     They are the first three of `LIMITS`, the step of every body and of the fastest, and the time of held bodies.
     """
-    a_max, a_free, b_max, every, fastest, v2_max, turn = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
+    a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):
         limits = found[block]
         a_max = max(a_max, limits.largest_acceleration)
         a_free, b_max = max(a_free, limits.largest_free_acceleration), max(b_max, limits.largest_borne)
-        every, turn = min(every, limits.velocity_step), min(turn, limits.held_time)
+        every, held_time = min(every, limits.velocity_step), min(held_time, limits.held_time)
         if limits.fastest_squared > v2_max:
             v2_max, fastest = limits.fastest_squared, limits.fastest_step
-    return a_max, a_free, b_max, every, fastest, turn
+    return a_max, a_free, b_max, every, fastest, held_time

@@ -2,7 +2,7 @@
 
     dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body from rest further than target_dx
     dt_v = min_i 2 s_i / (u_i + √(u_i² + 2 |a_i| s_i))   no body moves further than s_i = cfl · r_i
-    dt_p = pull_fraction · τ                             τ, the shortest time scale of gravity, see `pull_time`
+    dt_p = pull_fraction · τ                             τ, the shortest time scale of gravity, see `step_rule`
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
     dt_h = min(√(2 held_dx / max(|a|max, b_max)), held_part · min r_i/u_i)
@@ -162,7 +162,7 @@ class Timestep:
     def _target(self, bodies: Bodies, borne: FloatArray) -> tuple[float, int]:
         """Return the same with the number of the limit."""
         x, v, a, m = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
-        found = self.room(bodies)
+        found = self.buffer(bodies)
         rule, is_found = self.rule[0], self._team.size > 1 and len(found) >= MIN_SHARED_BLOCKS
         if is_found and rule["looks"]:
             V = (0.0, 0.0, 0.0) if rule["anchored"] else centre_velocity(v, m)
@@ -171,8 +171,8 @@ class Timestep:
         state = x, v, a, bodies.radius, m, bodies.ends.inverse_mass, borne, self.field
         return target(self.rule, *state, found, is_found)
 
-    def room(self, bodies: Bodies) -> Records:
-        """Return room for the limits of all blocks of bodies."""
+    def buffer(self, bodies: Bodies) -> Records:
+        """Return memory for the limits of all blocks of bodies."""
         blocks = -(-len(bodies) // BODIES_PER_BLOCK)
         if len(self._found) != blocks:
             self._found = np.empty(blocks, LIMITS)

@@ -6,12 +6,14 @@ import math
 import os
 from typing import NamedTuple
 
+from carom import registry
 from carom.errors import SceneError
 from carom.plan.auto import gravity_method, integrator, uses_tree
 from carom.plan.features import require
 from carom.plan.hierarchy import why_no_hierarchy
 from carom.plan.pulls import dampings, differing, pushing
-from carom.scene.forces import BodyForce, PairForce, force_called
+from carom.scene.forces import DRAG, BodyForce, PairForce, force_called
+from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
@@ -59,6 +61,7 @@ def refuse_impossible(scene: Scene) -> None:
         With the key and what would be right.
     """
     with naming_places(scene):
+        _refuse_missing_parts(scene)
         _refuse_test_particles(scene)
         _refuse_coarse_tree(scene)
         _refuse_times_of_impact(scene)
@@ -69,6 +72,28 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_what_is_no_hierarchy(scene)
         _refuse_small_memory(scene)
         _refuse_narrow_box(scene)
+
+
+def _refuse_missing_parts(scene: Scene) -> None:
+    """Refuse a scene that needs a part which was removed from this installation (`carom.registry`)."""
+    chosen, method = integrator(scene), gravity_method(scene)
+    by_radau = 'set time.integrator = "leapfrog"'
+    needed: list[tuple[str, str, KeyPath, str]] = []
+    if chosen.controls_error:
+        needed.append(("integrators", chosen.name, INTEGRATOR, by_radau))
+    if chosen.hierarchical:  # close encounters are left to it
+        needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, by_radau))
+    if method != "none":
+        needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
+    if scene.drag is not None:
+        needed.append(("forces", DRAG.name, ("drag",), "leave [drag] out"))
+    for kind, name, key, remedy in needed:
+        if name not in registry.names(kind):
+            raise SceneError(
+                f'this scene needs the {registry.KINDS[kind]} "{name}", which was removed from this installation of '
+                f"carom; {remedy}, or install carom again",
+                key,
+            )
 
 
 def _refuse_test_particles(scene: Scene) -> None:

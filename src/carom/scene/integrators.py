@@ -93,6 +93,7 @@ class Integrator:
 
 
 RADAU_NODES = 8
+ENCOUNTERS_BY = "gauss-radau15"  # takes over from hierarchical integrators where bodies come close
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1
 

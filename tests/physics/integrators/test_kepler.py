@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from carom.physics.integrators.wisdom_holman.kepler import LANE_ROWS, LANES, revolve, revolve_all
+from carom.physics.integrators.wisdom_holman.kepler import LANES, WORKSPACE, revolve, revolve_all
 from carom.physics.jit.decorators import kernel
 
 FloatArray = NDArray[np.float64]
@@ -97,7 +97,7 @@ def test_bodies_side_by_side_agree_with_each_alone() -> None:
     x, v = (np.array(values) for values in zip(*states, strict=True))
     alone, turned = x.copy(), v.copy()
     mu = np.ones(n)
-    many(x, v, mu, 0.05, np.zeros(LANE_ROWS * LANES))
+    many(x, v, mu, 0.05, np.zeros(WORKSPACE))
     for i in range(1, n):
         one(alone[i : i + 1], turned[i : i + 1], 0.05)
     assert np.array_equal(x[0], states[0][0])  # the first row is the centre of mass

@@ -148,7 +148,7 @@ def accelerate(
 class ForceLaws(NamedTuple):
     """The forces of a scene for kernels that sum them over all pairs."""
 
-    attracts: bool  # whether bodies pull each other
+    attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
     softening: float  # m
     is_uniform: bool  # whether there is a field
@@ -187,8 +187,8 @@ class TotalForce:
         if self.damping or uses_tree(self._scene):
             return None
         others = tuple(force.parameters for force in self._forces if isinstance(force, KernelForce))
-        pulls = needs.gravity.modelled, gravity.constant, gravity.softening
-        return ForceLaws(*pulls, needs.field.modelled, self.uniform, others)
+        mutual = needs.gravity.modelled, gravity.constant, gravity.softening
+        return ForceLaws(*mutual, needs.field.modelled, self.uniform, others)
 
     def accelerate(self, potential: bool) -> Potentials:
         """Update the accelerations of the bodies; return the potential energies if requested."""

@@ -19,11 +19,21 @@ from carom.scene.schema import Scene
 BY_LEAPFROG = -1.0  # in place of ``last_dt``: contacts came to rest, and leapfrog takes the steps
 
 
+class EqualSteps(NamedTuple):
+    """A series of equal steps of Wisdom–Holman integration; a checkpoint has them as five numbers."""
+
+    phase: float  # of `wisdom_holman`
+    start: float  # s, when the series began
+    steps: float  # since then
+    dt: float  # s
+    limit: float  # index of what set dt
+
+
 @dataclass(frozen=True, slots=True)
 class OrbitCheckpoint:
     """State of Wisdom–Holman integration; arrays are in the order of its Jacobi coordinates."""
 
-    series: FloatArray  # (5,) phase, start in s, steps since then, step in s, index of what set it
+    series: EqualSteps
     order: FloatArray  # (n,) index of each body in the scene
     near: FloatArray  # (n,) m, the distance from which another body is close
     position: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick

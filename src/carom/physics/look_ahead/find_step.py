@@ -22,13 +22,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from carom import registry
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, FollowedOrbits, orbits, part
 from carom.physics.look_ahead.error_growth import (
     APART,
     COARSEST,
@@ -59,6 +59,9 @@ from carom.scene.schema import Promise, Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
 from carom.scene.start import InitialBodies
 from carom.scene.units.dimension import TIME
+
+if TYPE_CHECKING:
+    from carom.physics.integrators.gauss_radau.radau_twin import FollowedOrbits
 
 SAMPLES = 64  # times at which runs are compared
 ENOUGH_SAMPLES = 8  # reached within the budget; with fewer, it is divided into more
@@ -183,7 +186,8 @@ class _LookAhead:
     @property
     def _is_rough(self) -> bool:
         """Whether Wisdom–Holman integration may keep the accuracy for less than Gauss–Radau integration."""
-        return self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
+        available = "wisdom-holman" in registry.names("integrators")
+        return available and self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
 
     def _find_for_radau(self) -> Scene:
         needs, rests_from = require(self._scene), math.inf
@@ -194,9 +198,9 @@ class _LookAhead:
                 return self._find_for_steps(INTEGRATORS["leapfrog"].order)
             rests_from, rounding = run.rests_from, SPREAD * twins.apart
         else:
-            run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, 1)
+            run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, converges=False)
             if run.known == len(self._times) and not rounding[-1] <= self._accuracy:
-                run, twins, rounding = self._part_of_orbits(1.0, CONVERGES)
+                run, twins, rounding = self._part_of_orbits(1.0, converges=True)
         if not needs.gravity.modelled:  # parabolas are exact in steps of any length
             refinement, error = RADAU_LONG, rounding
         elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other steps keep it for longer
@@ -213,17 +217,25 @@ class _LookAhead:
     def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
         """Return the distance over the size of a run with long steps from another, at the times of that, (K',)."""
         long: TrialRun | FollowedOrbits
-        if isinstance(run, FollowedOrbits):
-            long = orbits(self._scene, self._start, RADAU_LONG, run.times, self._bound(1.0))
-        else:
+        if isinstance(run, TrialRun):
             long = self._run(RADAU_LONG, times=run.times)
+        else:
+            from carom.physics.integrators.gauss_radau import radau_twin  # noqa: PLC0415 - a part that can be removed
+
+            long = radau_twin.orbits(self._scene, self._start, RADAU_LONG, run.times, self._bound(1.0))
         missed = self._scale.apart(run, long, APART)
         if min(run.known, long.known) < len(missed):
             self._cover(run.times, min(run.known, long.known))
         return missed
 
-    def _part_of_orbits(self, refinement: float, iterations: int) -> tuple[FollowedOrbits, Twins, FloatArray]:
-        """Return a run without contacts, how it and its twin diverge, and its error by rounding, (K,)."""
+    def _part_of_orbits(self, refinement: float, *, converges: bool) -> tuple[FollowedOrbits, Twins, FloatArray]:
+        """Return a run without contacts, how it and its twin diverge, and its error by rounding, (K,).
+
+        The twin has a single iteration in each step unless it ``converges`` by itself.
+        """
+        from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, part  # noqa: PLC0415 - a part that can be removed
+
+        iterations = CONVERGES if converges else 1
         enough, twin = APART * self._scale.size, self._twin.position
         followed = refinement, self._times, enough, iterations, self._bound(TWIN_SHARE)
         run, apart = part(self._scene, self._start, twin, *followed)
@@ -234,7 +246,7 @@ class _LookAhead:
         self._cover(self._times, run.known)
         apart = np.maximum.accumulate(apart) / self._scale.size
         twins = Twins.grown(self._times, apart, self._began, run.known)
-        if iterations == CONVERGES:  # it rounds like a run of its own
+        if converges:  # it rounds like a run of its own
             return run, twins, SPREAD * twins.apart
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))

@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.integrators.wisdom_holman.wisdom_holman import WisdomHolman
 from carom.physics.look_ahead.trial_run import ITERATIONS, ORBIT_BODY, ORBIT_STEP, WorkBudget, radau_work
 from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
@@ -82,9 +81,11 @@ def look_at_orbits(
 
 def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: WorkBudget) -> FloatArray:
     """Return the positions at all times, (K, n, 3) m; NaN beyond those that the budget lets it reach."""
-    rule, pull, n = scene.time, scene.gravity.constant * start.mass, scene.count
+    from carom.physics.integrators.wisdom_holman.wisdom_holman import WisdomHolman  # noqa: PLC0415 - a part that can be removed
+
+    rule, gm, n = scene.time, scene.gravity.constant * start.mass, scene.count
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"
-    runner = WisdomHolman(*state, pull, largest_step(scene), None, resolves, refinement)
+    runner = WisdomHolman(*state, gm, largest_step(scene), None, resolves, refinement)
     runner.begin(0.0)
     each, met = ORBIT_STEP + ORBIT_BODY * n, ITERATIONS * radau_work(n)  # nominal s of a step, and in an encounter
     now, work, found = 0.0, 0.0, np.full((len(times), *start.position.shape), np.nan)

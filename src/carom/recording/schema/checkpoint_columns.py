@@ -20,7 +20,7 @@ from carom.physics.contact.contact_checkpoint import ContactCheckpoint, SleepChe
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.ledger import Ledger, NamedEnergies
 from carom.physics.frame import Frame
-from carom.physics.integrators.batch_integrator import IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.integrators.batch_integrator import EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.properties import LARGEST
@@ -41,7 +41,7 @@ _INTEGRATOR = "integrator_"
 _INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers of a body
 _ORBITS = "orbit_"
 _ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers of a body
-_SERIES = 5
+_SERIES = len(EqualSteps._fields)
 _FULL = 7  # contacts per body in a dense packing, near ones included
 
 
@@ -265,11 +265,11 @@ class _Row:
         )
 
     def orbits(self) -> OrbitCheckpoint:
-        series = self._finite(_ORBITS + "series", _SERIES)
+        series = EqualSteps(*self._finite(_ORBITS + "series", _SERIES).tolist())
         found = {name: self._finite(_ORBITS + name, numbers * self._bodies) for name, numbers in _ORBIT_ARRAYS.items()}
         if not np.array_equal(np.sort(found["order"]), np.arange(self._bodies)):
             raise ValueError(f"{_ORBITS}order is not an order of the bodies")
-        if series[0] not in (0.0, 1.0, 2.0) or series[2] < 0.0 or series[4] not in (0.0, 1.0, 2.0):
+        if series.phase not in (0.0, 1.0, 2.0) or series.steps < 0.0 or series.limit not in (0.0, 1.0, 2.0):
             raise ValueError(f"{_ORBITS}series is none of equal steps")
         x, v = found["position"].reshape(-1, 3), found["velocity"].reshape(-1, 3)
         return OrbitCheckpoint(series, found["order"], found["near"], x, v)

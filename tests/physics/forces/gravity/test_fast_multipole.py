@@ -89,9 +89,9 @@ def test_a_walk_that_runs_out_of_room_is_repeated_with_more() -> None:
     gravity = FastMultipoleGravity(mass, 1.0, 0.0, 0.1)
     enough, little = np.empty((2000, 3)), np.empty((2000, 3))
     gravity.accelerate(position, enough, potential=False)
-    gravity._lists = gravity._lists._replace(left=np.empty((1, 10), np.int64))
+    gravity._buffers = gravity._buffers._replace(left=np.empty((1, 10), np.int64))
     gravity.accelerate(position, little, potential=False)
-    assert gravity._lists.left.shape[1] > 10
+    assert gravity._buffers.left.shape[1] > 10
     assert np.array_equal(little, enough)
 
 

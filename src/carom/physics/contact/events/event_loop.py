@@ -46,7 +46,7 @@ from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inner, long_kernel
-from carom.physics.rotation import turn_one
+from carom.physics.rotation import rotate_one
 from carom.physics.vector import Vector, add, along, between, vector
 
 Records = NDArray[np.void]
@@ -407,6 +407,6 @@ def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectorie
     if s == 0.0:
         return
     left = T.drift[0].dt - elapsed(T)
-    turn_one(i, T.q, T.omega, -left)
+    rotate_one(i, T.q, T.omega, -left)
     add(T.omega, i, s, tx, ty, tz)
-    turn_one(i, T.q, T.omega, left)
+    rotate_one(i, T.q, T.omega, left)

@@ -41,20 +41,20 @@ class MutualGravity:
     kind = GRAVITY
     uniform = np.zeros(3)
 
-    def __init__(self, pull: GravityMethod) -> None:
-        self._pull = pull
+    def __init__(self, method: GravityMethod) -> None:
+        self._method = method
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
         """Write the acceleration; see `Force`. Gravity is always the first force."""
         assert first, "gravity is the first of the forces"
-        return self._pull.accelerate(position, acceleration, potential) or 0.0
+        return self._method.accelerate(position, acceleration, potential) or 0.0
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> MutualGravity:
     """Make the gravity of a scene."""
-    pull = gravity_of(scene, bodies.mass, team)
-    assert pull is not None, "the scene requires gravity"
-    return MutualGravity(pull)
+    method = gravity_of(scene, bodies.mass, team)
+    assert method is not None, "the scene requires gravity"
+    return MutualGravity(method)
 
 
 def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> GravityMethod | None:

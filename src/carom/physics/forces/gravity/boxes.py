@@ -45,6 +45,30 @@ class Queue(NamedTuple):
     box: IntArray  # (k,) the place of its first box
 
 
+class Sorting(NamedTuple):
+    """Memory of the sort."""
+
+    rows: Records  # (n,) BODY
+    spare: Records  # (n,) BODY
+    stacks: Records  # (threads, GRAIN) RANGE
+
+
+class SortedBodies(NamedTuple):
+    """The bodies in the order of the boxes."""
+
+    x: FloatArray  # (3, n) m
+    m: FloatArray  # (n,) kg
+    body: IntArray  # (n,) number of each body in the scene
+
+
+class BoxRanges(NamedTuple):
+    """The boxes, as attributes of `Boxes`."""
+
+    first: IntArray
+    last: IntArray
+    skip: IntArray
+
+
 class Boxes:
     """The boxes of n bodies, with their workspace.
 
@@ -71,22 +95,23 @@ class Boxes:
         self.groups = np.empty(0, np.int64)
         self._mass = mass
         self._team = team
-        self._rows, self._spare = np.empty(n, BODY), np.empty(n, BODY)
         ranges = n + team.size
         self._queue = Queue(np.zeros(COUNTERS, np.int64), *(np.zeros(ranges, np.int64) for _ in range(3)))
-        self._stacks = np.empty((team.size, GRAIN), RANGE)
+        self._sorting = Sorting(np.empty(n, BODY), np.empty(n, BODY), np.empty((team.size, GRAIN), RANGE))
+        self._sorted = SortedBodies(self.position, self.mass, self.body)
+        self._ranges = BoxRanges(self.first, self.last, self.skip)
         self._begins = np.empty(n + 1, np.int64)
         self._edges = np.empty(n + 1, np.int64)
 
     def sort(self, position: FloatArray) -> None:
         """Sort the bodies at (n, 3) m into boxes."""
         n = len(position)
-        self._team.divide(n, MIN_BODIES_PER_TASK, _lay_out, position, self._rows)  # in the same order in every step
-        _begin(self._queue, n)
-        bodies = self._rows, self._spare, self.position, self.mass, self.body
         self._team.divide(
-            self._team.size, 1, _sort, self._queue, self._mass, *bodies, self.first, self.last, self.skip, self._stacks
-        )
+            n, MIN_BODIES_PER_TASK, _lay_out, position, self._sorting.rows
+        )  # in the same order in every step
+        _begin(self._queue, n)
+        arrays = self._queue, self._mass, self._sorting, self._sorted, self._ranges
+        self._team.divide(self._team.size, 1, _sort, *arrays)
         self.count, groups = _put_in_order(n, self.first, self.last, self.skip, self._begins, self._edges)
         self.groups = self._edges[: groups + 1]
 
@@ -123,26 +148,22 @@ def _sort(
     hi: int,
     queue: Queue,
     mass: FloatArray,
-    rows: Records,
-    spare: Records,
-    x: FloatArray,
-    m: FloatArray,
-    body: IntArray,
-    first: IntArray,
-    last: IntArray,
-    boxes: IntArray,
-    stacks: Records,
+    sorting: Sorting,
+    bodies: SortedBodies,
+    ranges: BoxRanges,
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
     A range of k bodies has 2 k - 1 places for its boxes, the largest possible number. It can thus be sorted before the
-    number of boxes before its own is known. At the place of the first box ``boxes`` is their number, or 0 if a box was
-    halved and its halves were queued separately.
+    number of boxes before its own is known. At the place of the first box, ``skip`` is their number for now, or 0 if a
+    box was halved and its halves were queued separately.
 
     The function is written in one piece, because each call with arrays as arguments counts references in memory that
     all threads write to. With calls it took half as long again.
     """
-    stack, counters = stacks[lo], queue.counters
+    rows, spare, stack, counters = sorting.rows, sorting.spare, sorting.stacks[lo], queue.counters
+    x, m, body = bodies.x, bodies.m, bodies.body
+    first, last, boxes = ranges.first, ranges.last, ranges.skip
     while True:
         taken = atomic_add(counters, TAKEN, 1)
         while atomic_load(queue.end, taken) == 0:

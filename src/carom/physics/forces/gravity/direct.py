@@ -1,18 +1,15 @@
 """Gravity as a direct sum over all pairs, in strict arithmetic.
 
-    a_i = G Σ_j m_j d_ij / (d_ij² + ε²)^{3/2}        d_ij = x_j - x_i,  j ≠ i
-    φ_i = -G Σ_j m_j / (d_ij² + ε²)^{1/2}             U = ½ Σ_i m_i φ_i
+    a_i = Σ_j a_ij      φ_i = Σ_j φ_ij,  j ≠ i      U = ½ Σ_i m_i φ_i        (`pair` has a_ij and φ_ij)
 
-Without softening, coincident bodies neither pull each other nor have a potential: both are undefined.
-
-Each pair needs one square root and one division. Bodies are processed in blocks of 32. A block of targets lies in the
+Bodies are processed in blocks of 32. A block of targets lies in the
 SIMD lanes, and the bodies of a later block are taken in turn as sources. Accelerations of the targets are summed lane
 by lane, and so are the reactions on each source. The lanes of a source are summed in a fixed order at the end of its
 block. The number of bodies thus fixes the order of every sum: the same bits on any SIMD width and any number of
 threads.
 
-Up to 32 bodies are one block, without lanes: `pull_few` takes each pair once and adds in the same order, with the same
-bits. Three bodies take 20 ns in place of 2 µs, 32 bodies 2.8 in place of 5 µs.
+Up to 32 bodies are one block, without lanes: `sum_few` computes each pair once and adds in the same order, with the
+same bits. Three bodies take 20 ns in place of 2 µs, 32 bodies 2.8 in place of 5 µs.
 
 Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
 and divisions a second): 3.0, 3.2 and 3.4 × 10⁹.
@@ -29,7 +26,8 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.aligned import CACHE_LINE
-from carom.physics.jit.decorators import inline, kernel, long_kernel
+from carom.physics.forces.gravity.pair import attraction, mutual_attraction
+from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.scene.schema import Gravity
 
@@ -60,10 +58,10 @@ class DirectGravity:
         self._team = team if n >= PARALLEL_FROM else SOLO
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `Pull`. The energy costs about a fifth more."""
+        """Write the accelerations; see `GravityMethod`. The energy costs about a fifth more."""
         if self._is_few:
             law = self._constant, self._softening_squared
-            pull_few(position, self._mass, *law, acceleration, self._potential)
+            sum_few(position, self._mass, *law, acceleration, self._potential)
         else:
             self._sum_lanes(position, acceleration, potential)
         return potential_energy(self._mass, self._potential) if potential else None
@@ -73,9 +71,9 @@ class DirectGravity:
         self._source[X : Z + 1, : len(position)] = position.T
         into = self._potential if potential else None
         law = len(self._mass), self._source, self._softening_squared
-        self._team.divide(len(self._edges) - 1, 1, _pull, self._edges, *law, self._sums, into)
-        found = acceleration, self._potential, potential
-        _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *found)
+        self._team.divide(len(self._edges) - 1, 1, _sum_blocks, self._edges, *law, self._sums, into)
+        results = acceleration, self._potential, potential
+        _total(self._edges, self._sums, self._constant, self._softening_squared, self._mass, *results)
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
@@ -101,22 +99,8 @@ def _lanes(count: int) -> FloatArray:
     return buffer[start : start + count]
 
 
-@inline
-def inverse_cube(d2: float) -> float:
-    """Return (d²)^{-3/2}; 0 for coincident bodies without softening."""
-    cube: float = 1.0 / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
-    return cube
-
-
-@inline
-def own_potential(eps2: float) -> float:
-    """Return 1/ε, which a softened body of mass 1 adds to the sum at its own position; 0 without softening."""
-    potential: float = eps2 / (eps2 * np.sqrt(eps2)) if eps2 > 0.0 else 0.0
-    return potential
-
-
 @kernel
-def pull_few(
+def sum_few(
     x: FloatArray, m: FloatArray, G: float, eps2: float, acceleration: FloatArray, potential: FloatArray
 ) -> None:
     """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of at most `MAX_IN_ONE_BLOCK` bodies.
@@ -124,7 +108,7 @@ def pull_few(
     A body's terms are added in the order of their sources, and reactions in that of the rows: the order of the lanes.
     """
     n = len(m)
-    own = inverse_cube(eps2)
+    own = attraction(1.0, eps2)
     for i in range(n):
         acceleration[i, 0] = acceleration[i, 1] = acceleration[i, 2] = potential[i] = 0.0
     for i in range(n):
@@ -133,23 +117,21 @@ def pull_few(
         p += mi * own * eps2  # its own, with softening, in its place in the sum
         for j in range(i + 1, n):
             dx, dy, dz = x[j, 0] - xi, x[j, 1] - yi, x[j, 2] - zi
-            d2 = dx * dx + dy * dy + dz * dz + eps2
-            d3 = inverse_cube(d2)
-            f, g = m[j] * d3, mi * d3
+            f, g, r2 = mutual_attraction(dx, dy, dz, mi, m[j], eps2)
             ax += f * dx
             ay += f * dy
             az += f * dz
-            p += f * d2
+            p += f * r2
             acceleration[j, 0] -= g * dx
             acceleration[j, 1] -= g * dy
             acceleration[j, 2] -= g * dz
-            potential[j] += g * d2
+            potential[j] += g * r2
         acceleration[i, 0], acceleration[i, 1], acceleration[i, 2] = G * ax, G * ay, G * az
         potential[i] = -G * (p - mi * own * eps2)
 
 
 @long_kernel
-def _pull(
+def _sum_blocks(
     lo: int,
     hi: int,
     edges: IntArray,
@@ -189,25 +171,22 @@ def _pull(
                     for k in range(L):
                         dx, dy, dz = xj - tx[k], yj - ty[k], zj - tz[k]
                         ex, ey, ez = xx - tx[k], yy - ty[k], zz - tz[k]
-                        d2 = dx * dx + dy * dy + dz * dz + eps2
-                        e2 = ex * ex + ey * ey + ez * ez + eps2
-                        d3, e3 = inverse_cube(d2), inverse_cube(e2)
-                        f, g = mj * d3, mm * e3
+                        f, by_f, d2 = mutual_attraction(dx, dy, dz, tm[k], mj, eps2)
+                        g, by_g, e2 = mutual_attraction(ex, ey, ez, tm[k], mm, eps2)
                         ax[k] = ax[k] + f * dx + g * ex
                         ay[k] = ay[k] + f * dy + g * ey
                         az[k] = az[k] + f * dz + g * ez
                         if potential is not None:
                             ap[k] = ap[k] + f * d2 + g * e2
-                        f, g = tm[k] * d3, tm[k] * e3
-                        bx[q + k] -= f * dx
-                        by[q + k] -= f * dy
-                        bz[q + k] -= f * dz
-                        bx[q + L + k] -= g * ex
-                        by[q + L + k] -= g * ey
-                        bz[q + L + k] -= g * ez
+                        bx[q + k] -= by_f * dx
+                        by[q + k] -= by_f * dy
+                        bz[q + k] -= by_f * dz
+                        bx[q + L + k] -= by_g * ex
+                        by[q + L + k] -= by_g * ey
+                        bz[q + L + k] -= by_g * ez
                         if potential is not None:
-                            bp[q + k] += f * d2
-                            bp[q + L + k] += g * e2
+                            bp[q + k] += by_f * d2
+                            bp[q + L + k] += by_g * e2
                 for k in range(L):
                     slab[AX, i + k] += ax[k]
                     slab[AY, i + k] += ay[k]
@@ -245,7 +224,7 @@ def _total(
 ) -> None:
     """Add the slabs; each has sums for its own blocks and those before them."""
     # with softening each body has added its own potential, m/ε; subtract it with the same rounding
-    own = inverse_cube(eps2)
+    own = attraction(1.0, eps2)
     slab = 0
     for i in range(len(m)):
         while edges[slab + 1] * LANES <= i:

@@ -29,7 +29,8 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.boxes import GROUP, RANGE, Boxes
-from carom.physics.forces.gravity.direct import PARALLEL_FROM, own_potential, potential_energy
+from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
+from carom.physics.forces.gravity.pair import attraction, own_potential
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.jit.prefetch import prefetch_to_read
@@ -55,39 +56,54 @@ X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's
 LANES_PER_REGISTER = 8  # of float64, in the widest registers; loops over whole registers leave no remainder
 
 
+class BoxTree(NamedTuple):
+    """Boxes with their moments, and the bodies in their order."""
+
+    boxes: int  # their number; the arrays may be longer
+    first: IntArray  # first body of each box
+    last: IntArray  # the one after its last body
+    skip: IntArray  # the box after it and all boxes in it
+    centres: Records  # CENTRE
+    moments: Records  # MOMENTS
+    x: FloatArray  # (3, n) m
+    m: FloatArray  # (n,) kg
+    body: IntArray  # (n,) number of each body in the scene
+    groups: IntArray  # (g + 1,) first body of each group, and n
+
+
+class TreeLaw(NamedTuple):
+    """How boxes and bodies attract."""
+
+    G: float  # m³/(kg s²)
+    eps2: float  # m², softening squared
+    quadrupoles: bool
+
+
+class TreeBuffers(NamedTuple):
+    """Memory for each of the threads."""
+
+    lanes: FloatArray  # (threads, 7, GROUP) a group's bodies and their sums
+    far: IntArray  # (threads, ·) boxes that attract as a whole
+    near: Records  # (threads, ·) RANGE, bodies that attract one by one
+
+
 @long_kernel
 def expand(
     lo: int,
     hi: int,
-    turn: IntArray,
-    boxes: int,
-    first: IntArray,
-    last: IntArray,
-    x: FloatArray,
-    m: FloatArray,
+    taken_so_far: IntArray,
+    tree: BoxTree,
     theta: float,
-    centres: Records,
-    moments: Records,
 ) -> None:
-    """Write the moments of all boxes.
+    """Write the moments of all boxes for an opening angle in rad.
 
-    Parameters
-    ----------
-    lo, hi
-        Range of threads; each takes the next `BOXES_PER_TASK` boxes until none are left.
-    turn
-        (1,), how many times boxes were taken.
-    boxes, first, last
-        Number of boxes, and the range of bodies of each.
-    x, m
-        (3, n) m and (n,) kg, sorted.
-    theta
-        rad, the opening angle.
-    centres, moments
-        (boxes,) `CENTRE` and `MOMENTS`.
+    Each of the threads [lo, hi) takes the next `BOXES_PER_TASK` boxes until none are left; ``taken_so_far``, (1,),
+    counts how often.
     """
+    boxes, first, last, x, m = tree.boxes, tree.first, tree.last, tree.x, tree.m
+    centres, moments = tree.centres, tree.moments
     while True:
-        begin = BOXES_PER_TASK * atomic_add(turn, 0, 1)
+        begin = BOXES_PER_TASK * atomic_add(taken_so_far, 0, 1)
         if begin >= boxes:
             return
         for box in range(begin, min(begin + BOXES_PER_TASK, boxes)):
@@ -122,58 +138,27 @@ def expand(
             moment.trace_sixth = 0.5 * (xx + yy + zz)
 
 
-class BoxTree(NamedTuple):
-    """Boxes with their moments, and the bodies in their order."""
-
-    boxes: int  # their number; the arrays may be longer
-    first: IntArray  # first body of each box
-    last: IntArray  # the one after its last body
-    skip: IntArray  # the box after it and all boxes in it
-    centres: Records  # CENTRE
-    moments: Records  # MOMENTS
-    x: FloatArray  # (3, n) m
-    m: FloatArray  # (n,) kg
-    body: IntArray  # (n,) number of each body in the scene
-    groups: IntArray  # (g + 1,) first body of each group, and n
-
-
-class TreeLaw(NamedTuple):
-    """How boxes and bodies pull."""
-
-    G: float  # m³/(kg s²)
-    eps2: float  # m², softening squared
-    quadrupoles: bool
-
-
-class TreeBuffers(NamedTuple):
-    """Room for each of the threads."""
-
-    lanes: FloatArray  # (threads, 7, GROUP) a group's bodies and their sums
-    far: IntArray  # (threads, ·) boxes that pull as a whole
-    near: Records  # (threads, ·) RANGE, bodies that pull one by one
-
-
 @long_kernel
-def pull(
+def attract_groups(
     lo: int,
     hi: int,
-    turn: IntArray,
+    taken_so_far: IntArray,
     tree: BoxTree,
     law: TreeLaw,
-    lists: TreeBuffers,
+    buffers: TreeBuffers,
     acceleration: FloatArray,
     potential: FloatArray | None,
 ) -> None:
     """Write acceleration and potential of all groups.
 
-    Each of the threads [lo, hi) takes the next group until none are left; ``turn``, (1,), counts the groups taken.
+    Each of the threads [lo, hi) takes the next group until none are left; ``taken_so_far``, (1,), counts them.
     """
-    lanes, far, near = lists.lanes[lo], lists.far[lo], lists.near[lo]
+    lanes, far, near = buffers.lanes[lo], buffers.far[lo], buffers.near[lo]
     body, m, G = tree.body, tree.m, law.G
     eps2 = law.eps2
     own = own_potential(eps2)
     while True:
-        group = atomic_add(turn, 0, 1)
+        group = atomic_add(taken_so_far, 0, 1)
         if group >= len(tree.groups) - 1:
             return
         i0 = tree.groups[group]
@@ -198,7 +183,7 @@ def pull(
 def _walk(
     i0: int, bodies: int, width: int, tree: BoxTree, lanes: FloatArray, far: IntArray, near: Records
 ) -> tuple[int, int]:
-    """Lay a group's bodies into the lanes, and list what pulls them; return how many boxes and ranges of bodies."""
+    """Copy a group's bodies into the lanes, and list what attracts them; return the numbers of boxes and ranges."""
     x = tree.x
     x0 = x1 = x[X, i0]
     y0 = y1 = x[Y, i0]
@@ -236,14 +221,14 @@ def _walk(
 def _add_monopoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the pull of the far boxes, without quadrupoles."""
+    """Add the gravity of the far boxes, without quadrupoles."""
     for c in range(fars):
         centre, M = tree.centres[far[c]], tree.moments[far[c]].mass
         cx, cy, cz = centre.x, centre.y, centre.z
         for k in range(np.uint64(width)):
             dx, dy, dz = cx - lanes[X, k], cy - lanes[Y, k], cz - lanes[Z, k]
             r2 = dx * dx + dy * dy + dz * dz + eps2
-            s = M / (r2 * np.sqrt(r2))
+            s = attraction(M, r2)
             lanes[AX, k] += s * dx
             lanes[AY, k] += s * dy
             lanes[AZ, k] += s * dz
@@ -255,7 +240,7 @@ def _add_monopoles(
 def _add_quadrupoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the pull of the far boxes, quadrupoles included."""
+    """Add the gravity of the far boxes, quadrupoles included."""
     for c in range(fars):
         centre, moment = tree.centres[far[c]], tree.moments[far[c]]
         cx, cy, cz, M = centre.x, centre.y, centre.z, moment.mass
@@ -284,7 +269,7 @@ def _add_quadrupoles(
 def _add_bodies(
     nears: int, near: Records, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the pull of the bodies in the near ranges."""
+    """Add the gravity of the bodies in the near ranges."""
     x, m = tree.x, tree.m
     for r in range(nears):
         for j in range(near[r].begin, near[r].end):
@@ -292,7 +277,7 @@ def _add_bodies(
             for k in range(np.uint64(width)):
                 dx, dy, dz = xj - lanes[X, k], yj - lanes[Y, k], zj - lanes[Z, k]
                 r2 = dx * dx + dy * dy + dz * dz + eps2
-                s = mj / (r2 * np.sqrt(r2)) if r2 > 0.0 else 0.0
+                s = attraction(mj, r2)
                 lanes[AX, k] += s * dx
                 lanes[AY, k] += s * dy
                 lanes[AZ, k] += s * dz
@@ -323,26 +308,27 @@ class TreeGravity:
         self._centres = np.empty(self._boxes.most, CENTRE)
         self._moments = aligned_empty(self._boxes.most, MOMENTS)
         self._potential = np.zeros(n)
-        self._turn = np.zeros(1, np.int64)  # how many pieces of work were taken
+        self._taken = np.zeros(1, np.int64)  # how many pieces of work were taken
         size, most = self._team.size, self._boxes.most
-        self._lists = TreeBuffers(
+        self._buffers = TreeBuffers(
             np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
         )
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `Pull`. The energy costs about a tenth more."""
+        """Write the accelerations; see `GravityMethod`. The energy costs about a tenth more."""
         boxes, team = self._boxes, self._team
         boxes.sort(position)
-        nested = boxes.count, boxes.first, boxes.last
-        bodies = boxes.position, boxes.mass
-        moments = self._centres, self._moments
+        tree = BoxTree(
+            boxes.count,
+            *(boxes.first, boxes.last, boxes.skip, self._centres, self._moments),
+            *(boxes.position, boxes.mass, boxes.body, boxes.groups),
+        )
         law = TreeLaw(self._constant, self._softening_squared, self._quadrupoles)
-        found = acceleration, self._potential if potential else None
-        self._turn[0] = 0
-        team.divide(team.size, 1, expand, self._turn, *nested, *bodies, self._opening_angle, *moments)
-        self._turn[0] = 0
-        tree = BoxTree(*nested, boxes.skip, *moments, *bodies, boxes.body, boxes.groups)
-        team.divide(team.size, 1, pull, self._turn, tree, law, self._lists, *found)
+        results = acceleration, self._potential if potential else None
+        self._taken[0] = 0
+        team.divide(team.size, 1, expand, self._taken, tree, self._opening_angle)
+        self._taken[0] = 0
+        team.divide(team.size, 1, attract_groups, self._taken, tree, law, self._buffers, *results)
         return potential_energy(self._mass, self._potential) if potential else None
 
 

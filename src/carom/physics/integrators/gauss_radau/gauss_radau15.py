@@ -67,7 +67,9 @@ from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
-SHRINKING = 2.0  # the part of a rejected step that is wanted grows at least by this factor, or it shrinks with the step
+SHRINKING = (
+    2.0  # the fraction of a rejected step that is wanted grows at least by this factor, or it shrinks with the step
+)
 LARGEST_CHANGE_AFTER_IMPACT = 1.5  # likewise, where the step before does not know the velocity
 MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact: two reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
@@ -85,7 +87,7 @@ PROGRESS = np.dtype(
         ("steps", np.int64),
         ("limit", np.int64),  # index of `LIMITS`
         ("iterations", np.int64),
-        ("struck", np.bool_),  # whether the last step ended at an impact, and predicts nothing
+        ("after_impact", np.bool_),  # whether the last step ended at an impact, and predicts nothing
         ("meets", np.bool_),  # whether bodies meet where the last step ended
         ("rests", np.bool_),  # whether their contact is at rest
         ("i", np.int64),  # the two that meet: bodies, or n + p for plane p
@@ -97,13 +99,13 @@ PROGRESS = np.dtype(
 
 
 class GaussRadau15:
-    """Integrates bodies that pull each other, with many steps per call.
+    """Integrates bodies that attract each other, with many steps per call.
 
     Parameters
     ----------
     position, velocity
         (n, 3) m and m/s, moved in place.
-    pull
+    gm
         (n,) m³/s², G m of each body.
     fixed
         Indices of bodies that do not move.
@@ -129,7 +131,7 @@ class GaussRadau15:
         self,
         position: FloatArray,
         velocity: FloatArray,
-        pull: FloatArray,
+        gm: FloatArray,
         fixed: NDArray[np.int64],
         field: FloatArray,
         softening: float,
@@ -141,15 +143,14 @@ class GaussRadau15:
         mass: FloatArray | None = None,
         forces: Parameters = (),
     ) -> None:
-        self._motion = motion_of(position, velocity, pull, fixed, field, mass, forces)
-        self._softening_squared = float(softening * softening)
+        self._motion = motion_of(position, velocity, gm, fixed, field, softening, mass, forces)
         self._max_dt = float(max_dt if fixed_dt is None else fixed_dt)
         self._adapts = fixed_dt is None
         self._fraction, self._tolerance = fraction, tolerance
         self._solids = solids
         self._progress = np.zeros(1, PROGRESS)
-        known = self._motion, solids, self._softening_squared, self._progress
-        self._advance: Callable[..., None] = entry_of(advance, *known, 0.0, 0.0, 0, self._max_dt, self._adapts)
+        kinds = self._motion, solids, self._progress, 0.0, 0.0, 0, self._max_dt, self._adapts
+        self._advance: Callable[..., None] = entry_of(advance, *kinds)
         self._arrival = velocity  # at the end of the last step, before impacts there
 
     @property
@@ -173,7 +174,7 @@ class GaussRadau15:
         for array in (motion.position_rest, motion.velocity_rest, motion.accepted, motion.correction):
             array[:] = 0.0
         self._progress[0] = np.zeros(1, PROGRESS)[0]
-        self._progress["next_dt"], self._progress["struck"] = dt, self._solids is not None
+        self._progress["next_dt"], self._progress["after_impact"] = dt, self._solids is not None
         self._progress["fraction"], self._progress["tolerance"] = self._fraction, self._tolerance
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
@@ -181,7 +182,7 @@ class GaussRadau15:
         progress = self._progress
         progress["time"], progress["steps"] = time, 0
         rule = self._max_dt, self._adapts
-        self._advance(self._motion, self._solids, self._softening_squared, progress, end, until, steps, *rule)
+        self._advance(self._motion, self._solids, progress, end, until, steps, *rule)
         last = progress[0]
         times = float(last["before"]), float(last["time"]), float(last["last_dt"])
         meeting = Meeting((int(last["i"]), int(last["j"])), bool(last["rests"])) if last["meets"] else None
@@ -207,7 +208,7 @@ class GaussRadau15:
         """A copy of the state that the next step needs."""
         motion, last = self._motion, self._progress[0]
         rests = motion.position_rest.copy(), motion.velocity_rest.copy()
-        last_dt = 0.0 if last["struck"] else float(last["last_dt"])
+        last_dt = 0.0 if last["after_impact"] else float(last["last_dt"])
         return IntegratorCheckpoint(last_dt, *rests, motion.accepted.copy(), motion.correction.copy())
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
@@ -217,7 +218,7 @@ class GaussRadau15:
         if checkpoint is None:
             return
         self._progress["last_dt"] = checkpoint.last_dt
-        self._progress["struck"] &= checkpoint.last_dt == 0.0
+        self._progress["after_impact"] &= checkpoint.last_dt == 0.0
         motion.position_rest[:] = checkpoint.position_rest
         motion.velocity_rest[:] = checkpoint.velocity_rest
         motion.accepted[:] = checkpoint.accepted
@@ -227,7 +228,7 @@ class GaussRadau15:
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> GaussRadau15:
     """Make the integrator of a scene's bodies in a uniform field, (3,) m/s²."""
     gravity = scene.gravity
-    pull = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
+    gm = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
     refinement = min(scene.refinement, 1.0)
     steps = (largest_step(scene), scene.time.fixed_dt, STEP_FRACTION / refinement)
@@ -236,7 +237,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
     return GaussRadau15(
         bodies.position,
         bodies.velocity,
-        pull,
+        gm,
         fixed,
         uniform,
         gravity.softening,
@@ -252,7 +253,6 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
 def advance(
     motion: Motion,
     solids: Solids | None,
-    eps2: float,
     progress: Records,
     end: float,
     until: float,
@@ -270,48 +270,48 @@ def advance(
             dt, limit = max_dt, CAP if adapts else FIXED
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt, limit = end - run.time, END
-        accelerate(motion, motion.position, eps2, motion.start)
-        wanted = attempt(motion, eps2, run, dt)
-        while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.struck else LARGEST_CHANGE) < dt:
-            share = wanted / dt
+        accelerate(motion, motion.position, motion.start)
+        wanted = attempt(motion, run, dt)
+        while adapts and wanted * (LARGEST_CHANGE_AFTER_IMPACT if run.after_impact else LARGEST_CHANGE) < dt:
+            fraction = wanted / dt
             dt, limit = wanted, ERROR
-            wanted = attempt(motion, eps2, run, dt)
-            if not wanted > SHRINKING * share * dt:
-                break  # a pull begins at 0, so the time in which it changes is that since the start
+            wanted = attempt(motion, run, dt)
+            if not wanted > SHRINKING * fraction * dt:
+                break  # the acceleration begins at 0, so the time in which it changes is that since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             reach = reach_of(motion, planes, dt)
             run.clearance -= 2.0 * reach
-            part = NONE if run.clearance > 0.0 else first_impact(motion, solids, run, dt, reach)
-            if 0.0 <= part <= 1.0:
-                dt, limit = _end_at_impact(motion, solids, eps2, run, part, dt), IMPACT
-            run.meets = part != NONE
-            if run.meets and (part == AT_REST or not run.time + dt > run.time):
+            h = NONE if run.clearance > 0.0 else first_impact(motion, solids, run, dt, reach)
+            if 0.0 <= h <= 1.0:
+                dt, limit = _end_at_impact(motion, solids, run, h, dt), IMPACT
+            run.meets = h != NONE
+            if run.meets and (h == AT_REST or not run.time + dt > run.time):
                 run.meets = run.steps == 0  # else the next call says so, however many steps this one was to make
-                run.rests = part == AT_REST and run.meets
+                run.rests = h == AT_REST and run.meets
                 break
         move(motion, dt)
         run.before, run.limit = run.time, limit
         run.time = end if limit == END else run.time + dt
-        run.last_dt, run.next_dt, run.struck = dt, next_dt, run.meets
+        run.last_dt, run.next_dt, run.after_impact = dt, next_dt, run.meets
         run.steps += 1
         if run.meets or not run.time > run.before:
             break  # or the step is too short to change the clock, or NaN
 
 
 @unowned
-def _end_at_impact(motion: Motion, solids: Solids, eps2: float, run: Any, part: float, dt: float) -> float:
+def _end_at_impact(motion: Motion, solids: Solids, run: Any, h: float, dt: float) -> float:
     """Take the step anew so that it ends where the pair of ``run`` touches; return its length in s.
 
     Within a step the polynomial errs more than at its end, so each passage corrects the length.
     """
     run.clearance = 0.0
-    ratio = part
+    ratio = h
     for _ in range(MOST_CORRECTIONS):
         dt *= ratio
         if not run.time + dt > run.time:
             break
-        shorten(motion, eps2, run, dt, ratio)
+        shorten(motion, run, dt, ratio)
         missing = time_to_touch(motion, solids, run.i, run.j, dt)
         if not (abs(missing) > IMPACT_ROUNDING * dt and dt + missing > 0.0):
             break

@@ -14,7 +14,7 @@ one of these holds, with M ≥ |d''|, K ≥ |g''|:
 So the first impact is found however short or grazing it is. The step is then repeated so that it ends at that root,
 because the polynomial is of a lower order within a step than at its end.
 
-A contact comes to rest if forces press it together and it will be back within a part `REST` of the step.
+A contact comes to rest if forces press it together and it will be back within `REST` of the step.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Solids(NamedTuple):
 
 @unowned
 def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: float) -> float:
-    """Return the part of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
+    """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
 
     No body goes farther than ``reach``, in m.
     """

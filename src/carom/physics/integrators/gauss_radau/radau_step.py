@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import FloatArray
-from carom.physics.forces.gravity.direct import inverse_cube
+from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.jit.decorators import inline, unowned
 
@@ -76,16 +76,17 @@ class Motion(NamedTuple):
     position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
     velocity_rest: FloatArray  # (n, 3) m/s
     start: FloatArray  # (n, 3) m/s², a₀
-    pull: FloatArray  # (n, 3) m/s², at a node
+    there: FloatArray  # (n, 3) m/s², acceleration at a node
     at: FloatArray  # (n, 3) m, positions at a node
     expected: FloatArray  # (n, 3) m/s², acceleration there by the polynomial
     b: FloatArray  # (3 n, 8) m/s²
     predicted: FloatArray  # (3 n, 8) m/s², b before the iterations
     accepted: FloatArray  # (3 n, 8) m/s², b of the last step
     correction: FloatArray  # (3 n, 8) m/s², error of its prediction
-    pull_of: FloatArray  # (n,) m³/s², G m
+    gm: FloatArray  # (n,) m³/s², G m
     moves: FloatArray  # (n,) 1, or 0 if it is fixed
     field: FloatArray  # (3,) m/s², uniform
+    eps2: float  # m², the softening squared
     lanes: FloatArray  # (4, n), workspace of `accelerate`
     mass: FloatArray  # (n,) kg
     box: FloatArray  # (3,) zeros: space is open
@@ -95,9 +96,10 @@ class Motion(NamedTuple):
 def motion_of(
     position: FloatArray,
     velocity: FloatArray,
-    pull: FloatArray,
+    gm: FloatArray,
     fixed: NDArray[np.int64],
     field: FloatArray,
+    softening: float,
     mass: FloatArray | None = None,
     forces: Parameters = (),
 ) -> Motion:
@@ -105,9 +107,28 @@ def motion_of(
     n = len(position)
     moves = np.ones(n)
     moves[fixed] = 0.0
-    vectors, rows = [np.zeros((n, 3)) for _ in range(6)], [np.zeros((3 * n, WIDTH)) for _ in range(4)]
-    more = np.zeros(n) if mass is None else mass, np.zeros(3), forces
-    return Motion(position, velocity, *vectors, *rows, pull, moves, field, np.empty((4, n)), *more)  # type: ignore[arg-type,call-arg]
+    return Motion(
+        position=position,
+        velocity=velocity,
+        position_rest=np.zeros((n, 3)),
+        velocity_rest=np.zeros((n, 3)),
+        start=np.zeros((n, 3)),
+        there=np.zeros((n, 3)),
+        at=np.zeros((n, 3)),
+        expected=np.zeros((n, 3)),
+        b=np.zeros((3 * n, WIDTH)),
+        predicted=np.zeros((3 * n, WIDTH)),
+        accepted=np.zeros((3 * n, WIDTH)),
+        correction=np.zeros((3 * n, WIDTH)),
+        gm=gm,
+        moves=moves,
+        field=field,
+        eps2=float(softening * softening),
+        lanes=np.empty((4, n)),
+        mass=np.zeros(n) if mass is None else mass,
+        box=np.zeros(3),
+        forces=forces,
+    )
 
 
 @inline
@@ -118,15 +139,15 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 
 @unowned
-def attempt(motion: Motion, eps2: float, run: Any, dt: float) -> float:
+def attempt(motion: Motion, run: Any, dt: float) -> float:
     """Find the polynomial of a step; return the longest next step, in s."""
-    predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.struck else 0.0)
-    _converge(motion, eps2, run, dt)
+    predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
+    _converge(motion, run, dt)
     return next_step(motion, dt, run.fraction)
 
 
 @unowned
-def shorten(motion: Motion, eps2: float, run: Any, dt: float, ratio: float) -> None:
+def shorten(motion: Motion, run: Any, dt: float, ratio: float) -> None:
     """Find the polynomial of a step of dt that begins like the present one and is ``ratio`` times as long."""
     b = motion.b
     for c in range(len(b)):
@@ -134,15 +155,15 @@ def shorten(motion: Motion, eps2: float, run: Any, dt: float, ratio: float) -> N
         for k in range(TERMS):
             power *= ratio
             b[c, k] *= power
-    _converge(motion, eps2, run, dt)
+    _converge(motion, run, dt)
 
 
 @unowned
-def _converge(motion: Motion, eps2: float, run: Any, dt: float) -> None:
+def _converge(motion: Motion, run: Any, dt: float) -> None:
     """Iterate until the polynomial meets the accelerations at the nodes, up to the tolerance of the run."""
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
-        error = iterate(motion, eps2, dt)
+        error = iterate(motion, dt)
         run.iterations += 1
         if stops(iteration, error, before, run.tolerance):
             break
@@ -174,22 +195,22 @@ def predict(motion: Motion, ratio: float) -> None:
 
 
 @unowned
-def iterate(motion: Motion, eps2: float, dt: float) -> float:
+def iterate(motion: Motion, dt: float) -> float:
     """Visit the nodes once; return the largest residual over the largest acceleration."""
-    start, pull, expected, b = motion.start, motion.pull, motion.expected, motion.b
+    start, there, expected, b = motion.start, motion.there, motion.expected, motion.b
     most, largest = 0.0, 0.0
     for s in range(1, len(NODE)):
         _evaluate(motion, s, dt)
-        accelerate(motion, motion.at, eps2, pull)
+        accelerate(motion, motion.at, there)
         for i in range(len(start)):
             for k in range(3):
                 c = 3 * i + k
-                residual = (pull[i, k] - start[i, k]) - expected[i, k]  # δ
+                residual = (there[i, k] - start[i, k]) - expected[i, k]  # δ
                 difference = residual * TO_DIFFERENCE[s]
                 for j in range(WIDTH):
                     b[c, j] += POWERS[s - 1, j] * difference
                 most = max(most, abs(residual))
-                largest = max(largest, abs(pull[i, k]))
+                largest = max(largest, abs(there[i, k]))
     return most / largest if largest > 0.0 else 0.0
 
 
@@ -263,36 +284,35 @@ def _add(total: FloatArray, rest: FloatArray, i: int, k: int, term: float) -> No
 
 
 @unowned
-def accelerate(motion: Motion, x: FloatArray, eps2: float, a: FloatArray) -> None:
+def accelerate(motion: Motion, x: FloatArray, a: FloatArray) -> None:
     """Write the accelerations at some positions, by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}, and by others.
 
     Those of the uniform field are added later, without rounding.
     """
     n, moves = len(x), motion.moves
     if n < LANES_FROM:
-        _accelerate_few(x, motion.pull_of, eps2, a)
+        _accelerate_few(x, motion.gm, motion.eps2, a)
     else:
-        _accelerate_many(x, motion.pull_of, eps2, a, motion.lanes)
+        _accelerate_many(x, motion.gm, motion.eps2, a, motion.lanes)
     add_forces(motion.forces, 0, n, x, motion.mass, motion.box, a)
     for i in range(n):
         a[i, 0], a[i, 1], a[i, 2] = moves[i] * a[i, 0], moves[i] * a[i, 1], moves[i] * a[i, 2]
 
 
 @unowned
-def _accelerate_few(x: FloatArray, pull_of: FloatArray, eps2: float, a: FloatArray) -> None:
+def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -> None:
     """Sum pair by pair."""
     for i in range(len(x)):
         a[i, 0] = a[i, 1] = a[i, 2] = 0.0
         for j in range(i):
             dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-            d3 = inverse_cube(dx * dx + dy * dy + dz * dz + eps2)
-            on_i, on_j = pull_of[j] * d3, pull_of[i] * d3
+            on_i, on_j, _ = mutual_attraction(dx, dy, dz, gm[i], gm[j], eps2)
             a[i, 0], a[i, 1], a[i, 2] = a[i, 0] + on_i * dx, a[i, 1] + on_i * dy, a[i, 2] + on_i * dz
             a[j, 0], a[j, 1], a[j, 2] = a[j, 0] - on_j * dx, a[j, 1] - on_j * dy, a[j, 2] - on_j * dz
 
 
 @unowned
-def _accelerate_many(x: FloatArray, pull_of: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
+def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
     """Sum in the same order, with the same bits; the roots and divisions of a body lie in SIMD lanes.
 
     A sum takes 0.64 of the time of pair by pair at 30 bodies, and 0.44 at 100; below 16 it takes longer.
@@ -305,11 +325,11 @@ def _accelerate_many(x: FloatArray, pull_of: FloatArray, eps2: float, a: FloatAr
         xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
         for j in range(np.uint64(i)):  # an unsigned bound, or the loop is not vectorised
             dx, dy, dz = X[j] - xi, Y[j] - yi, Z[j] - zi
-            d3[j] = inverse_cube(dx * dx + dy * dy + dz * dz + eps2)
+            d3[j] = attraction(1.0, dx * dx + dy * dy + dz * dz + eps2)
         ax, ay, az = 0.0, 0.0, 0.0
         for j in range(i):
             dx, dy, dz = X[j] - xi, Y[j] - yi, Z[j] - zi
-            on_i, on_j = pull_of[j] * d3[j], pull_of[i] * d3[j]
+            on_i, on_j = gm[j] * d3[j], gm[i] * d3[j]
             ax, ay, az = ax + on_i * dx, ay + on_i * dy, az + on_i * dz
             a[j, 0], a[j, 1], a[j, 2] = a[j, 0] - on_j * dx, a[j, 1] - on_j * dy, a[j, 2] - on_j * dz
         a[i, 0], a[i, 1], a[i, 2] = ax, ay, az

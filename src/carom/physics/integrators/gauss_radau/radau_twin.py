@@ -1,4 +1,4 @@
-"""How an orbit and its twin, which begins almost alike, part under Gauss–Radau integration.
+"""Divergence of two nearby orbits under Gauss–Radau integration.
 
 The twin takes the steps of the orbit. Their polynomials differ only as much as they are apart, so the twin begins with
 the coefficients that the orbit has before its last iteration. A single one costs a third of a run of its own. It misses
@@ -38,7 +38,7 @@ from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-FIRST_PART = 1e-3  # of the duration: the first step that is tried
+FIRST_FRACTION = 1e-3  # of the duration: the first step that is tried
 STEPS_AT_ONCE = 500  # 1 ms for two bodies, half a second for 100
 CONVERGES = MAX_ITERATIONS  # iterations of a twin
 
@@ -48,6 +48,22 @@ GoesOn = Callable[[int, float], bool]
 def always(iterations: int, time: float) -> bool:
     """Set no bound."""
     return True
+
+
+class TwinSamples(NamedTuple):
+    """Times at which orbits and their twins are compared, and the results."""
+
+    times: FloatArray  # (K,) s
+    path: FloatArray  # (K, n, 3) m, written
+    apart: FloatArray  # (K,) m, rms distance of the twins, written
+
+
+class TwinRule(NamedTuple):
+    """How far orbits and their twins are followed; see `part`."""
+
+    max_dt: float  # s
+    enough: float  # m
+    iterations: int
 
 
 class FollowedOrbits(NamedTuple):
@@ -116,13 +132,14 @@ def _follow(
 ) -> tuple[FollowedOrbits, FloatArray]:
     path, apart = np.full((len(times), *start.position.shape), np.inf), np.full(len(times), np.inf)
     progress = np.zeros(1, PROGRESS)
-    progress["next_dt"], progress["fraction"] = FIRST_PART * times[-1], STEP_FRACTION / refinement
+    progress["next_dt"], progress["fraction"] = FIRST_FRACTION * times[-1], STEP_FRACTION / refinement
     progress["tolerance"] = tolerance(refinement)
-    motion, eps2 = _motion(scene, start, start.position), scene.gravity.softening**2
+    motion, samples = _motion(scene, start, start.position), TwinSamples(times, path, apart)
+    rule = TwinRule(largest_step(scene), enough, iterations)
     k, steps, counted, known = 0, 0, 0, len(times)
     while k < len(times):
         steps += STEPS_AT_ONCE
-        k = follow(motion, twin, eps2, progress, times, largest_step(scene), enough, iterations, k, steps, path, apart)
+        k = follow(motion, twin, progress, samples, rule, k, steps)
         fresh, counted = int(progress["iterations"][0]) - counted, int(progress["iterations"][0])
         lasts = goes_on(fresh, float(progress["time"][0]))
         if int(progress["steps"][0]) < steps:
@@ -134,49 +151,50 @@ def _follow(
 
 
 def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:
-    pull, field = scene.gravity.constant * start.mass, np.array(scene.gravity.uniform)
-    forces = start.mass, parameters_of_all(scene)
-    return motion_of(position.copy(), start.velocity.copy(), pull, np.flatnonzero(start.fixed), field, *forces)
+    gravity = scene.gravity
+    return motion_of(
+        position.copy(),
+        start.velocity.copy(),
+        gravity.constant * start.mass,
+        np.flatnonzero(start.fixed),
+        np.array(gravity.uniform),
+        gravity.softening,
+        start.mass,
+        parameters_of_all(scene),
+    )
 
 
 @borrowing
 def follow(
     motion: Motion,
     twin: Motion | None,
-    eps2: float,
     progress: Records,
-    times: FloatArray,
-    max_dt: float,
-    enough: float,
-    iterations: int,
+    samples: TwinSamples,
+    rule: TwinRule,
     k: int,
     most: int,
-    path: FloatArray,
-    apart: FloatArray,
 ) -> int:
-    """Write the positions and distances from time ``k`` on, until so many steps are made; return the next time.
-
-    For the other parameters see `part`.
-    """
-    run, end = progress[0], times[-1]
+    """Write the positions and distances from time ``k`` on, until ``most`` steps are made; return the next time."""
+    times, path, apart = samples
+    run, end, iterations = progress[0], times[-1], rule.iterations
     while k < len(times) and run.steps < most:
-        dt = min(run.next_dt, max_dt)
+        dt = min(run.next_dt, rule.max_dt)
         if end - run.time <= dt * (1.0 + END_TOLERANCE):
             dt = end - run.time
-        accelerate(motion, motion.position, eps2, motion.start)
+        accelerate(motion, motion.position, motion.start)
         if twin is not None:
-            accelerate(twin, twin.position, eps2, twin.start)
-        wanted = _attempt(motion, twin, eps2, run, dt)
+            accelerate(twin, twin.position, twin.start)
+        wanted = _attempt(motion, twin, run, dt)
         while wanted * LARGEST_CHANGE < dt:
-            share = wanted / dt
+            fraction = wanted / dt
             dt = wanted
-            wanted = _attempt(motion, twin, eps2, run, dt)
-            if not wanted > SHRINKING * share * dt:
+            wanted = _attempt(motion, twin, run, dt)
+            if not wanted > SHRINKING * fraction * dt:
                 break
         if twin is not None:
             before = np.inf
             for iteration in range(iterations):
-                error = iterate(twin, eps2, dt)
+                error = iterate(twin, dt)
                 run.iterations += 1
                 if iterations == CONVERGES and stops(iteration, error, before, run.tolerance):
                     break
@@ -187,7 +205,7 @@ def follow(
             _locate(motion, dt, h, path[k])
             if twin is not None:
                 apart[k] = _distance(motion, twin, dt, h)
-                if not apart[k] < enough:
+                if not apart[k] < rule.enough:
                     return k + 1
             k += 1
         move(motion, dt)
@@ -201,7 +219,7 @@ def follow(
 
 
 @unowned
-def _attempt(motion: Motion, twin: Motion | None, eps2: float, run: Any, dt: float) -> float:
+def _attempt(motion: Motion, twin: Motion | None, run: Any, dt: float) -> float:
     """Find the polynomial of a step; return the longest next one, in s. The twin gets it before the last iteration."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
     before = np.inf
@@ -210,7 +228,7 @@ def _attempt(motion: Motion, twin: Motion | None, eps2: float, run: Any, dt: flo
             for c in range(len(motion.b)):
                 for j in range(TERMS):
                     twin.b[c, j] = motion.b[c, j]
-        error = iterate(motion, eps2, dt)
+        error = iterate(motion, dt)
         run.iterations += 1
         if stops(iteration, error, before, run.tolerance):
             break
@@ -220,7 +238,7 @@ def _attempt(motion: Motion, twin: Motion | None, eps2: float, run: Any, dt: flo
 
 @unowned
 def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
-    """Write the positions at a part h of the step, (n, 3) m."""
+    """Write the positions at a fraction h of the step, (n, 3) m."""
     x, v, b, t = motion.position, motion.velocity, motion.b, h * dt
     for i in range(len(x)):
         for k in range(3):
@@ -233,7 +251,7 @@ def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
 
 @unowned
 def _distance(motion: Motion, twin: Motion, dt: float, h: float) -> float:
-    """Return the rms distance in m at a part h of the step."""
+    """Return the rms distance in m at a fraction h of the step."""
     n, square, t = len(motion.position), 0.0, h * dt
     for i in range(n):
         for k in range(3):

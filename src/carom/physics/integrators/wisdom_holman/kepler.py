@@ -35,10 +35,13 @@ CONVERGED = 1e-5  # of X: after a step of this size the error of order four is b
 PATIENCE = 8  # steps; from there on every other one is a bisection, since steps down an exponential are short
 MAX_STEPS = 150  # half of them bisections, of which some 60 are enough
 NEARLY = 1e-8  # of X: likewise for a last step of order two
-LANES = 64
+LANES = 64  # bodies side by side
 WIDEST = 8  # numbers that any processor has side by side
-LANE_ROWS = 14
-TURN = 6.283185307179586  # rad
+# Where the rows of the workspace begin: positions in m, velocities in m/s, μ, positions and velocities at the end, and
+# whether two steps for the anomaly were enough. They are one array, so that the compiler sees that none overlap.
+X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
+WORKSPACE = 14 * LANES  # numbers
+TWO_PI = 6.283185307179586  # rad
 
 
 @unowned
@@ -78,10 +81,10 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     low, high = 0.0, np.inf
     if beta > 0.0:
         root = np.sqrt(beta)
-        period = TURN * mu / (beta * root)
+        period = TWO_PI * mu / (beta * root)
         if t >= period:
             t -= period * np.floor(t / period)
-        high = 1.01 * TURN / root
+        high = 1.01 * TWO_PI / root
     s = t * over_r
     bend = 0.5 * s * over_r * eta
     if abs(bend) < 0.5:
@@ -130,7 +133,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
 def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: FloatArray) -> None:
     """Move all rows but the first, of positions and velocities (n, 3) m and m/s, by a time h in s; μ is (n,) m³/s².
 
-    ``lanes`` is a workspace of `LANE_ROWS` × `LANES` numbers.
+    ``lanes`` is a workspace of `WORKSPACE` numbers.
     """
     n = len(x)
     way = 1.0 if h >= 0.0 else -1.0
@@ -138,36 +141,30 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
         count = min(LANES, n - first)
         for k in range(count):
             i = first + k
-            for axis in range(3):
-                lanes[axis * LANES + k] = x[i, axis]
-                lanes[(3 + axis) * LANES + k] = way * v[i, axis]
-            lanes[6 * LANES + k] = mu[i]
-        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a rest would be done one by one
+            lanes[X + k], lanes[Y + k], lanes[Z + k] = x[i, 0], x[i, 1], x[i, 2]
+            lanes[VX + k], lanes[VY + k], lanes[VZ + k] = way * v[i, 0], way * v[i, 1], way * v[i, 2]
+            lanes[MU + k] = mu[i]
+        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a remainder would be done one by one
         for k in range(count, padded):
-            for row in range(7):
-                lanes[row * LANES + k] = lanes[row * LANES]
+            for row in range(X, MU + 1, LANES):
+                lanes[row + k] = lanes[row]
         _revolve_lanes(lanes, padded, abs(h))
         for k in range(count):
             i = first + k
-            if lanes[13 * LANES + k] > 0.0:
-                for axis in range(3):
-                    x[i, axis] = lanes[(7 + axis) * LANES + k]
-                    v[i, axis] = way * lanes[(10 + axis) * LANES + k]
+            if lanes[ENOUGH + k] > 0.0:
+                write(x, i, lanes[END_X + k], lanes[END_Y + k], lanes[END_Z + k])
+                write(v, i, way * lanes[END_VX + k], way * lanes[END_VY + k], way * lanes[END_VZ + k])
             else:
                 revolve(x, v, i, mu[i], h)
 
 
 @unowned
 def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
-    """Move bodies side by side in SIMD lanes by t ≥ 0, with two steps for X; row 13 says whether that was enough.
-
-    Rows are x, v, μ, and then the new x and v. They are parts of one array, so that the compiler sees that none
-    overlap.
-    """
+    """Move bodies side by side in SIMD lanes by t ≥ 0, with two steps for the anomaly."""
     for k in range(count):
-        x0, x1, x2 = lanes[k], lanes[LANES + k], lanes[2 * LANES + k]
-        v0, v1, v2 = lanes[3 * LANES + k], lanes[4 * LANES + k], lanes[5 * LANES + k]
-        mu = lanes[6 * LANES + k]
+        x0, x1, x2 = lanes[X + k], lanes[Y + k], lanes[Z + k]
+        v0, v1, v2 = lanes[VX + k], lanes[VY + k], lanes[VZ + k]
+        mu = lanes[MU + k]
         r = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
         over_r = 1.0 / r
         beta = 2.0 * mu * over_r - (v0 * v0 + v1 * v1 + v2 * v2)
@@ -206,12 +203,12 @@ def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
         g = t - mu * g3
         rate = over * g1 * moved
         slow = mu * g2 * moved
-        lanes[7 * LANES + k] = x0 + (f * x0 + g * v0)
-        lanes[8 * LANES + k] = x1 + (f * x1 + g * v1)
-        lanes[9 * LANES + k] = x2 + (f * x2 + g * v2)
-        lanes[10 * LANES + k] = v0 - (rate * x0 + slow * v0)
-        lanes[11 * LANES + k] = v1 - (rate * x1 + slow * v1)
-        lanes[12 * LANES + k] = v2 - (rate * x2 + slow * v2)
+        lanes[END_X + k] = x0 + (f * x0 + g * v0)
+        lanes[END_Y + k] = x1 + (f * x1 + g * v1)
+        lanes[END_Z + k] = x2 + (f * x2 + g * v2)
+        lanes[END_VX + k] = v0 - (rate * x0 + slow * v0)
+        lanes[END_VY + k] = v1 - (rate * x1 + slow * v1)
+        lanes[END_VZ + k] = v2 - (rate * x2 + slow * v2)
         near = abs(step) <= NEARLY * s
         short = abs(z) <= SERIES_UP_TO
-        lanes[13 * LANES + k] = (1.0 if near else 0.0) * (1.0 if short else 0.0)
+        lanes[ENOUGH + k] = (1.0 if near else 0.0) * (1.0 if short else 0.0)

@@ -20,7 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.integrators.wisdom_holman.kepler import LANES, revolve_all
+from carom.physics.forces.gravity.pair import attraction, mutual_attraction
+from carom.physics.integrators.wisdom_holman.kepler import END_X, END_Y, END_Z, LANES, X, Y, Z, revolve_all
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.physics.vector import add, between, square, vector, write
@@ -39,7 +40,7 @@ RUN = np.dtype(
 LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
 STAGES = 4  # of the corrector
 SPREAD = Fraction(2, 5)
-UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of a turn or more
+UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of an orbit or more
 PARTED = 1.2  # times the distance from which bodies are close, beyond which they are no longer
 
 
@@ -50,7 +51,7 @@ class OrbitArrays(NamedTuple):
     velocity: FloatArray  # (n, 3) m/s, likewise
     order: IntArray  # (n,) index in the scene
     mu: FloatArray  # (n,) m³/s², G M_i
-    pull: FloatArray  # (n,) m³/s², G m_i
+    gm: FloatArray  # (n,) m³/s², G m_i
     share: FloatArray  # (n,) m_i / M_i
     near: FloatArray  # (n,) m, the distance from which another body is close
     x: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick; row 0 is the centre of mass
@@ -61,12 +62,12 @@ class OrbitArrays(NamedTuple):
     speed: FloatArray  # (n, 3) m/s, likewise
     acceleration: FloatArray  # (n, 3) m/s²
     reach: FloatArray  # (n,) m, how far a body may move meanwhile
-    lanes: FloatArray  # workspace of the Kepler orbits and of the pulls of many
+    lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
 
 
 @unowned
 def from_jacobi(x: FloatArray, share: FloatArray, place: FloatArray) -> None:
-    """Turn Jacobi coordinates or their rates into Cartesian ones about the centre of mass."""
+    """Convert Jacobi coordinates or their rates to Cartesian ones about the centre of mass."""
     rx, ry, rz = 0.0, 0.0, 0.0  # centre of mass of the bodies up to i
     for i in range(len(x) - 1, 0, -1):
         px, py, pz = vector(x, i)
@@ -77,7 +78,7 @@ def from_jacobi(x: FloatArray, share: FloatArray, place: FloatArray) -> None:
 
 @unowned
 def to_jacobi(place: FloatArray, order: IntArray, share: FloatArray, x: FloatArray) -> None:
-    """Turn Cartesian coordinates or rates, in the order of the scene, into Jacobi ones."""
+    """Convert Cartesian coordinates or rates, in the order of the scene, to Jacobi ones."""
     first = order[0]
     rx, ry, rz = vector(place, first)
     for i in range(1, len(x)):
@@ -102,81 +103,69 @@ def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> N
 def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
     """Change the rates of Jacobi coordinates by H_mutual; `place` has to belong to x."""
     if len(x) < LANES_FROM:
-        _mutual(o.place, o.pull, o.acceleration)
+        _mutual(o.place, o.gm, o.acceleration)
     else:
-        _mutual_in_lanes(o.place, o.pull, o.acceleration, o.lanes)
-    _turn(x, v, o.acceleration, o.share, o.mu, h)
-
-
-@unowned
-def _mutual(place: FloatArray, pull: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
-    n = len(place)
-    for i in range(min(n, 2)):
-        write(a, i, 0.0, 0.0, 0.0)
-    for i in range(2, n):
-        own = pull[i]
-        px, py, pz = vector(place, i)
-        ax, ay, az = 0.0, 0.0, 0.0
-        for j in range(i):
-            dx, dy, dz = vector(place, j)
-            dx, dy, dz = dx - px, dy - py, dz - pz
-            d2 = dx * dx + dy * dy + dz * dz
-            d3 = 1.0 / (d2 * np.sqrt(d2))
-            f, g = pull[j] * d3, own * d3
-            ax, ay, az = ax + f * dx, ay + f * dy, az + f * dz
-            add(a, j, -g, dx, dy, dz)
-        write(a, i, ax, ay, az)
-
-
-@unowned
-def _mutual_in_lanes(place: FloatArray, pull: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
-    """Do the same for many bodies, with those that are pulled side by side in SIMD lanes."""
-    n = len(place)
-    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
-    for i in range(1, n):
-        dx, dy, dz = between(place, i, 0)
-        d2 = dx * dx + dy * dy + dz * dz
-        d3 = 1.0 / (d2 * np.sqrt(d2)) if i > 1 else 0.0
-        f, g = pull[0] * d3, pull[i] * d3
-        write(a, i, f * dx, f * dy, f * dz)
-        sx, sy, sz = sx - g * dx, sy - g * dy, sz - g * dz
-    write(a, 0, sx, sy, sz)
-    for first in range(1, n, LANES):
-        count = min(LANES, n - first)
-        for k in range(count):
-            for row in range(3):
-                lanes[row * LANES + k] = place[first + k, row]
-                lanes[(row + 3) * LANES + k] = 0.0
-        for j in range(1, n):
-            mj = pull[j]
-            xj, yj, zj = vector(place, j)
-            for k in range(count):
-                dx, dy, dz = xj - lanes[k], yj - lanes[LANES + k], zj - lanes[2 * LANES + k]
-                d2 = dx * dx + dy * dy + dz * dz
-                f = mj / (d2 * np.sqrt(d2)) if d2 > 0.0 else 0.0
-                lanes[3 * LANES + k] += f * dx
-                lanes[4 * LANES + k] += f * dy
-                lanes[5 * LANES + k] += f * dz
-        for k in range(count):
-            for row in range(3):
-                a[first + k, row] += lanes[(row + 3) * LANES + k]
-
-
-@unowned
-def _turn(x: FloatArray, v: FloatArray, a: FloatArray, share: FloatArray, mu: FloatArray, h: float) -> None:
-    """Change the rates of Jacobi coordinates by Cartesian accelerations, less those of the Kepler orbits."""
-    rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of those before i
+        _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
+    # from Cartesian accelerations to those of Jacobi coordinates, less those of the Kepler orbits
+    a, share = o.acceleration, o.share
+    rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
         ax, ay, az = vector(a, i)
         ax, ay, az = ax - rx, ay - ry, az - rz
         rx, ry, rz = rx + share[i] * ax, ry + share[i] * ay, rz + share[i] * az
         if i > 1:
             px, py, pz = vector(x, i)
-            r2 = px * px + py * py + pz * pz
-            back = mu[i] / (r2 * np.sqrt(r2))
+            back = attraction(o.mu[i], px * px + py * py + pz * pz)
             ax, ay, az = ax + back * px, ay + back * py, az + back * pz
         add(v, i, h, ax, ay, az)
+
+
+@unowned
+def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
+    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    n = len(place)
+    for i in range(min(n, 2)):
+        write(a, i, 0.0, 0.0, 0.0)
+    for i in range(2, n):
+        own = gm[i]
+        px, py, pz = vector(place, i)
+        ax, ay, az = 0.0, 0.0, 0.0
+        for j in range(i):
+            dx, dy, dz = vector(place, j)
+            dx, dy, dz = dx - px, dy - py, dz - pz
+            f, g, _ = mutual_attraction(dx, dy, dz, own, gm[j], 0.0)
+            ax, ay, az = ax + f * dx, ay + f * dy, az + f * dz
+            add(a, j, -g, dx, dy, dz)
+        write(a, i, ax, ay, az)
+
+
+@unowned
+def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
+    """Do the same for many bodies, with the accelerated ones side by side in SIMD lanes."""
+    n = len(place)
+    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
+    for i in range(1, n):
+        dx, dy, dz = between(place, i, 0)
+        f, g, _ = mutual_attraction(dx, dy, dz, gm[i], gm[0], 0.0) if i > 1 else (0.0, 0.0, 0.0)
+        write(a, i, f * dx, f * dy, f * dz)
+        sx, sy, sz = sx - g * dx, sy - g * dy, sz - g * dz
+    write(a, 0, sx, sy, sz)
+    for first in range(1, n, LANES):
+        count = min(LANES, n - first)
+        for k in range(count):
+            lanes[X + k], lanes[Y + k], lanes[Z + k] = vector(place, first + k)
+            lanes[END_X + k] = lanes[END_Y + k] = lanes[END_Z + k] = 0.0  # the accelerations
+        for j in range(1, n):
+            gm_j = gm[j]
+            xj, yj, zj = vector(place, j)
+            for k in range(count):
+                dx, dy, dz = xj - lanes[X + k], yj - lanes[Y + k], zj - lanes[Z + k]
+                f = attraction(gm_j, dx * dx + dy * dy + dz * dz)
+                lanes[END_X + k] += f * dx
+                lanes[END_Y + k] += f * dy
+                lanes[END_Z + k] += f * dz
+        for k in range(count):
+            add(a, first + k, 1.0, lanes[END_X + k], lanes[END_Y + k], lanes[END_Z + k])
 
 
 def _corrector() -> tuple[FloatArray, FloatArray]:
@@ -229,7 +218,7 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
     """Tell whether two bodies come close from a time after ``place`` until another, on straight lines, both in s.
 
-    Close is nearer than ``apart`` times `Orbits.near`.
+    Close is nearer than ``apart`` times `OrbitArrays.near`.
     """
     place, speed, near, reach = o.place, o.speed, o.near, o.reach
     longest = max(abs(after), abs(until))

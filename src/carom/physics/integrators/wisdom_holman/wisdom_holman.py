@@ -14,7 +14,7 @@ Half drifts between steps are joined. With masses ε of the dominant one, the st
 
 The terms in ε are undone by a corrector (`orbit_steps`); errors in ε² h² remain.
 
-The step is the shortest period over `STEPS_PER_TURN`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
+The step is the shortest period over `STEPS_PER_ORBIT`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
 that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
 `HILL_RADII` of their Hill radii, or one comes so close to the dominant one that the step no longer resolves its motion,
 the state before that step is handed to `GaussRadau15`, which integrates all bodies until they have parted.
@@ -29,9 +29,9 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
-from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, OrbitCheckpoint
+from carom.physics.integrators.batch_integrator import Batch, EqualSteps, IntegratorCheckpoint, OrbitCheckpoint
 from carom.physics.integrators.gauss_radau.gauss_radau15 import GaussRadau15
-from carom.physics.integrators.wisdom_holman.kepler import LANE_ROWS, LANES, TURN
+from carom.physics.integrators.wisdom_holman.kepler import TWO_PI, WORKSPACE
 from carom.physics.integrators.wisdom_holman.orbit_steps import RUN, OrbitArrays, advance, begin, leap, meets_soon
 from carom.plan.auto import largest_step
 from carom.plan.features import Requirements
@@ -40,14 +40,13 @@ from carom.scene.schema import Scene
 
 HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
 FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing
-PART_OF_GAP = 0.9  # of the distance between two orbits: within it, both have left them
+GAP_FRACTION = 0.9  # of the distance between two orbits: within it, both have left them
 NEAREST = 0.03  # of the semi-major axis: passages closer than that are left to Gauss–Radau integration
-STEPS_PER_TURN = 20.0  # of the shortest orbit
-STEPS_OF_HEAVY = (
-    50.0  # of the orbit of a body above `HEAVY`, whose encounters err by the square of its mass and the step
-)
+STEPS_PER_ORBIT = 20.0  # of the shortest orbit
+# The same for a body above `HEAVY`, whose encounters err by the square of its mass and the step
+STEPS_OF_HEAVY = 50.0
 HEAVY = 2e-5  # of the dominant body
-FIRST_PART = 0.01  # of a step: the first one that Gauss–Radau integration tries
+FIRST_FRACTION = 0.01  # of a step: the first one that Gauss–Radau integration tries
 ANEW, FAR, CLOSE = range(3)  # phases: from the state as it is, by equal steps, by Gauss–Radau integration
 LIMITS = ("orbit", "cap", "fixed")  # limits that set a step
 
@@ -59,14 +58,14 @@ class Conics(NamedTuple):
     size: FloatArray  # m, semi-major; its modulus if unbound
     pericentre: FloatArray  # m
     apocentre: FloatArray  # m
-    turn: FloatArray  # s, of a circular motion with the angular speed at the pericentre
+    period: FloatArray  # s, of a circular motion with the angular speed at the pericentre
 
 
-def conics(position: FloatArray, velocity: FloatArray, pull: FloatArray, first: int) -> Conics:
+def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: int) -> Conics:
     """Return the orbits about the dominant body, ``first``, as they are now; its own axis is -1."""
     x, y, z = (position - position[first]).T
     u, v, w = (velocity - velocity[first]).T
-    mu = pull + pull[first]
+    mu = gm + gm[first]
     with np.errstate(divide="ignore", invalid="ignore"):
         beta = 2.0 * mu / np.sqrt(x * x + y * y + z * z) - (u * u + v * v + w * w)
         size = mu / np.abs(beta)
@@ -75,11 +74,11 @@ def conics(position: FloatArray, velocity: FloatArray, pull: FloatArray, first: 
         e = np.sqrt(np.maximum(1.0 - beta * parameter / mu, 0.0))
         pericentre = parameter / (1.0 + e)
         resolved = np.maximum(pericentre, NEAREST * size)
-        turn = TURN * np.sqrt(resolved * resolved * resolved / (mu * (1.0 + e)))
+        period = TWO_PI * np.sqrt(resolved * resolved * resolved / (mu * (1.0 + e)))
         axis = np.where(beta > 0.0, size, np.inf)
         apocentre = np.where(beta > 0.0, size * (1.0 + e), np.inf)
     axis[first] = -1.0
-    return Conics(axis, size, pericentre, apocentre, turn)
+    return Conics(axis, size, pericentre, apocentre, period)
 
 
 def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
@@ -96,7 +95,7 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
         gap = np.maximum(conics.pericentre - conics.apocentre[i], conics.pericentre[i] - conics.apocentre)
         gap[[i, first]] = np.inf
         if gap.min() > FEWEST_HILL_RADII * hill[i]:
-            close[i] = min(close[i], max(FEWEST_HILL_RADII * hill[i], PART_OF_GAP * gap.min()))
+            close[i] = min(close[i], max(FEWEST_HILL_RADII * hill[i], GAP_FRACTION * gap.min()))
     return close
 
 
@@ -107,7 +106,7 @@ class WisdomHolman:
     ----------
     position, velocity
         (n, 3) m and m/s, moved in place.
-    pull
+    gm
         (n,) m³/s², G m of each body.
     max_dt
         s
@@ -123,25 +122,39 @@ class WisdomHolman:
         self,
         position: FloatArray,
         velocity: FloatArray,
-        pull: FloatArray,
+        gm: FloatArray,
         max_dt: float,
         fixed_dt: float | None,
         resolves: bool = True,
         refinement: float = 1.0,
     ) -> None:
         n = len(position)
-        vectors = [np.zeros((n, 3)) for _ in range(7)]
-        lanes = np.zeros(LANE_ROWS * LANES)
-        scalars = [np.zeros(n) for _ in range(4)]
-        self._orbits = OrbitArrays(position, velocity, np.zeros(n, np.int64), *scalars, *vectors, np.zeros(n), lanes)  # type: ignore[call-arg]
-        self._pull = pull
-        self._first = int(np.argmax(pull))
-        self._hill = cube_root(pull / (3.0 * pull[self._first]))  # Hill radii over semi-major axes
+        self._orbits = OrbitArrays(
+            position=position,
+            velocity=velocity,
+            order=np.zeros(n, np.int64),
+            mu=np.zeros(n),
+            gm=np.zeros(n),
+            share=np.zeros(n),
+            near=np.zeros(n),
+            x=np.zeros((n, 3)),
+            v=np.zeros((n, 3)),
+            x_spare=np.zeros((n, 3)),
+            v_spare=np.zeros((n, 3)),
+            place=np.zeros((n, 3)),
+            speed=np.zeros((n, 3)),
+            acceleration=np.zeros((n, 3)),
+            reach=np.zeros(n),
+            lanes=np.zeros(WORKSPACE),
+        )
+        self._gm = gm
+        self._first = int(np.argmax(gm))
+        self._hill = cube_root(gm / (3.0 * gm[self._first]))  # Hill radii over semi-major axes
         self._max_dt, self._fixed_dt = max_dt, fixed_dt
         self._limit, self._resolves, self._refinement = LIMITS[0], resolves, refinement
         self._run = np.zeros(1, RUN)
         no_field, none_fixed = np.zeros(3), np.zeros(0, np.int64)
-        self._radau = GaussRadau15(position, velocity, pull, none_fixed, no_field, 0.0, max_dt, None)
+        self._radau = GaussRadau15(position, velocity, gm, none_fixed, no_field, 0.0, max_dt, None)
         self._phase = ANEW
         self._by_radau = False  # the last step
         self._encounters = 0
@@ -208,9 +221,9 @@ class WisdomHolman:
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of the state that the next step needs."""
         orbits, run, radau = self._orbits, self._run[0], self._radau.checkpoint
-        series = [self._phase, run["start"], run["count"], run["dt"], LIMITS.index(self._limit)]
+        series = EqualSteps(self._phase, run["start"], run["count"], run["dt"], LIMITS.index(self._limit))
         copies = (orbits.order.astype(np.float64), orbits.near.copy(), orbits.x.copy(), orbits.v.copy())
-        own = OrbitCheckpoint(np.array(series, dtype=np.float64), *copies)
+        own = OrbitCheckpoint(series, *copies)
         if self._phase == CLOSE:
             return replace(radau, orbits=own)
         nothing, no_rows = np.empty((0, 3)), np.empty((0, 8))
@@ -222,8 +235,9 @@ class WisdomHolman:
         if checkpoint is None or checkpoint.orbits is None:
             return
         own, orbits, run = checkpoint.orbits, self._orbits, self._run[0]
-        phase, run["start"], run["count"], run["dt"], limit = own.series.tolist()
-        self._phase, self._limit = int(phase), LIMITS[int(limit)]
+        series = own.series
+        run["start"], run["count"], run["dt"] = series.start, series.steps, series.dt
+        self._phase, self._limit = int(series.phase), LIMITS[int(series.limit)]
         self._set_order(own.order.astype(np.int64), own.near)
         orbits.x[:], orbits.v[:] = own.position, own.velocity
         if self._phase == CLOSE:
@@ -233,15 +247,15 @@ class WisdomHolman:
         """Hand over to Gauss–Radau integration."""
         self._phase = CLOSE
         self._encounters += 1
-        self._radau.begin(FIRST_PART * float(self._run["dt"][0]))
+        self._radau.begin(FIRST_FRACTION * float(self._run["dt"][0]))
 
     def _start(self, time: float) -> None:
         """Order the bodies, choose the step and take the present state as a new start."""
         orbits, first = self._orbits, self._first
-        found = conics(orbits.position, orbits.velocity, self._pull, first)
-        order = np.argsort(found.axis, kind="stable")
-        steps = np.where(self._pull > HEAVY * self._pull[self._first], STEPS_OF_HEAVY, STEPS_PER_TURN)
-        dt, self._limit = float((found.turn / steps)[order[1:]].min()), "orbit"
+        orbits_now = conics(orbits.position, orbits.velocity, self._gm, first)
+        order = np.argsort(orbits_now.axis, kind="stable")
+        steps = np.where(self._gm > HEAVY * self._gm[self._first], STEPS_OF_HEAVY, STEPS_PER_ORBIT)
+        dt, self._limit = float((orbits_now.period / steps)[order[1:]].min()), "orbit"
         dt /= self._refinement
         if self._fixed_dt is not None:
             dt, self._limit = self._fixed_dt, "fixed"
@@ -249,24 +263,24 @@ class WisdomHolman:
             dt, self._limit = self._max_dt, "cap"
         self._run[0] = np.zeros(1, RUN)[0]
         self._run["start"], self._run["dt"] = time, dt
-        close = near(found, self._hill, first) if self._resolves else np.zeros(len(order))
+        close = near(orbits_now, self._hill, first) if self._resolves else np.zeros(len(order))
         self._set_order(order, close[order])
         begin(orbits, dt)
         self._phase = FAR
 
     def _set_order(self, order: IntArray, close: FloatArray) -> None:
-        """Set what depends on the order of the bodies; `Orbits.near`, (n,) m, is in that order."""
+        """Set what depends on the order of the bodies; `OrbitArrays.near`, (n,) m, is in that order."""
         orbits = self._orbits
         orbits.order[:] = order
-        orbits.pull[:] = self._pull[order]
-        orbits.mu[:] = np.cumsum(orbits.pull)
-        orbits.share[:] = orbits.pull / orbits.mu
+        orbits.gm[:] = self._gm[order]
+        orbits.mu[:] = np.cumsum(orbits.gm)
+        orbits.share[:] = orbits.gm / orbits.mu
         orbits.near[:] = close
 
 
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> WisdomHolman:
     """Make the integrator of a scene's bodies; a scene with a uniform field is refused before."""
-    pull = scene.gravity.constant * bodies.mass
+    gm = scene.gravity.constant * bodies.mass
     rule = scene.time
     steps, resolves = (largest_step(scene), rule.fixed_dt), rule.encounters == "resolve"
-    return WisdomHolman(bodies.position, bodies.velocity, pull, *steps, resolves, scene.refinement)
+    return WisdomHolman(bodies.position, bodies.velocity, gm, *steps, resolves, scene.refinement)

@@ -1,10 +1,10 @@
-"""Walks over pairs of boxes, which decide whether boxes pull each other as a whole or body by body.
+"""Walks over pairs of boxes, which decide whether boxes attract each other as a whole or body by body.
 
 A walk begins with the pair of the whole tree with itself, and decides on each pair of boxes A, B:
 
 1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless they have so few bodies
    that `FEW_PAIRS` are as fast.
-2. Otherwise, if they have at most `MANY_PAIRS`, or are both leaves, their bodies pull each other one by one.
+2. Otherwise, if they have at most `MANY_PAIRS`, or are both leaves, their bodies attract each other one by one.
 3. Otherwise the one with the larger radius is halved.
 
 These decisions do not depend on which of the two is A. The forces on both are therefore opposite, those of single pairs
@@ -26,7 +26,6 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.forces.gravity.direct import own_potential
 from carom.physics.forces.gravity.fast_multipole.taylor import (
     AX,
     AXIS,
@@ -44,9 +43,10 @@ from carom.physics.forces.gravity.fast_multipole.taylor import (
     Y,
     Z,
     attract,
+    attract_bodies,
     evaluate,
-    pull_of_bodies,
 )
+from carom.physics.forces.gravity.pair import own_potential
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.jit.vectors import LANES
@@ -76,7 +76,7 @@ class MultipoleBoxes(NamedTuple):
 
 
 class MultipoleLaw(NamedTuple):
-    """How boxes and bodies pull, and when boxes do as a whole."""
+    """How boxes and bodies attract, and when boxes do as a whole."""
 
     G: float  # m³/(kg s²)
     eps2: float  # m², softening squared
@@ -84,11 +84,19 @@ class MultipoleLaw(NamedTuple):
     unit: float  # 1/m; lengths in multipoles and local expansions are multiplied by it
 
 
-class WalkBuffers(NamedTuple):
-    """Room for each of the threads."""
+class MultipoleSums(NamedTuple):
+    """What walks write."""
 
-    far: IntArray  # (threads, ·) boxes that pull as a whole
-    near: IntArray  # boxes that pull body by body
+    acceleration: FloatArray  # (n, 3) m/s²
+    potential: FloatArray  # (n,) J/kg
+    needed: IntArray  # (threads,) set to 1 where ``left`` is too small; the sums are then incomplete
+
+
+class WalkBuffers(NamedTuple):
+    """Memory for each of the threads; within a walk, of its thread, without the first dimension."""
+
+    far: IntArray  # (threads, ·) boxes that attract as a whole
+    near: IntArray  # boxes that attract body by body
     opened: IntArray  # boxes that are being opened
     left: IntArray  # boxes that are left to the halves
     entries: Records  # ENTRY, boxes to be walked
@@ -102,33 +110,33 @@ class WalkBuffers(NamedTuple):
 def walk(
     lo: int,
     hi: int,
-    turn: IntArray,
+    taken_so_far: IntArray,
     count: int,
     tree: MultipoleBoxes,
     law: MultipoleLaw,
-    lists: WalkBuffers,
-    acceleration: FloatArray,
-    potential: FloatArray,
-    needed: IntArray,
+    buffers: WalkBuffers,
+    sums: MultipoleSums,
 ) -> None:
-    """Write acceleration and potential of the bodies of all branches.
+    """Write acceleration and potential of the bodies of all branches, ``count`` of them.
 
-    Each of the threads [lo, hi) takes the next branch until none is left; ``turn``, (1,), counts the branches taken.
-
-    Parameters
-    ----------
-    count
-        Number of branches.
-    needed
-        (threads,), set to 1 where ``left`` is too small; the results are then incomplete.
+    Each of the threads [lo, hi) takes the next branch until none is left; ``taken_so_far``, (1,), counts them.
     """
-    far, near, opened, left = lists.far[lo], lists.near[lo], lists.opened[lo], lists.left[lo]
-    entries, local, expansion = lists.entries[lo], lists.local[lo], lists.expansion[lo]
-    powers, lanes = lists.powers[lo], lists.lanes[lo]
-    boxes, poles, body, unit = tree.boxes, tree.poles, tree.body, law.unit
-    nothing = len(poles) - 1  # a box without mass
+    far, left, entries = buffers.far[lo], buffers.left[lo], buffers.entries[lo]
+    own = WalkBuffers(
+        far,
+        buffers.near[lo],
+        buffers.opened[lo],
+        left,
+        entries,
+        buffers.local[lo],
+        buffers.expansion[lo],
+        buffers.powers[lo],
+        buffers.lanes[lo],
+    )
+    boxes, body, acceleration, potential = tree.boxes, tree.body, sums.acceleration, sums.potential
+    nothing = len(tree.poles) - 1  # a box without mass
     while True:
-        taken = atomic_add(turn, 0, 1)
+        taken = atomic_add(taken_so_far, 0, 1)
         if taken >= count:
             return
         branch = tree.branches[taken].begin
@@ -141,16 +149,16 @@ def walk(
         while top > 0:
             top -= 1
             a, begin, end, depth = entries[top].box, entries[top].begin, entries[top].end, entries[top].depth
-            fars, nears, last = _decide(a, begin, end, law.theta2, boxes, opened, far, near, left)
+            fars, nears, last = _decide(a, begin, end, law.theta2, boxes, own)
             if last < 0:
-                needed[lo] = 1
+                sums.needed[lo] = 1
                 return
-            _inherit(depth, boxes, a, unit, local, powers)
+            _inherit(depth, boxes, a, law.unit, own)
             if fars > 0:
                 while fars % LANES != 0:  # fill the lanes
                     far[fars] = nothing
                     fars += 1
-                _attract(fars, far, depth, boxes, a, poles, unit, law.eps2 * unit * unit, expansion, local)
+                _add_far(fars, depth, a, tree, law, own)
             half = boxes[a].half
             if a < branch:  # on the way to the branch; boxes so large leave at least their own halves
                 entry = entries[0]
@@ -160,7 +168,7 @@ def walk(
                 continue
             is_over = last == end
             if is_over or nears > 0:
-                _pull(nears, near, is_over, depth, a, tree, law, local, lanes, acceleration, potential)
+                _add_near(nears, is_over, depth, a, tree, law, own, sums)
             if not is_over:
                 for child in (half, a + 1):
                     entry = entries[top]
@@ -169,25 +177,16 @@ def walk(
 
 
 @unowned
-def _decide(
-    a: int,
-    begin: int,
-    end: int,
-    theta2: float,
-    boxes: Records,
-    opened: IntArray,
-    far: IntArray,
-    near: IntArray,
-    left: IntArray,
-) -> tuple[int, int, int]:
+def _decide(a: int, begin: int, end: int, theta2: float, boxes: Records, own: WalkBuffers) -> tuple[int, int, int]:
     """Decide on the boxes that are left to box a, from begin to end.
 
     Returns
     -------
     tuple
-        How many pull as a whole and body by body, and where those end that are left to the halves of a, which begin
+        How many attract as a whole and body by body, and where those end that are left to the halves of a, which begin
         where its own end. The last is -1 if there is no room for them.
     """
+    opened, far, near, left = own.opened, own.far, own.near, own.left
     A = boxes[a]
     bodies = A.last - A.first
     padded = (bodies + LANES - 1) // LANES * LANES
@@ -230,8 +229,9 @@ def _decide(
 
 
 @unowned
-def _inherit(depth: int, boxes: Records, a: int, unit: float, local: FloatArray, powers: FloatArray) -> None:
+def _inherit(depth: int, boxes: Records, a: int, unit: float, own: WalkBuffers) -> None:
     """Begin the local expansion of box a with that of its parent, moved to the centre of a."""
+    local, powers = own.local, own.powers
     x, y, z = boxes[a].x, boxes[a].y, boxes[a].z
     for c in range(LOCAL):
         local[depth, c] = 0.0
@@ -249,19 +249,10 @@ def _inherit(depth: int, boxes: Records, a: int, unit: float, local: FloatArray,
 
 
 @unowned
-def _attract(
-    fars: int,
-    far: IntArray,
-    depth: int,
-    boxes: Records,
-    a: int,
-    poles: FloatArray,
-    unit: float,
-    soft: float,
-    expansion: FloatArray,
-    local: FloatArray,
-) -> None:
-    """Add the pull of far boxes, a multiple of `LANES`, to the local expansion of box a."""
+def _add_far(fars: int, depth: int, a: int, tree: MultipoleBoxes, law: MultipoleLaw, own: WalkBuffers) -> None:
+    """Add the gravity of far boxes, a multiple of `LANES`, to the local expansion of box a."""
+    boxes, poles, unit, soft = tree.boxes, tree.poles, law.unit, law.eps2 * law.unit * law.unit
+    far, expansion, local = own.far, own.expansion, own.local
     for c in range(LOCAL * LANES):
         expansion[c] = 0.0
     for k in range(0, fars, LANES):
@@ -272,22 +263,20 @@ def _attract(
 
 
 @unowned
-def _pull(
+def _add_near(
     nears: int,
-    near: IntArray,
     is_over: bool,
     depth: int,
     a: int,
     tree: MultipoleBoxes,
     law: MultipoleLaw,
-    local: FloatArray,
-    lanes: FloatArray,
-    acceleration: FloatArray,
-    potential: FloatArray,
+    own: WalkBuffers,
+    sums: MultipoleSums,
 ) -> None:
-    """Add the pull of the bodies of near boxes on those of box a, and at last that of its local expansion."""
+    """Add the gravity of the bodies of near boxes at those of box a, and at last that of its local expansion."""
     boxes, x, m, body, G, eps2 = tree.boxes, tree.x, tree.m, tree.body, law.G, law.eps2
-    own = own_potential(eps2)
+    near, local, lanes, acceleration, potential = own.near, own.local, own.lanes, sums.acceleration, sums.potential
+    of_itself = own_potential(eps2)
     A = boxes[a]
     for i in range(A.first, A.last, LANES):
         width = min(LANES, A.last - i)
@@ -306,10 +295,10 @@ def _pull(
             while k < nears and boxes[near[k]].first == j1:
                 j1 = boxes[near[k]].last
                 k += 1
-            pull_of_bodies(x, m, j0, j1, eps2, lanes)
+            attract_bodies(x, m, j0, j1, eps2, lanes)
         factor = G if is_over else 1.0
         for k in range(width):
             j = body[i + k]
             acceleration[j, 0], acceleration[j, 1] = factor * lanes[AX, k], factor * lanes[AY, k]
             acceleration[j, 2] = factor * lanes[AZ, k]
-            potential[j] = -G * (lanes[PHI, k] - own * m[i + k]) if is_over else lanes[PHI, k]
+            potential[j] = -G * (lanes[PHI, k] - of_itself * m[i + k]) if is_over else lanes[PHI, k]

@@ -18,13 +18,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.aligned import Buffer
 from carom.physics.forces.gravity.boxes import RANGE, Boxes
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
-from carom.physics.forces.gravity.fast_multipole.box_walk import ENTRY, MultipoleBoxes, MultipoleLaw, WalkBuffers, walk
+from carom.physics.forces.gravity.fast_multipole.box_walk import (
+    ENTRY,
+    MultipoleBoxes,
+    MultipoleLaw,
+    MultipoleSums,
+    WalkBuffers,
+    walk,
+)
 from carom.physics.forces.gravity.fast_multipole.taylor import (
     AXIS,
     CENTRE,
@@ -70,7 +76,7 @@ def describe(
     Parameters
     ----------
     count, first, last, skip
-        See `tree_build.Boxes`.
+        See `boxes.Boxes`.
     boxes
         (count,) `BOX`.
     branches
@@ -106,14 +112,11 @@ def describe(
 def expand(
     lo: int,
     hi: int,
-    turn: IntArray,
+    taken_so_far: IntArray,
     count: int,
     ranges: Records,
-    x: FloatArray,
-    m: FloatArray,
+    tree: MultipoleBoxes,
     unit: float,
-    boxes: Records,
-    poles: FloatArray,
     powers_of: FloatArray,
 ) -> None:
     """Write centre, radius and multipoles of all boxes of some ranges, the last box of each first.
@@ -122,23 +125,19 @@ def expand(
     ----------
     lo, hi
         Range of threads; each takes the next range of boxes until none is left.
-    turn
+    taken_so_far
         (1,), how many ranges were taken.
     count, ranges
         Number of ranges, and their boxes.
-    x, m
-        (3, n) m and (n,) kg, sorted.
     unit
         1/m; lengths are multiplied by it.
-    boxes, poles
-        (k,) `BOX` and (k, POLES).
     powers_of
         (threads, POLES) for v^n / n!.
     """
-    powers = powers_of[lo]
+    x, m, boxes, poles, powers = tree.x, tree.m, tree.boxes, tree.poles, powers_of[lo]
     powers[0] = 1.0
     while True:
-        taken = atomic_add(turn, 0, 1)
+        taken = atomic_add(taken_so_far, 0, 1)
         if taken >= count:
             return
         for b in range(ranges[taken].end - 1, ranges[taken].begin - 1, -1):
@@ -212,12 +211,12 @@ class FastMultipoleGravity:
         self._boxes, self._poles = Buffer(BOX), Buffer(np.float64, POLES)
         self._branches, self._trunk = np.empty(n, RANGE), np.empty(n, RANGE)
         self._potential = np.zeros(n)
-        self._turn = np.zeros(1, np.int64)  # how many pieces of work were taken
+        self._taken = np.zeros(1, np.int64)  # how many pieces of work were taken
         size, depth = self._team.size, min(n, DEEPEST) + 2
         self._powers = np.empty((size, LOCAL))
         self._needed = np.zeros(size, np.int64)
         # for each thread; untouched pages take no memory
-        self._lists = WalkBuffers(
+        self._buffers = WalkBuffers(
             far=np.empty((size, n + LANES), np.int64),
             near=np.empty((size, n), np.int64),
             opened=np.empty((size, depth), np.int64),
@@ -230,35 +229,34 @@ class FastMultipoleGravity:
         )
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `Pull`. The energy costs next to nothing."""
+        """Write the accelerations; see `GravityMethod`. The energy costs next to nothing."""
         nested = self._nested
         nested.sort(position)
         boxes, poles = self._boxes.take(nested.count), self._poles.take(nested.count + 1)
         order = nested.count, nested.first, nested.last, nested.skip
         branches, above = describe(*order, boxes, self._branches, self._trunk)
-        bodies = nested.position, nested.mass
+        tree = MultipoleBoxes(self._branches, boxes, poles, nested.position, nested.mass, nested.body)
         unit = _unit(nested.position)
-        self._expand(branches, self._branches, *bodies, unit, boxes, poles)
-        self._expand(above, self._trunk, *bodies, unit, boxes, poles)
+        self._expand(branches, self._branches, tree, unit)
+        self._expand(above, self._trunk, tree, unit)
         poles[-1] = 0.0
         poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit  # apart from all boxes
-        tree = MultipoleBoxes(self._branches, boxes, poles, *bodies, nested.body)
         law = MultipoleLaw(self._constant, self._softening_squared, self._angle_squared, unit)
-        found = acceleration, self._potential, self._needed
+        sums = MultipoleSums(acceleration, self._potential, self._needed)
         while True:
-            self._turn[0] = self._needed[:] = 0
-            self._team.divide(self._team.size, 1, walk, self._turn, branches, tree, law, self._lists, *found)
+            self._taken[0] = self._needed[:] = 0
+            self._team.divide(self._team.size, 1, walk, self._taken, branches, tree, law, self._buffers, sums)
             if not self._needed.any():
                 break
-            size, most = self._lists.left.shape
-            self._lists = self._lists._replace(left=np.empty((size, 2 * most), np.int64))
+            size, most = self._buffers.left.shape
+            self._buffers = self._buffers._replace(left=np.empty((size, 2 * most), np.int64))
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _expand(self, count: int, ranges: NDArray[np.void], *rest: object) -> None:
-        """Compute the multipoles of ranges of boxes; those above the branches in turn, by one thread."""
+    def _expand(self, count: int, ranges: Records, tree: MultipoleBoxes, unit: float) -> None:
+        """Compute the multipoles of ranges of boxes; those above the branches one after another, by one thread."""
         team = self._team if ranges is self._branches else SOLO
-        self._turn[0] = 0
-        team.divide(team.size, 1, expand, self._turn, count, ranges, *rest, self._powers)
+        self._taken[0] = 0
+        team.divide(team.size, 1, expand, self._taken, count, ranges, tree, unit, self._powers)
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> FastMultipoleGravity:

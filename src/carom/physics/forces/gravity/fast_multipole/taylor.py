@@ -209,8 +209,8 @@ def evaluate(typing: Any, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any
 
 
 @instruction
-def pull_of_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> Any:
-    """Add the pulls of bodies [begin, end) on eight others, pair by pair; a body does not pull itself.
+def attract_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> Any:
+    """Add the gravity of bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
 
     Parameters
     ----------
