@@ -115,6 +115,22 @@ def test_gauss_radau_agrees_with_the_exact_reference_to_rounding(folder: Path, s
     assert max(setting["errors"]["position"] for setting in study["settings"]) < 1e-12  # DOP853's tolerance is 1e-13
 
 
+def test_an_integrator_of_a_package_has_its_order_and_replays(folder: Path, site: Path) -> None:
+    (folder / "orbit.toml").write_text(
+        'time = { duration = 12.6, integrator = "pefrl" }\n[forces.trap]\nfrequency = 1.0\n'
+        "[[body]]\nposition = [1.0, 0, 0]\nvelocity = [0, 0.5, 0]\nradius = 0.1\nmass = 1.0\n",
+        encoding="utf-8",
+    )
+    errors = []
+    for dt in ("0.4", "0.2"):
+        said(folder, site, "run", "orbit.toml", "--set", f"time.fixed_dt={dt}", "-o", "pefrl.rrd", "--force")
+        errors.append(json.loads(said(folder, site, "inspect", "pefrl.rrd", "--json"))["energy"]["max_error"])
+    assert errors[0] / errors[1] == pytest.approx(2.0**4, rel=0.2)  # the next order adds (ω dt)², 0.16
+    assert "same bits" in said(folder, site, "replay", "pefrl.rrd")
+    without = carom(folder, None, "replay", "pefrl.rrd")
+    assert without.returncode == 2 and 'the integrator "pefrl" of the package carom-example 0.1.0' in without.stderr
+
+
 def test_the_series_of_a_package_is_recorded_where_the_scene_asks_for_it(folder: Path, site: Path) -> None:
     run(folder, site, "series.rrd")
     script = "import carom; print(max(carom.Recording.open('series.rrd').steps()['fastest'].to_pylist()))"

@@ -107,3 +107,33 @@ def test_an_engine_can_be_removed(engine: str, without: Callable[..., Carom]) ->
     run = without(f"lab/engines/{engine}.py")
     assert run("--help").returncode == 0
     assert f"--engine {engine}: unknown" in refusal(run("crosscheck", "two-spheres", "--engine", engine))
+
+
+PHYSICS = {  # part → a scene that needs it, and how the refusal calls it
+    "physics/integrators/gauss_radau": (["time.integrator=gauss-radau15"], 'integrator "gauss-radau15"'),
+    "physics/integrators/wisdom_holman": (["time.integrator=wisdom-holman"], 'integrator "wisdom-holman"'),
+    "physics/forces/gravity/tree.py": (["gravity.method=tree"], 'gravity method "tree"'),
+    "physics/forces/gravity/fast_multipole": (["gravity.method=fast-multipole"], 'gravity method "fast-multipole"'),
+    "physics/forces/drag.py": (["drag.relaxation_time=1.0"], 'force "drag"'),
+}
+
+
+@pytest.mark.parametrize("part", PHYSICS)
+def test_an_integrator_a_gravity_method_or_a_force_can_be_removed(part: str, without: Callable[..., Carom]) -> None:
+    run = without(part)
+    assert run("--help").returncode == 0
+    short = ["--set", "time.duration=0.05", "--set", "gravity.constant=1e-9"]
+    ended = run("run", "two-spheres", *short, "-o", "run.rrd")
+    assert ended.returncode == 0, ended.stderr
+    keeps = run("run", "two-spheres", *short[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
+    assert keeps.returncode == 0, keeps.stderr  # runs ahead need no other part
+    overrides, called = PHYSICS[part]
+    given = [word for override in overrides for word in ("--set", override)]
+    said = refusal(run("run", "two-spheres", *short, *given, "-o", "needs.rrd"))
+    assert called in said and "removed from this installation" in said
+
+
+def test_wisdom_holman_names_the_integrator_of_its_close_encounters(without: Callable[..., Carom]) -> None:
+    run = without("physics/integrators/gauss_radau")
+    said = refusal(run("run", "two-spheres", "--set", "time.integrator=wisdom-holman", "-o", "run.rrd"))
+    assert 'integrator "gauss-radau15"' in said

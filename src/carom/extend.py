@@ -162,6 +162,9 @@ if TYPE_CHECKING:
     from carom.scene.forces import BodyForce as BodyForce
     from carom.scene.forces import PairForce as PairForce
     from carom.scene.integrators import INTEGRATORS as INTEGRATORS
+    from carom.scene.integrators import Integrator as Integrator
+    from carom.scene.integrators import Substep as Substep
+    from carom.scene.integrators import integrator_called as integrator_called
     from carom.scene.key_places import DEEPEST as DEEPEST
     from carom.scene.key_places import is_too_deep as is_too_deep
     from carom.scene.key_places import line_of_long_key as line_of_long_key
@@ -236,7 +239,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "carom.scene.conversion": "converted rescaled",
     "carom.scene.data.body_sources": "DataFiles HeldBodies",
-    "carom.scene.integrators": "INTEGRATORS",
+    "carom.scene.integrators": "INTEGRATORS Integrator Substep integrator_called",
     "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
     "carom.recording.export.export": "Snapshot",
     "carom.scene.data.formats": "Arrays DataFormat DataTable",

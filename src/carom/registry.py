@@ -120,6 +120,12 @@ def origin(kind: str, name: str) -> PartOrigin | None:
     return origins[0] if origins else None
 
 
+def source_of(kind: str, name: str) -> str:
+    """Return the package and version that a part comes from, for messages; "carom" if it is one of its own."""
+    found = origin(kind, name)
+    return f"{found.package} {found.version}" if found else "carom"
+
+
 def load(kind: str, name: str) -> Any:
     """Return a part.
 

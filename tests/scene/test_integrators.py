@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from carom.scene.integrators import INTEGRATORS
+from carom import registry
+from carom.errors import SceneError
+from carom.plan.auto import integrator
+from carom.scene.extensions import extensions_of
+from carom.scene.integrators import INTEGRATORS, Integrator, Substep
+from carom.scene.schema import Scene
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -36,3 +42,33 @@ def test_the_table_of_the_docs_is_that_of_the_code() -> None:
     text = (DOCS / "physics.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `([\w-]+)` \| [^|]*[^|]*\|\s*(\d+) \| (\d) \|", text, re.MULTILINE)
     assert rows == [(each.name, str(each.order), str(each.force_sums)) for each in INTEGRATORS.values()]
+
+
+def test_a_scene_may_name_a_sequence_of_substeps_of_an_installed_package(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "given_integrators.py").write_text(
+        "from carom.extend import Integrator, Substep\n"
+        "ADJOINT = Integrator('adjoint-euler', 'Euler the other way round', 1, (Substep(0.0, 1.0, 1.0),))\n"
+        "OTHER = 7\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    given = {
+        name: (registry.Origin(f"given_integrators:{attribute}", "given", "1.0"),)
+        for name, attribute in (("adjoint-euler", "ADJOINT"), ("other", "OTHER"))
+    }
+    registry._installed.cache_clear()
+    monkeypatch.setattr(registry, "_all_installed", lambda: {"integrators": given})
+    sections: dict[str, Any] = {"body": [{"radius": 1.0, "mass": 1.0}]}
+    try:
+        scene = Scene.from_dict(sections | {"time": {"integrator": "adjoint-euler"}})
+        assert integrator(scene) == Integrator(
+            "adjoint-euler", "Euler the other way round", 1, (Substep(0.0, 1.0, 1.0),)
+        )
+        assert extensions_of(scene) == {"integrators.adjoint-euler": "given 1.0"}, "a recording names its package"
+        with pytest.raises(SceneError, match='the integrator "other" of the package given 1.0 is no `Integrator`'):
+            Scene.from_dict(sections | {"time": {"integrator": "other"}})
+        with pytest.raises(SceneError, match="must be 'auto', 'euler'"):
+            Scene.from_dict(sections | {"time": {"integrator": "leapfrgo"}})
+    finally:
+        registry._installed.cache_clear()

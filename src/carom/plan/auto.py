@@ -10,7 +10,7 @@ from carom.plan import contact_parts, pulls
 from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
 from carom.scene.forces import MOST_RELAXATIONS
-from carom.scene.integrators import AUTO, INTEGRATORS, Integrator
+from carom.scene.integrators import AUTO, INTEGRATORS, Integrator, integrator_called
 from carom.scene.matter import body_mass, made_of, mean_mass
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
@@ -167,7 +167,7 @@ def _largest_mass(scene: Scene) -> float:
 def integrator(scene: Scene) -> Integrator:
     """Decide how the motion is integrated: with a high order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:
-        return INTEGRATORS[scene.time.integrator]
+        return integrator_called(scene.time.integrator)
     if scene.time.accuracy is not None:
         promised = scene.promise.integrator if scene.promise else None
         return INTEGRATORS[promised or _accurate(scene)]

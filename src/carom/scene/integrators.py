@@ -9,14 +9,17 @@ on a Kepler orbit its energy oscillates a quarter as much, but its forces are th
 Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
 (Yoshida 1990, Phys. Lett. A 150, 262).
 
-Two integrators have no such row. The error of Gauss–Radau integration sets its step, and the shortest orbit that of
-Wisdom–Holman integration (`carom.physics.integrators.gauss_radau`, `carom.physics.integrators.wisdom_holman`).
+Installed packages may add such sequences. Two integrators have none: the error of Gauss–Radau integration sets its
+step, and the shortest orbit that of Wisdom–Holman integration (`carom.physics.integrators.gauss_radau`,
+`carom.physics.integrators.wisdom_holman`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import NamedTuple
+
+from carom import registry
 
 AUTO = "auto"  # in time.integrator: the scene decides
 
@@ -113,6 +116,26 @@ INTEGRATORS = {
         Integrator("wisdom-holman", "Wisdom–Holman about a dominant body (without contacts)", 2, (), hierarchical=True),
     )
 }
+
+
+def integrator_called(name: str) -> Integrator:
+    """Return an integrator by its name: one of carom's own, or a sequence of substeps of an installed package.
+
+    Raises
+    ------
+    ExtensionError
+        If there is none of that name, or it cannot be used.
+    """
+    own = INTEGRATORS.get(name)
+    if own is not None:
+        return own
+    given = registry.load("integrators", name)
+    if not (isinstance(given, Integrator) and given.name == name and given.substeps):
+        raise registry.ExtensionError(
+            f'the integrator "{name}" of the package {registry.source_of("integrators", name)} is no `Integrator` of '
+            "that name with substeps"
+        )
+    return given
 
 
 def described() -> str:

@@ -13,6 +13,7 @@ from carom.extend import (
     damping,
     gravity_method,
     integrator,
+    integrator_called,
     require,
     smoothing,
     texts_of,
@@ -148,7 +149,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
 
 def _controls_error(scene: Scene, point: GridPoint) -> bool:
     """Tell whether a factor on the step has no effect at a point."""
-    return INTEGRATORS[point.value("time.integrator") or integrator(scene).name].controls_error
+    return integrator_called(point.value("time.integrator") or integrator(scene).name).controls_error
 
 
 def default_settings(scene: Scene) -> list[Setting]:

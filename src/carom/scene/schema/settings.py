@@ -5,10 +5,19 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, AliasChoices, BeforeValidator, Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasChoices,
+    BeforeValidator,
+    Field,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    field_validator,
+    model_validator,
+)
 
 from carom import registry
-from carom.scene.integrators import AUTO, INTEGRATORS, described
+from carom.scene.integrators import AUTO, INTEGRATORS, described, integrator_called
 from carom.scene.parts import PARTS, unknown
 from carom.scene.schema.quantity import Count, Positive, Section
 from carom.scene.units.dimension import LENGTH, TIME
@@ -32,10 +41,20 @@ class Units(Section):
     )
 
 
+def _installed_or_own(value: Any, own: ValidatorFunctionWrapHandler) -> Any:
+    """Accept the name of an integrator of an installed package; others must be carom's own."""
+    if isinstance(value, str) and value not in (AUTO, *INTEGRATORS) and value in registry.installed("integrators"):
+        try:
+            return integrator_called(value).name
+        except registry.ExtensionError as error:
+            raise ValueError(str(error)) from error
+    return own(value)
+
+
 if TYPE_CHECKING:
     IntegratorName = str
 else:
-    IntegratorName = Literal[(AUTO, *INTEGRATORS)]
+    IntegratorName = Annotated[Literal[(AUTO, *INTEGRATORS)], WrapValidator(_installed_or_own)]
 
 
 LARGEST_ACCURACY = 1e-2
@@ -114,7 +133,7 @@ class Time(Section):
                 f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove the one or the other "
                 f"(the {way})"
             )
-        if self.integrator != AUTO and not INTEGRATORS[self.integrator].keeps_accuracy:
+        if self.integrator != AUTO and not integrator_called(self.integrator).keeps_accuracy:
             others = ", ".join(f'"{each.name}"' for each in INTEGRATORS.values() if each.keeps_accuracy)
             raise ValueError(
                 f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
