@@ -54,7 +54,7 @@ def test_a_scene_may_name_a_sequence_of_substeps_of_an_installed_package(
     )
     monkeypatch.syspath_prepend(tmp_path)
     given = {
-        name: (registry.Origin(f"given_integrators:{attribute}", "given", "1.0"),)
+        name: (registry.PartOrigin(f"given_integrators:{attribute}", "given", "1.0"),)
         for name, attribute in (("adjoint-euler", "ADJOINT"), ("other", "OTHER"))
     }
     registry._installed.cache_clear()
@@ -66,7 +66,7 @@ def test_a_scene_may_name_a_sequence_of_substeps_of_an_installed_package(
             "adjoint-euler", "Euler the other way round", 1, (Substep(0.0, 1.0, 1.0),)
         )
         assert extensions_of(scene) == {"integrators.adjoint-euler": "given 1.0"}, "a recording names its package"
-        with pytest.raises(SceneError, match='the integrator "other" of the package given 1.0 is no `Integrator`'):
+        with pytest.raises(SceneError, match=r"the package given 1[.]0 is no"):
             Scene.from_dict(sections | {"time": {"integrator": "other"}})
         with pytest.raises(SceneError, match="must be 'auto', 'euler'"):
             Scene.from_dict(sections | {"time": {"integrator": "leapfrgo"}})
