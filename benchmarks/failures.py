@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from carom.lab.fork.branch import Branch, results_of, start_of
-from carom.lab.fork.ensemble import ensemble
-from carom.lab.fork.fork import fork
+from carom.lab.fork.fork import ensemble, fork
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
 from carom.physics.jit.cores import cores

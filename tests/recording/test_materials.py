@@ -12,7 +12,7 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import ShownMaterials

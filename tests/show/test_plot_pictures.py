@@ -11,7 +11,7 @@ from PIL import Image
 
 from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import energy_view, place_legend
-from carom.recording.read.recorded_header import recorded_curves
+from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.palette import LINES, PLOT_GROUNDS
 from carom.recording.write.recorder import FrameRecorder

@@ -13,7 +13,7 @@ from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import View
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.write.rows import Rows

@@ -18,7 +18,7 @@ from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.layout.canvas import Canvas
 from carom.recording.read.frame_rows import RecordedPositions
-from carom.recording.read.recorded_header import header_of_recording, recorded_curves
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale

@@ -13,7 +13,7 @@ from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
-from carom.recording.read.recorded_header import header_of_recording, recorded_curves
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header

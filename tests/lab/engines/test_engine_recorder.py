@@ -12,7 +12,7 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.recording.read.recorded_header import header_of_recording
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.adapters.package import engine_package

@@ -12,8 +12,7 @@ import pytest
 import carom
 from carom.errors import ExperimentError
 from carom.lab.fork.branch import Branch, PerturbedResult, PerturbedTask, by_seed, execute, outcome_of, start_of
-from carom.lab.fork.ensemble import Chance, Ensemble, chances, ensemble, inevitable, judge
-from carom.lab.fork.fork import fork, text_of, write_ensemble
+from carom.lab.fork.fork import Chance, Ensemble, chances, ensemble, fork, inevitable, judge, text_of, write_ensemble
 from carom.plan.auto import frame_interval, integrator
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
@@ -175,7 +174,7 @@ def test_the_growth_of_forks_is_the_growth_that_diff_finds(gas: Path, tmp_path: 
 def test_an_unknown_name_in_an_outcome_is_refused_before_a_branch_is_run(
     gas: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("carom.lab.fork.ensemble.path_of", None)
+    monkeypatch.setattr("carom.lab.fork.fork.path_of", None)
     with pytest.raises(ExperimentError, match=r'--outcome contacts\.impact > 1: .* did you mean "contacts\.impacts"'):
         many(gas, 7.8, 1, "contacts.impact > 1")
 

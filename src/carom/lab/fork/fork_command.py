@@ -27,8 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from carom.lab.fork.branch import Branch, ForkStart
-    from carom.lab.fork.ensemble import Ensemble, Inevitable
-    from carom.lab.fork.fork import Fork
+    from carom.lab.fork.fork import Ensemble, Fork, Inevitable
 
 MOST_SEEDS, MOST_TIMES = 100_000, 1000
 DEFAULT_TIMES = 8
@@ -170,8 +169,7 @@ def _many(
 
     from carom.extend import TIME, LocalWorkers, cores
     from carom.lab.fork.branch import PerturbedTask, by_seed, outcome_of, results_of
-    from carom.lab.fork.ensemble import Chance, chances, ensemble, inevitable
-    from carom.lab.fork.fork import write_ensemble
+    from carom.lab.fork.fork import Chance, chances, ensemble, inevitable, write_ensemble
 
     units = start.scene.unit_system
     expression = None if outcome is None else outcome_of(start, outcome)  # a mistake is found before the workers start

@@ -15,7 +15,7 @@ from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
 from carom.recording.read.frame_tables import rising
-from carom.recording.read.recorded_header import header_of_recording, recorded_curves
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.read.statics import UNFINISHED
 from carom.recording.rrd.container import Container

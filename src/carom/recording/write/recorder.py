@@ -21,8 +21,8 @@ from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit, corners_of
 from carom.recording.read.continuation import Continuation
-from carom.recording.read.recorded_header import recorded_curves
 from carom.recording.read.recorded_impacts import RecordedImpacts
+from carom.recording.read.recorded_scene import recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.checkpoint_columns import size
 from carom.recording.schema.header import Header, Scalar
