@@ -16,7 +16,7 @@ import numpy as np
 from carom import Recording
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import TIME, Names, UnitSystem, impacts_by_number, whole_file
+from carom.extend import TIME, Names, impacts_by_number, whole_file
 from carom.lab.compared_run import Trajectory
 from carom.lab.tradeoff.reference import Reference
 from carom.lab.tradeoff.setting_results import SettingResult
@@ -223,19 +223,15 @@ def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Sett
         time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
         width = WIDEST - (WIDEST - 1.0) * number / len(runs)
         ax.plot(time, shown, style, color=colours[engine], linewidth=width, label=result.setting.name)
-        _mark(ax, check.examinations.get(result.setting.name), time, shown, colours[engine], units)
+        # mark the first frame that broke each law
+        examination = check.examinations.get(result.setting.name)
+        for broken in () if examination is None else examination.laws.values():
+            at = units.shown(broken["time"], TIME)
+            if len(time) and at <= time[-1]:
+                ax.plot(at, np.interp(at, time, shown), "x", color=colours[engine], markersize=8, mew=2.0)
 
 
 def colours_of(engines: Iterable[str]) -> dict[str, str]:
     """Return the colours of the runs of each engine, in the order in which they are named; carom has no name."""
     names = [name for name in dict.fromkeys(engines) if name]
     return {"": OWN_COLOUR} | {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}
-
-
-def _mark(ax: Any, examination: Any, time: Any, distance: Any, colour: str, units: UnitSystem) -> None:
-    """Mark the first frame that broke each law."""
-    laws = {} if examination is None else examination.laws
-    for broken in laws.values():
-        at = units.shown(broken["time"], TIME)
-        if len(time) and at <= time[-1]:
-            ax.plot(at, np.interp(at, time, distance), "x", color=colour, markersize=8, mew=2.0)

@@ -101,7 +101,12 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
-    allowed = _allowed(curve, divergence, first)
+    # bound the size (m) to which round-off can have grown since the last identical frame
+    before = max(0, first - 1)
+    steps = max(1, int(curve.step[first] - curve.step[before]))
+    rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
+    stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
+    allowed = float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
     how = _grows(curve, divergence, units)
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
     seen = apart if jump else f"less than the {resolved} that the recording resolves"
@@ -124,15 +129,6 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
         return DiffVerdict("small", text, first, jump, allowed)
     kind = "chaos" if divergence.is_exponential else "drift"
     return DiffVerdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
-
-
-def _allowed(curve: DistanceCurve, divergence: Divergence | None, first: int) -> float:
-    """Bound the size (m) to which round-off can have grown since the last identical frame."""
-    before = max(0, first - 1)
-    steps = max(1, int(curve.step[first] - curve.step[before]))
-    rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
-    stretched = np.exp(min(rate * (curve.time[first] - curve.time[before]), 700.0))
-    return float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
 
 
 def _alike(curve: DistanceCurve) -> str:

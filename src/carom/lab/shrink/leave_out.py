@@ -112,7 +112,7 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
         if found is not None:
             kept, parts = pieces[found], 2
             continue
-        rests = [_without(pieces, k) for k in range(len(pieces))]
+        rests = [[item for piece in pieces[:k] + pieces[k + 1 :] for item in piece] for k in range(len(pieces))]
         found = first(rests)
         if found is not None:
             kept, parts = rests[found], max(2, len(pieces) - 1)
@@ -127,10 +127,6 @@ def _split(items: list[Item], parts: int) -> list[list[Item]]:
     """Split items into parts of nearly equal lengths."""
     ends = [len(items) * k // parts for k in range(parts + 1)]
     return [items[lo:hi] for lo, hi in itertools.pairwise(ends)]
-
-
-def _without(pieces: list[list[Item]], k: int) -> list[Item]:
-    return [item for piece in pieces[:k] + pieces[k + 1 :] for item in piece]
 
 
 # Drops parts of the model in the order of requirements, then every key whose default does as well.

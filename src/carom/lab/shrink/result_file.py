@@ -77,7 +77,10 @@ def _history(reduction: Reduction) -> list[str]:
     if reduction.steps > steps:  # fewer bodies may take other steps
         taken = f"{counted(reduction.steps, 'step')}, where the scene took {steps}"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
-    found = "; ".join(_told(stage) for stage in _turns(reduction.stages))
+    found = "; ".join(
+        f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
+        for stage in _turns(reduction.stages)
+    )
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
     return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]
 
@@ -90,10 +93,6 @@ def _turns(stages: list[Stage]) -> list[Stage]:
         if not known or (stage.bodies, stage.steps) != (told[-1].bodies, told[-1].steps):
             told.append(stage)
     return told
-
-
-def _told(stage: Stage) -> str:
-    return f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
 
 
 def write(path: Path, text: str) -> None:

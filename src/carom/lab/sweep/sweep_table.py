@@ -89,16 +89,12 @@ def known(key: str, rows: Sequence[Row]) -> str:
     raise ExperimentError(f"{key}: no such column; {suggestion(key, columns)}")
 
 
-def _parsed(condition: str, rows: Sequence[Row]) -> tuple[str, Callable[[Any, Any], Any], str]:
+def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
+    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
-    return known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
-
-
-def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
-    key, compare, wanted = _parsed(condition, rows)
+    key, compare, wanted = known(matched[1], rows), _COMPARISONS[matched[2]], matched[3]
     values = [row[key] for row in rows]
     there = [value for value in values if value is not None]
     met = [None if value is None else _compared(value, compare, wanted) for value in values]

@@ -92,16 +92,14 @@ class ImpulseAudit:
         fastest = max(self._fastest, _largest(bodies.velocity), _largest(turning), float(given.speed.max(initial=0.0)))
         worst = int(errors.argmax())
         of_bodies = float(errors[worst]) / fastest if fastest > 0.0 else 0.0
-        of_ledger = self._error_of_ledger(work, _terms(ledger))
-        if of_ledger > of_bodies:
-            return of_ledger, ()
-        return of_bodies, (worst,) if of_bodies > 0.0 else ()
-
-    def _error_of_ledger(self, work: FloatArray, now: FloatArray) -> float:
+        now = _terms(ledger)
         summed = np.abs(work).sum(axis=0)
         scale = max(float(np.abs(now).max()), float(np.abs(self._ledger).max()), float(summed.max()))
         error = float(np.abs(now - self._ledger - work.sum(axis=0)).max())
-        return error / scale if scale > 0.0 else 0.0
+        of_ledger = error / scale if scale > 0.0 else 0.0
+        if of_ledger > of_bodies:
+            return of_ledger, ()
+        return of_bodies, (worst,) if of_bodies > 0.0 else ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -376,17 +376,17 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
     before = np.flatnonzero(steps < cut.first)
     if chunk.entity_path in _STATES and len(before) and not np.any(steps == cut.first):
         inside[before[-1]] = True
-        return _moved(chunk.entity_path, chunk.batch.filter(pa.array(inside)), cut)
+        # move rows from before the cut to its first frame
+        batch = chunk.batch.filter(pa.array(inside))
+        early = pc.less(batch[STEP], cut.first)
+        shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))
+        moved = {STEP: pc.if_else(early, pa.scalar(cut.first), batch[STEP])}
+        moved[SIM_TIME] = pc.if_else(early, shown, batch[SIM_TIME])
+        return Chunk(
+            chunk.entity_path,
+            pa.record_batch([moved.get(n, batch[n]) for n in batch.schema.names], schema=batch.schema),
+        )
     return Chunk(chunk.entity_path, chunk.batch.filter(pa.array(inside)))
-
-
-def _moved(path: str, batch: pa.RecordBatch, cut: _Cut) -> Chunk:
-    """Move rows from before the cut to its first frame."""
-    early = pc.less(batch[STEP], cut.first)
-    shown = pa.scalar(cut.first_shown, pa.int64()).cast(pa.duration("ns"))
-    moved = {STEP: pc.if_else(early, pa.scalar(cut.first), batch[STEP])}
-    moved[SIM_TIME] = pc.if_else(early, shown, batch[SIM_TIME])
-    return Chunk(path, pa.record_batch([moved.get(n, batch[n]) for n in batch.schema.names], schema=batch.schema))
 
 
 def _start(recording: Recording, cut: _Cut) -> Chunk | None:

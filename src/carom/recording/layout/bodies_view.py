@@ -139,7 +139,8 @@ def has_graph(header: Header) -> bool:
 
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
-    view = camera.view(area.aspect, _arrows(header))
+    # how far (m) arrows of medium length reach out of the bodies
+    view = camera.view(area.aspect, arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0)
     return spatial_view(
         _name(header),
         view,
@@ -157,11 +158,6 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
 def _name(header: Header) -> str:
     edges = "Impulses" if header.records_contacts else "Collision graph"
     return f"{edges}, torques, angular accelerations" if header.has_torque else edges
-
-
-def _arrows(header: Header) -> float:
-    """Return how far (m) arrows of medium length reach out of the bodies."""
-    return arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
 
 
 def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:

@@ -45,7 +45,11 @@ class CurveOutline:
         """Add values that are finite; times (s) follow those added before."""
         finite = np.isfinite(value)
         time, value = time[finite], value[finite]
-        self._see_between(value)
+        if len(value):
+            later = np.concatenate((self._last, value if self._begun else value[1:]))
+            low, high = self._between
+            self._between = float(later[:-1].min(initial=low)), float(later[:-1].max(initial=high))
+            self._last, self._begun = later[-1:], True
         self._time = np.concatenate((self._time, time))
         self._low, self._high = np.concatenate((self._low, value)), np.concatenate((self._high, value))
         while len(self._time) > 2 * _SPANS:
@@ -57,13 +61,6 @@ class CurveOutline:
         place, value = np.searchsorted(self._time, time[finite], side="right"), value[finite]
         self._time = np.insert(self._time, place, time[finite])
         self._low, self._high = np.insert(self._low, place, value), np.insert(self._high, place, value)
-
-    def _see_between(self, value: FloatArray) -> None:
-        if len(value):
-            later = np.concatenate((self._last, value if self._begun else value[1:]))
-            low, high = self._between
-            self._between = float(later[:-1].min(initial=low)), float(later[:-1].max(initial=high))
-            self._last, self._begun = later[-1:], True
 
     @property
     def largest(self) -> float:

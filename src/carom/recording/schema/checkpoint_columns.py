@@ -123,12 +123,8 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
             arrays |= {_ORBITS + name: getattr(carried.orbits, name) for name in ("series", *_ORBIT_ARRAYS)}
     row = {name: np.asarray(array, dtype=np.float64).ravel() for name, array in arrays.items() if array is not None}
     contacts = {} if checkpoint.contacts is None else _contacts_of(checkpoint.contacts)
-    return {**row, "books": [_books(checkpoint.books)], **contacts}
-
-
-def _books(books: Books) -> str:
-    """Return the books as JSON; parts that the run does not model or audit take no byte."""
-    return json.dumps(_plain(books))
+    # the books as JSON; parts that the run does not model or audit take no byte
+    return {**row, "books": [json.dumps(_plain(checkpoint.books))], **contacts}
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import IntArray
 
 ORANGE = 0xE69F00FF
 SKY = 0x56B4E9FF
@@ -97,7 +97,12 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
         turn[single] = group.max() + 1 + np.arange(len(single))
     hue = np.array(BODIES, dtype=np.uint32)[turn % len(BODIES)]
     darker = np.zeros(count) if few else _SHADE * ((np.arange(count) * _GOLDEN) % 1.0)
-    return _shaded(hue, np.asarray(1.0 - darker))
+    shade = np.asarray(1.0 - darker)
+    result = np.full(len(hue), 0xFF, dtype=np.uint32)
+    for shift in (24, 16, 8):
+        channel = ((hue >> np.uint32(shift)) & np.uint32(0xFF)) * shade
+        result |= channel.astype(np.uint32) << np.uint32(shift)
+    return result
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:
@@ -111,11 +116,3 @@ def name_of(colour: int) -> str:
     """Name a colour, or write it as #rrggbb."""
     names = {value: name.replace("-", " ") for name, value in NAMED.items()}
     return names.get(colour, f"#{colour >> 8:06x}")
-
-
-def _shaded(colours: NDArray[np.uint32], shade: FloatArray) -> NDArray[np.uint32]:
-    result = np.full(len(colours), 0xFF, dtype=np.uint32)
-    for shift in (24, 16, 8):
-        channel = ((colours >> np.uint32(shift)) & np.uint32(0xFF)) * shade
-        result |= channel.astype(np.uint32) << np.uint32(shift)
-    return result

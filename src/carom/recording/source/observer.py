@@ -129,7 +129,13 @@ class Observer:
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
             self.extremes.add_contacts(step, time, statistics)
-        self._see_energy(step, time, energy)
+        # update the extremes of the energy; what soft contacts give back is no gain
+        extremes = self.extremes
+        extremes.add_energy(step, time, energy)
+        self._lowest_error = min(self._lowest_error, energy.integration_error)
+        gain = energy.relative(energy.integration_error - self._lowest_error)
+        self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
+        extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
         self.extremes.add_momentum(step, time, momentum)
         return events
 
@@ -178,15 +184,6 @@ class Observer:
             wrong = pairs[(pairs < 0) | (pairs >= ends)][0]
             raise RecordingError(f"{self.setup.engine}: contacts names {wrong}; bodies and planes are 0 to {ends - 1}")
         return pairs.reshape(-1, 2)
-
-    def _see_energy(self, step: int, time: float, energy: Energy) -> None:
-        """Update the extremes of the energy; what soft contacts give back is no gain."""
-        extremes = self.extremes
-        extremes.add_energy(step, time, energy)
-        self._lowest_error = min(self._lowest_error, energy.integration_error)
-        gain = energy.relative(energy.integration_error - self._lowest_error)
-        self._gain = Extreme(gain, step, time) if gain > self._gain.value else self._gain
-        extremes.energy_gain, extremes.contact_gain = self._gain, NOTHING
 
     def _statistics(self, contacts: CollisionGraph, seen: AuditFinding) -> ContactStatistics:
         deepest, pair = 0.0, (0, 0)
