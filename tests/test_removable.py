@@ -6,6 +6,7 @@ one sentence what is missing, and ends with exit code 2.
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -16,6 +17,8 @@ from pathlib import Path
 import pytest
 
 import carom
+import carom.record
+from carom import registry
 
 pytestmark = pytest.mark.slow
 
@@ -46,9 +49,9 @@ def without(tmp_path: Path) -> Callable[..., Carom]:
             kept = [line for line in lines if not any(f'"{module}' in line for module in modules)]
             (copy / name).write_text("".join(kept), encoding="utf-8")
 
-        def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        def run(*arguments: str, script: str = "") -> subprocess.CompletedProcess[str]:
             return subprocess.run(
-                [sys.executable, "-m", "carom", *arguments],
+                [sys.executable, *(("-c", script) if script else ("-m", "carom")), *arguments],
                 cwd=tmp_path,
                 env=os.environ | {"PYTHONPATH": str(copy.parent), "COLUMNS": "200"},
                 capture_output=True,
@@ -82,6 +85,88 @@ def test_a_tool_that_is_built_on_a_missing_one_names_it(without: Callable[..., C
     run = without("lab/shrink", "lab/tradeoff")
     assert "carom.lab.shrink" in refusal(run("hunt", "--scenes", "1", "-o", "misses"))
     assert "carom.lab.tradeoff" in refusal(run("crosscheck", "two-spheres", "--engine", "rebound"))
+
+
+OPTIONAL = {  # module → one of its names in scenes and commands
+    "scene/data/arrow_tables.py": "csv",
+    "scene/data/numpy_tables.py": "npz",
+    "scene/data/hdf5_tables.py": "h5",
+    "scene/data/rebound_tables.py": "bin",
+    "recording/export/csv_parquet.py": "csv",
+    "recording/export/npz.py": "npz",
+    "recording/export/extended_xyz.py": "extxyz",
+    "recording/export/vtk.py": "vtk",
+    "physics/placement/lattice.py": "cubic",
+    "physics/placement/growth.py": "compressed",
+    "physics/placement/plummer.py": "plummer",
+}
+GROUP = """
+time = {{ duration = 0.01, fixed_dt = 0.01 }}
+[[group]]
+count = 2
+radius = 0.1
+{group}
+"""
+ARRANGED = 'arrangement = "{name}"\nregion = {{ shape = "ball", radius = 1.0 }}'
+
+
+READ = """
+import sys, carom
+for name in sys.argv[1:]:
+    try:
+        carom.Space(carom.Scene.load(name))
+    except carom.SceneError as error:
+        print(error)
+"""
+
+
+def test_formats_and_placements_can_be_removed(without: Callable[..., Carom], tmp_path: Path) -> None:
+    run = without(*OPTIONAL)
+    (tmp_path / "random.toml").write_text(GROUP.format(group=ARRANGED.format(name="random")), encoding="utf-8")
+    ended = run("run", "random.toml", "-o", "run.rrd")
+    assert ended.returncode == 0, ended.stderr
+    scenes = dict[str, str]()  # file → what its message says
+    for part, name in OPTIONAL.items():
+        if part.startswith("scene/"):
+            (tmp_path / f"bodies.{name}").write_text("", encoding="utf-8")
+            text, missing = f'[[bodies]]\nfile = "bodies.{name}"\n', f'no format has the ending ".{name}"'
+        else:
+            region = 'region = { shape = "plummer", scale = 1.0 }'
+            text = GROUP.format(group=region if name == "plummer" else ARRANGED.format(name=name))
+            missing = f'no placement of bodies "{name}"'
+        if not part.startswith("recording/"):
+            (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+            scenes[f"{name}.toml"] = missing
+    messages = run(*scenes, script=READ).stdout.splitlines()
+    for message, (scene, missing) in zip(messages, scenes.items(), strict=True):
+        assert missing in message, scene
+    for scene in ("npz.toml", "fcc.toml"):  # as a command says it, and its exit code
+        (tmp_path / "fcc.toml").write_text(GROUP.format(group=ARRANGED.format(name="fcc")), encoding="utf-8")
+        assert "there are" in refusal(run("run", scene, "-o", "needs.rrd"))
+    assert 'the format ".vtk" is unknown' in refusal(run("export", "run.rrd", "-o", "run.vtk"))
+
+
+def test_nothing_imports_a_format_or_a_placement_but_the_registry() -> None:
+    """With the test above, in which all are missing, it follows that each can be removed alone."""
+    modules = [part.removesuffix(".py").replace("/", ".") for part in OPTIONAL]
+    adapters = HOUSE / "recording" / "source" / "adapters"
+    modules += [f"recording.source.adapters.{path.stem}" for path in adapters.glob("*.py")]
+    for path in HOUSE.rglob("*.py"):
+        if path == HOUSE / "extend.py" or path.parent == adapters:  # extend imports names at their first use
+            continue
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom):
+                named = {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+                assert not named & {f"carom.{module}" for module in modules}, path
+
+
+@pytest.mark.parametrize("engine", ["rebound", "mujoco", "box3d", "pybullet", "newton"])
+def test_an_adapter_can_be_removed(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = {name: row for name, row in registry.HOUSE["engine_records"].items() if name != engine}
+    monkeypatch.setattr(registry, "HOUSE", {**registry.HOUSE, "engine_records": rows})
+    with pytest.raises(AttributeError, match=f'no engine that is recorded "{engine}"'):
+        getattr(carom.record, engine)
+    assert all(callable(getattr(carom.record, other)) for other in rows)
 
 
 def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom]) -> None:

@@ -11,14 +11,19 @@ Any object with a `Model` and a method ``state`` that returns a `State` is a `So
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
+from carom import registry
 from carom.lab.engines.engine_recorder import Recorder
-from carom.recording.source.adapters.box3d_source import box3d
-from carom.recording.source.adapters.mujoco_source import mujoco
-from carom.recording.source.adapters.newton_source import newton
-from carom.recording.source.adapters.pybullet_source import pybullet
-from carom.recording.source.adapters.rebound_source import rebound
 from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.source import Model, Plane, Source, State
+
+if TYPE_CHECKING:
+    from carom.recording.source.adapters.box3d_source import box3d
+    from carom.recording.source.adapters.mujoco_source import mujoco
+    from carom.recording.source.adapters.newton_source import newton
+    from carom.recording.source.adapters.pybullet_source import pybullet
+    from carom.recording.source.adapters.rebound_source import rebound
 
 __all__ = [
     "Fault",
@@ -34,3 +39,13 @@ __all__ = [
     "pybullet",
     "rebound",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import what records an engine at its first use."""
+    if name.startswith("_"):
+        raise AttributeError(f"module 'carom.record' has no attribute {name!r}")
+    try:
+        return registry.load("engine_records", name)
+    except registry.ExtensionError as error:
+        raise AttributeError(f"carom.record.{name}: {error}") from None

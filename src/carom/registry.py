@@ -27,9 +27,11 @@ KINDS = {  # kind → what a message calls one of them
     "integrators": "integrator",
     "gravity_methods": "gravity method",
     "series": "recorded series",
+    "placements": "placement of bodies",
     "data_formats": "data format",
     "export_formats": "export format",
     "engines": "engine",
+    "engine_records": "engine that is recorded",
     "commands": "command",
 }
 HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name → module:attribute
@@ -46,6 +48,14 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
     "integrators": {  # those that choose their own steps; the others are sequences of kicks and drifts
         "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
+    },
+    "placements": {  # arrangements of groups, and the shape of a region that brings its own velocities
+        "random": "carom.physics.placement.random_placement:RANDOM",
+        "compressed": "carom.physics.placement.growth:COMPRESSED",
+        "cubic": "carom.physics.placement.lattice:LATTICE",
+        "fcc": "carom.physics.placement.lattice:LATTICE",
+        "hcp": "carom.physics.placement.lattice:LATTICE",
+        "plummer": "carom.physics.placement.plummer:PLUMMER",
     },
     "data_formats": {
         "csv": "carom.scene.data.arrow_tables:CSV",
@@ -72,6 +82,13 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
         "box3d": "carom.lab.engines.box3d:Box3D",
         "pybullet": "carom.lab.engines.pybullet:PyBullet",
         "newton": "carom.lab.engines.newton:Newton",
+    },
+    "engine_records": {  # functions of `carom.record`
+        "rebound": "carom.recording.source.adapters.rebound_source:rebound",
+        "mujoco": "carom.recording.source.adapters.mujoco_source:mujoco",
+        "box3d": "carom.recording.source.adapters.box3d_source:box3d",
+        "pybullet": "carom.recording.source.adapters.pybullet_source:pybullet",
+        "newton": "carom.recording.source.adapters.newton_source:newton",
     },
 }
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from carom.__main__ import main
-from carom.physics.placement import initial_state
+from carom.physics.placement import random_placement
 from carom.scene.schema import BodyGroup
 
 SCENE = """
@@ -48,6 +48,6 @@ if __name__ == "__main__":
     count, output = int(sys.argv[1]), Path(sys.argv[2])
     scene = output.with_suffix(".toml")
     scene.write_text(SCENE.format(count=count, side=1.8 * count ** (1 / 3) + 2.0), encoding="utf-8")
-    initial_state._arranged = arranged  # type: ignore[assignment]
+    random_placement.RANDOM = random_placement.RANDOM._replace(arrange=arranged)
     sys.argv = ["carom", "run", str(scene), "-o", str(output)]
     main()

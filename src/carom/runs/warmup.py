@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.jit.decorators import Compilations, cache_folder
 from carom.physics.jit.thread_team import load_helpers, sharing_all
 from carom.private_folder import temporary_folder
+from carom.registry import ExtensionError
 from carom.runs.run import run
 from carom.scene.schema import Scene
 
@@ -133,7 +135,8 @@ def warm_up() -> Warmth:
     began = time.perf_counter()
     with Compilations() as compilations, temporary_folder() as folder, sharing_all():
         for name, document in SCENES.items():
-            run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
+            with contextlib.suppress(ExtensionError):  # a part that has been removed
+                run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
         nothing = np.empty(0, dtype=np.int64)
         number_sets(nothing, nothing, nothing)  # for the audit of other engines
         load_helpers()

@@ -12,7 +12,7 @@ from carom.extend import InitialBodies, Interrupts, Schedule, counted, every, pl
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
-from carom.lab.shrink.literal import Document, Moment, at_moment, literal, with_value
+from carom.lab.shrink.literal import Document, BodyStates, at_moment, literal, with_value
 from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials, observe
 
 ROOM = 200_000_000  # bytes of states that are kept of a run
@@ -24,15 +24,15 @@ STEPS_AFTER = (0, 1, 3)  # steps to add after the failure, where a shorter run t
 class Chronicle:
     """The states of a run, thinned where there are too many, up to the first that shows the failure."""
 
-    moments: list[Moment] = field(default_factory=list)
-    end: Moment | None = None  # the last state; the first that shows the failure, if one does
+    moments: list[BodyStates] = field(default_factory=list)
+    end: BodyStates | None = None  # the last state; the first that shows the failure, if one does
     shown: bool = False  # whether it does
     _gap: int = 1  # frames from one kept state to the next
     _frames: int = 0
 
     def keep(self, frame: Frame) -> None:
         """Keep a state, or drop every other one when there is no room."""
-        self.end = Moment.of(frame)
+        self.end = BodyStates.of(frame)
         if self._frames % self._gap == 0:
             self.moments.append(self.end)
             if len(self.moments) * self.end.size > ROOM:
@@ -81,7 +81,7 @@ def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
     return _begin_by_bisection(smallest, kept) or ended
 
 
-def end_at(smallest: Smallest, end: Moment) -> bool:
+def end_at(smallest: Smallest, end: BodyStates) -> bool:
     """End the smallest scene at a moment; later if the last step, which is cut, shows nothing."""
     document, whole = smallest.document, smallest.scene.time.duration
     for after in STEPS_AFTER:
@@ -132,7 +132,7 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
     return False
 
 
-def _backwards(moments: list[Moment]) -> Iterator[Moment]:
+def _backwards(moments: list[BodyStates]) -> Iterator[BodyStates]:
     """Yield states from the last one back, in steps that grow by half."""
     back = 1
     while back <= len(moments):

@@ -19,6 +19,7 @@ Surfaces rebound at the speed at which they closed.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -31,10 +32,12 @@ from carom.physics.contact.events.time_of_impact import time_of_impact
 from carom.physics.contact.events.trajectories import both_ways
 from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.placement.neighbours import Surroundings
-from carom.physics.placement.region import half_extent
+from carom.physics.placement.random_placement import positions
+from carom.physics.placement.region import Arrangement, half_extent, packing_fraction, refuse_too_large
 from carom.physics.vector import minimum_images, nearest_image
 from carom.scene.portable_math import cube_root
-from carom.scene.schema import Region
+from carom.scene.schema import BodyGroup, Region
+from carom.scene.units.system import UnitSystem
 
 DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64, and just below it takes very long
 BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # see `densest`
@@ -423,3 +426,22 @@ def _time_to_border(x: float, y: float, z: float, r: float, a: Any, wall: Any, l
         return np.inf
     root = np.sqrt(root2)
     return float(-C / (B + root) if B > 0.0 else (root - B) / A)
+
+
+def _arrange(
+    mixture: Mapping[int, BodyGroup],
+    region: Region,
+    radius: FloatArray,
+    around: Surroundings,
+    rng: np.random.Generator,
+    units: UnitSystem,
+) -> FloatArray:
+    """Satisfy `Arrange`."""
+    index = next(iter(mixture))
+    refuse_too_large(index, region, radius, units)
+    packing = sum(map(packing_fraction, mixture.values()))
+    loose = positions(index, region, shrunken(radius, packing), around, rng, dense=True)
+    return grown(index, region, loose, radius, packing, around, rng)
+
+
+COMPRESSED = Arrangement(_arrange, densest, "compression of these radii goes up to")

@@ -8,32 +8,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray
+from carom import registry
+from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.physics.placement.growth import densest, grown, shrunken
-from carom.physics.placement.lattice import lattice
 from carom.physics.placement.neighbours import Surroundings, overlapping_pairs, squared_distance
-from carom.physics.placement.plummer import drawn_velocities, mass_within
-from carom.physics.placement.random_placement import positions
+from carom.physics.placement.random_placement import FULLEST
 from carom.physics.placement.region import (
+    arrangement_called,
     default_region,
     half_extent,
     packing_fraction,
+    plummer,
     plummer_lengths,
-    refuse_too_large,
 )
 from carom.scene.data.body_columns import BodyColumns
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.schema import Body, BodyGroup, Region, Scene
-from carom.scene.schema.body import LATTICES
 from carom.scene.start import HalfSpaces, InitialBodies, half_spaces, join
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames, body_called, body_key
 
 MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
-FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 
 
 def place(scene: Scene) -> InitialBodies:
@@ -77,7 +74,8 @@ def _place(scene: Scene) -> InitialBodies:
             around = Surroundings(tuple(spheres), solids, box)
             region = _region(mixture, radii, units)
             radius = np.concatenate([radii[member] for member in mixture])
-            position = _arranged(mixture, region, radius, around, streams[index], units)
+            arrange = arrangement_called(group.arrangement).arrange
+            position = arrange(mixture, region, radius, around, streams[index], units)
             ends = np.cumsum([len(radii[member]) for member in mixture])[:-1]
             centres |= dict(zip(mixture, np.split(position, ends), strict=True))
         made = made_of(scene, group)
@@ -155,8 +153,7 @@ def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
 def _region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray], units: UnitSystem) -> Region:
     """Return the region of a mixture; refuse it if it is too small, or too far away for the radii."""
     index, group = next(iter(mixture.items()))
-    if group.arrangement not in LATTICES:
-        _refuse_full_region(mixture, radii)
+    _refuse_full_region(mixture, radii)
     region = group.region or default_region(index, radii[index], units)
     reach = max(map(abs, region.centre)) + float(half_extent(region).max())
     for member in mixture:
@@ -185,10 +182,10 @@ def _group(
                 f"group.{index}.velocity.virial without gravity of the bodies; set gravity.constant, or leave it out",
                 ("group", index, "velocity", "virial"),
             )
-        scale, cut = plummer_lengths(region)
+        model, (scale, cut) = plummer(), plummer_lengths(region)
         distance = np.sqrt(((position - np.array(region.centre)) ** 2).sum(axis=1))
-        whole = constant * float(mass.sum()) / mass_within(cut, scale)
-        velocity = velocity + drawn_velocities(distance, scale, whole, group.velocity.virial, rng)
+        whole = constant * float(mass.sum()) / model.mass_within(cut, scale)
+        velocity = velocity + model.drawn_velocities(distance, scale, whole, group.velocity.virial, rng)
     name = group.name or f"group {index}"
     return InitialBodies(
         name=[f"{name} {k}" for k in range(n)],
@@ -203,55 +200,25 @@ def _group(
     )
 
 
-def _arranged(
-    mixture: Mapping[int, BodyGroup],
-    region: Region,
-    radius: FloatArray,
-    around: Surroundings,
-    rng: np.random.Generator,
-    units: UnitSystem,
-) -> FloatArray:
-    """Return the centres of a mixture, (n, 3) m."""
-    index, group = next(iter(mixture.items()))
-    if group.arrangement in LATTICES:
-
-        def is_clear(points: FloatArray) -> BoolArray:
-            return around.is_clear(points, np.full(len(points), radius.max()))
-
-        centres = lattice(index, group, region, radius, is_clear, units)
-        if around.box is not None and len(overlapping_pairs(centres, radius, around.box)):
-            raise SceneError(
-                f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
-                "smaller than the box by a spacing",
-                ("group", index, "region"),
-            )
-        return centres
-    refuse_too_large(index, region, radius, units)
-    if group.arrangement == "random":
-        return positions(index, region, radius, around, rng)
-    packing = sum(map(packing_fraction, mixture.values()))
-    loose = positions(index, region, shrunken(radius, packing), around, rng, dense=True)
-    return grown(index, region, loose, radius, packing, around, rng)
-
-
 def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray]) -> None:
     """Refuse a region that a mixture would fill more than its arrangement can."""
     index, group = next(iter(mixture.items()))
     if group.region is None:
         return
     radius = np.concatenate([radii[member] for member in mixture])
+    arrangement = arrangement_called(group.arrangement)
+    fullest = arrangement.fullest(radius)
+    if math.isinf(fullest):
+        return
     packing, remedy = sum(map(packing_fraction, mixture.values())), ""
-    if group.arrangement == "compressed":
-        fullest, jams = densest(radius), "compression of these radii goes up to"
-    else:
-        fullest, jams = FULLEST, "random placement jams at"
-        if packing <= densest(radius) and group.region.shape != "plummer":
-            remedy = ', or set arrangement = "compressed"'
     if packing > fullest:
+        can_be_compressed = group.region.shape != "plummer" and "compressed" in registry.names("placements")
+        if can_be_compressed and packing <= arrangement_called("compressed").fullest(radius):
+            remedy = ', or set arrangement = "compressed"'
         others = "".join(f" with group.{member}" for member in mixture if member != index)
         raise SceneError(
             f"group.{index}.region is too small: {len(radius)} bodies{others} would fill {packing:.3g} of it, and "
-            f"{jams} {fullest:.3g}; enlarge the region or lower count or radius{remedy}",
+            f"{arrangement.limit} {fullest:.3g}; enlarge the region or lower count or radius{remedy}",
             ("group", index, "region"),
         )
 

@@ -7,13 +7,14 @@ body would reach out of the region or touch a plane or a body placed before.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.physics.placement.region import bounds, contains, volume
+from carom.physics.placement.neighbours import Surroundings, overlapping_pairs
+from carom.physics.placement.region import Arrangement, bounds, contains, volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
@@ -32,6 +33,33 @@ WIDEST = 1.2  # times the spacing at which the region would hold just so many po
 NARROWER = 0.995  # of the spacing, each time that the region holds too few points
 TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding lets no two neighbours overlap
 MOST_POINTS = 50_000_000
+
+
+def _arrange(
+    mixture: Mapping[int, BodyGroup],
+    region: Region,
+    radius: FloatArray,
+    around: Surroundings,
+    rng: np.random.Generator,
+    units: UnitSystem,
+) -> FloatArray:
+    """Satisfy `Arrange`; nothing is random."""
+    index, group = next(iter(mixture.items()))
+
+    def is_clear(points: FloatArray) -> BoolArray:
+        return around.is_clear(points, np.full(len(points), radius.max()))
+
+    centres = lattice(index, group, region, radius, is_clear, units)
+    if around.box is not None and len(overlapping_pairs(centres, radius, around.box)):
+        raise SceneError(
+            f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
+            "smaller than the box by a spacing",
+            ("group", index, "region"),
+        )
+    return centres
+
+
+LATTICE = Arrangement(_arrange, lambda radius: math.inf)
 
 
 def lattice(

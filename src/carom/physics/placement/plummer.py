@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import FloatArray
+from carom.physics.placement.region import PlummerModel
 from carom.scene.portable_math import cube_root
 
 EQUILIBRIUM = 0.5  # kinetic over potential energy
@@ -59,3 +60,6 @@ def drawn_velocities(
     direction = rng.standard_normal((len(distance), 3))
     direction /= np.sqrt((direction * direction).sum(axis=1))[:, None]
     return np.asarray(direction * (np.sqrt(virial / EQUILIBRIUM) * q * escape)[:, None])
+
+
+PLUMMER = PlummerModel(mass_within, drawn_distances, drawn_velocities)

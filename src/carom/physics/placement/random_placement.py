@@ -12,6 +12,7 @@ them, so the result is that of a search through all spheres, bit by bit.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -24,9 +25,11 @@ from carom.physics.placement.neighbours import (
     size_classes,
     squared_distance,
 )
-from carom.physics.placement.region import bounds, drawn_centres, volume
-from carom.scene.schema import Region
+from carom.physics.placement.region import Arrangement, bounds, drawn_centres, refuse_too_large, volume
+from carom.scene.schema import BodyGroup, Region
+from carom.scene.units.system import UnitSystem
 
+FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 FINE_CELL = 0.34  # of the smallest radius
 MOST_CELLS = 100_000_000  # of the fine grid, one byte each
 MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a search is quick
@@ -259,3 +262,20 @@ def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArra
     clean[free] = True
     clean[i[hit]] = False
     return np.flatnonzero(clean)
+
+
+def _arrange(
+    mixture: Mapping[int, BodyGroup],
+    region: Region,
+    radius: FloatArray,
+    around: Surroundings,
+    rng: np.random.Generator,
+    units: UnitSystem,
+) -> FloatArray:
+    """Satisfy `Arrange`."""
+    index = next(iter(mixture))
+    refuse_too_large(index, region, radius, units)
+    return positions(index, region, radius, around, rng)
+
+
+RANDOM = Arrangement(_arrange, lambda radius: FULLEST, "random placement jams at")

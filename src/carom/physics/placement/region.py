@@ -1,23 +1,77 @@
-"""The region of a group: its volume, how full it is, and random centres inside it."""
+"""The region of a group: its volume, how full it is, and random centres inside it; what a placement offers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
+from carom import registry
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.physics.placement.plummer import drawn_distances, mass_within
 from carom.scene.matter import mean_volume
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import LARGEST, BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
+if TYPE_CHECKING:
+    from carom.physics.placement.neighbours import Surroundings
+
 DEFAULT_PACKING = 0.1  # of a group without a region
 FARTHEST = 10.0  # times the scale of a plummer region, its farthest centre by default; 98.5 % of the mass is nearer
 ROUNDING = 1e-12  # of the size of a region
+
+
+class Arrange(Protocol):
+    """Finds centres at which the spheres of some groups overlap nothing."""
+
+    def __call__(
+        self,
+        mixture: Mapping[int, BodyGroup],
+        region: Region,
+        radius: FloatArray,
+        around: Surroundings,
+        rng: np.random.Generator,
+        units: UnitSystem,
+    ) -> FloatArray:
+        """Return the centres, (n, 3) m, for the radii of all groups, (n,) m.
+
+        Raises
+        ------
+        SceneError
+            If the spheres do not fit.
+        """
+
+
+class Arrangement(NamedTuple):
+    """An arrangement of groups; `carom.registry` has it by its name in scenes."""
+
+    arrange: Arrange
+    fullest: Callable[[FloatArray], float]  # the packing that spheres of some radii, (n,), can reach; inf if not known
+    limit: str = ""  # begins the sentence that names this packing
+
+
+class PlummerModel(NamedTuple):
+    """Functions of Plummer's model of a star cluster; see `carom.physics.placement.plummer`."""
+
+    mass_within: Callable[[float, float], float]
+    drawn_distances: Callable[[float, float, int, np.random.Generator], FloatArray]
+    drawn_velocities: Callable[[FloatArray, float, float, float, np.random.Generator], FloatArray]
+
+
+def arrangement_called(name: str) -> Arrangement:
+    """Return an arrangement by its name; SceneError if it has been removed."""
+    found: Arrangement = registry.load("placements", name)
+    return found
+
+
+def plummer() -> PlummerModel:
+    """Return Plummer's model; SceneError if it has been removed."""
+    found: PlummerModel = registry.load("placements", "plummer")
+    return found
 
 
 def packing_fraction(group: BodyGroup) -> float:
@@ -39,7 +93,7 @@ def volume(region: Region) -> float:
             return 4.0 / 3.0 * math.pi * (_cube(radius) - _cube(region.inner_radius or 0.0))
         case "plummer":
             scale, cut = plummer_lengths(region)
-            return 4.0 / 3.0 * math.pi * _cube(scale) * mass_within(cut, scale)
+            return 4.0 / 3.0 * math.pi * _cube(scale) * plummer().mass_within(cut, scale)
     return 4.0 / 3.0 * math.pi * _cube(radius)
 
 
@@ -140,7 +194,7 @@ def drawn_centres(region: Region, radius: FloatArray, rng: np.random.Generator) 
             inner, outer = inner * inner * inner, outer * outer * outer
             offset = _directions(n, rng) * cube_root(inner + (outer - inner) * rng.random(n))[:, None]
         case "plummer":
-            offset = _directions(n, rng) * drawn_distances(*plummer_lengths(region), n, rng)[:, None]
+            offset = _directions(n, rng) * plummer().drawn_distances(*plummer_lengths(region), n, rng)[:, None]
         case _:
             offset = _directions(n, rng) * ((half_extent(region)[0] - radius) * cube_root(rng.random(n)))[:, None]
     return np.array(region.centre) + offset

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from carom import registry
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import ExistsError, RecordingError
-from carom.recording.export.vtk import write_vtk, write_vtk_series
 from carom.recording.read.body_states import AXES
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recording import Recording
@@ -156,10 +155,8 @@ def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path
             if path.suffix == VTK and series:
                 return _write_series(path, counted, Path(folder)), counted.count
             first = next(counted)
-            if path.suffix == VTK:
-                write_vtk(part, first)
-            else:
-                registry.load("export_formats", path.suffix[1:])(part, first, counted)
+            write_steps = registry.load("export_formats", path.suffix[1:])
+            write_steps(part, first) if path.suffix == VTK else write_steps(part, first, counted)
             part.replace(path)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
@@ -172,6 +169,8 @@ def series_of(path: Path) -> tuple[Path, Path]:
 
 
 def _write_series(path: Path, snapshots: Iterator[Snapshot], scratch: Path) -> Path:
+    from carom.recording.export.vtk import write_vtk_series  # noqa: PLC0415 - a format that may have been removed
+
     listed, folder = series_of(path)
     filling = scratch / folder.name
     filling.mkdir()
