@@ -78,7 +78,7 @@ class RunBound:
 
 
 class RunGuard:
-    """Watches a run from its start: when to stop it, and what to say of it meanwhile.
+    """Watches a run from its start: reports its progress, and decides when to stop it.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class RunGuard:
         return time.process_time() - self._began
 
     def is_over(self, step: int, reached: float) -> bool:
-        """Tell whether to stop after a step that reached a simulated time in s."""
+        """Return whether to stop after a step that reached a simulated time in s."""
         if time.perf_counter() - self._told > TELLING:
             self._told = time.perf_counter()
             self._tell(step, reached)

@@ -214,7 +214,7 @@ class Touches:
         self.sunk: dict[Pair, float] = {}
 
     def see(self, frame: Frame) -> None:
-        """Add the impacts since the frame before, and look for overlaps that last."""
+        """Add the impacts since the frame before, and measure overlaps that last."""
         if frame.impacts is not None:
             self.pairs |= {self._pair(int(row["i"]), int(row["j"])) for row in frame.impacts}
         since, self._since = self._since, {}

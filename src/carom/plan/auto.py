@@ -44,7 +44,7 @@ BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all ane
 TREES = ("tree", "fast-multipole")  # methods that sort bodies into boxes, with an error by the opening angle
 TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
-HELD_PART = 0.01  # of its own radius that a held body may move in a step: rolling about each other takes 600 a turn
+HELD_PART = 0.01  # of its radius that a held body may move in a step: 600 steps a revolution of two rolling ones
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
@@ -375,7 +375,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
 
 
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
-    """Return limits for steps up to ``stride`` times longer, as far as contacts are still found and orbits kept."""
+    """Return limits for steps up to ``stride`` times longer, if contacts are still detected and orbits resolved."""
     if scene.promise is not None:
         return accurate_limits(scene, scene.promise.refinement / stride, scene.promise.until)
 

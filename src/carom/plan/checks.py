@@ -198,7 +198,7 @@ def _refuse_further_forces(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse what would make errors that the integrator's own estimate does not see, where it sets the step."""
+    """Refuse what would cause errors beyond the estimate by which the integrator chooses its step."""
     chosen, contact = integrator(scene), scene.contact
     if not chosen.ends_steps_at_impacts:
         return

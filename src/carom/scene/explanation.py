@@ -114,7 +114,7 @@ def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
 
 
 def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: UnitSystem) -> str:
-    """Return one line about a mistake that Pydantic found: the place, the key, the mistake and what would be right."""
+    """Return one line about a mistake that Pydantic reports: place, key, mistake and what would be right."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"

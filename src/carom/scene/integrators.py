@@ -84,7 +84,7 @@ class Integrator:
 
     @property
     def keeps_accuracy(self) -> bool:
-        """Whether a look ahead can find its step for ``time.accuracy``: its error falls fast enough to be measured."""
+        """Whether a look-ahead can choose its step for ``time.accuracy``: errors fall fast enough to be measured."""
         return self.controls_error or (self.order > 1 and self.ends_with_forces)
 
     @property

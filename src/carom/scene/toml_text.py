@@ -83,7 +83,7 @@ def parse_value(text: str) -> Any:
 
 
 def toml_for(scene: Scene, folder: Path) -> str:
-    """Return the text of a scene whose data files are named as seen from a folder."""
+    """Return the text of a scene with names of data files relative to a folder."""
     files = None if scene.held is None else scene.held.files
     if files is None or files.folder.resolve() == folder.resolve():
         return scene.toml

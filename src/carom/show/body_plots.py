@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus
 
 
-MOST = 12  # curves that are told apart
+MOST = 12  # curves that can be distinguished
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,7 +47,7 @@ _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_SPIN_COLOUR = 0x5CE0B0FF  # the palette's green is hardly seen on the bodies
+_SPIN_COLOUR = 0x5CE0B0FF  # the palette's green hardly shows on the bodies
 _LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
 _TOUCHING = 1e-9  # of a radius; a gap that is rounding
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
@@ -92,7 +92,7 @@ class CloseUp:
     position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
     spin: FloatArray | None  # (b, 3) rad/s
-    middle: FloatArray  # (3,) m, of the bodies when the eye looks at them
+    middle: FloatArray  # (3,) m, of the bodies as they are drawn
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
     origin: FloatArray  # (3,) m, of the recording

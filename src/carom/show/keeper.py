@@ -76,7 +76,7 @@ def _in_table(address: Address) -> str:
 
 
 def has_screen() -> bool:
-    """Return whether windows can be opened, as far as the environment tells."""
+    """Return whether windows can be opened, judging by the environment."""
     return sys.platform != "linux" or any(os.environ.get(name) for name in _SCREENS)
 
 
@@ -152,7 +152,7 @@ class _Door:
             connection.close()
             return
         connection.settimeout(None)
-        with contextlib.suppress(OSError, RuntimeError):  # the viewer has ended, or there is no room for threads
+        with contextlib.suppress(OSError, RuntimeError):  # the viewer has ended, or no thread can be started
             viewer = socket.create_connection((HOST, _PORT))
             for source, sink in ((connection, viewer), (viewer, connection)):
                 threading.Thread(target=_forward, args=(source, sink), daemon=True).start()

@@ -300,7 +300,7 @@ def _send_trajectories(
 
 
 def _view(radius: FloatArray, position: FloatArray) -> View:
-    """Place the camera so that it sees all positions, (K, n, 3) m."""
+    """Place the camera so that all positions, (K, n, 3) m, are in the picture."""
     camera = CameraFit(radius, position[0])
     for moment in position:
         camera.look(moment)

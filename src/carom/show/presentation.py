@@ -183,7 +183,7 @@ def presentation(
 
 
 def _meet(recording: Recording, header: Header) -> bool:
-    """Tell whether bodies touched, or may have: a run that was killed has not counted its contacts."""
+    """Return whether bodies touched, or may have touched in a run that was killed, which has no count of contacts."""
     return header.collides and recording.closing.get("contacts.total") != 0
 
 

@@ -1,4 +1,4 @@
-"""What a person asks to see of a recording: a moment, an event by its name, the two ends of a contact."""
+"""What a view of a recording shows: a moment, an event by its name, the two ends of a contact."""
 
 from __future__ import annotations
 

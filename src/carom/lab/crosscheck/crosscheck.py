@@ -1,7 +1,7 @@
 """Runs a scene in other engines, and says where each diverges from the reference and which law it breaks there.
 
-Each run is first followed: the audit of `carom.record` looks at every step, the criteria are those of the scene's
-[expect], and it is recorded. `Study` then measures costs, in turns.
+Each run is first recorded and examined: `carom.record` audits every step, and the scene's [expect] has the criteria.
+`Study` then measures the costs of all runs, in rotation.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from carom.lab.tradeoff.setting_results import SettingResult, result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
 
 
-# What is found by following a run step by step: criteria, broken laws, and where it leaves the reference.
+# Results of a run that is followed step by step: criteria, broken laws, and its divergence from the reference.
 @dataclass(frozen=True, slots=True)
 class Examination:
-    """One run, looked at step by step."""
+    """The examination of one run, step by step."""
 
     name: str
     criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
@@ -280,7 +280,7 @@ class Crosscheck:
             self._examine(result, tell)  # what an interruption kept from it
 
     def time(self, repeats: int, tell: Teller) -> None:
-        """Time each run so many times, in turns."""
+        """Time all runs in rotation, so many times."""
         self.study.measure(self._settings(), repeats, tell)
         write_document(self.folder / DOCUMENT, self.document())
 

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 PARTED = 0.01  # of the size of the system; runs farther apart have diverged
 OTHER_OUTCOME = 0.01  # of the speed of the system; velocities that differ by more after an impact are another outcome
-EARLIER = 2.0  # steps, by which an engine may see an impact before the reference does
+EARLIER = 2.0  # steps, by which an impact of an engine may precede that of the reference
 LATER = 40.0  # steps after it, in which a soft contact ends
 SAME_IMPACT = 0.02  # of the duration; impacts of one pair that are farther apart in two runs are not the same
 

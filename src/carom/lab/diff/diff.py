@@ -83,7 +83,7 @@ class ImpactDivergence:
 
     @property
     def same(self) -> bool:
-        """Whether no difference was found."""
+        """Whether there is no difference."""
         return self.first is None and self.alone is None and (self.counts is None or self.counts[0] == self.counts[1])
 
 
@@ -240,7 +240,7 @@ class Diff:
     def same(self) -> bool:
         """Whether all common frames are identical to the bit, and so are the impacts of both.
 
-        Against another engine, whose bits are not those of carom, whether no difference is seen.
+        In a comparison with another engine, whose bits differ from carom's, whether no difference was measured.
         """
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 

@@ -66,7 +66,7 @@ class DiffVerdict:
     kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
     text: str
     first: int | None  # the frame (index) at which the bits differ first
-    jump: float  # m, difference at that frame; 0 if it cannot be seen
+    jump: float  # m, difference at that frame; 0 if it is below the resolution
     allowed: float  # m, largest difference that round-off could have caused
 
 

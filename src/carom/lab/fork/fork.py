@@ -241,8 +241,7 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
         The ``.rrd`` to write.
     shift, ulps
         Seed and size of a perturbation; see `ForkStart.space`.
-    watch
-        Called several times a second with where the run stands.
+    watch Called several times a second with the progress of the run.
 
     Raises
     ------

@@ -172,7 +172,7 @@ def _many(
     from carom.lab.fork.fork import Chance, chances, ensemble, inevitable, write_ensemble
 
     units = start.scene.unit_system
-    expression = None if outcome is None else outcome_of(start, outcome)  # a mistake is found before the workers start
+    expression = None if outcome is None else outcome_of(start, outcome)  # before the workers start
 
     class Line(LiveLine):
         def update(self, done: int, at: float = start.checkpoint.time) -> None:

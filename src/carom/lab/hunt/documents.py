@@ -277,7 +277,8 @@ def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
 def impacts(draw: Draw) -> Document:
     """Draw pairs far from each other, each of which collides once, within the first six steps of 2⁻⁶ s.
 
-    An impact is found at the end of the step in which it happens. Round-off must not move it to another step, so each
+    An impact is resolved at the end of the step in which it happens. Round-off must not move it to another step, so
+    each
     happens at 0.3 to 0.7 of a step, and at 17° or more from grazing. Static and kinetic friction are equal, so the
     result is continuous where sliding begins.
     """

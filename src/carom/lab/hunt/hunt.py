@@ -75,7 +75,7 @@ def _is_free(scene: Scene, needs: Requirements) -> bool:
 
 
 def _stands(scene: Scene, needs: Requirements) -> bool:
-    """Tell whether overlaps at rest are pushed apart: contacts may rest, and no setting leaves them as they are."""
+    """Return whether overlaps at rest are corrected: contacts may rest, and no setting leaves them as they are."""
     contact = scene.contact
     pushes = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
     return needs.resting.modelled and pushes
@@ -297,7 +297,7 @@ def _record(text: str, path: Path) -> None:
     try:
         simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)
         report(Recording.open(recorded), path.with_suffix(".zip"))
-    except Exception:  # the fault that was found may end the run anyhow
+    except Exception:  # the fault itself may end the run
         for file in (recorded, path.with_suffix(".zip")):
             if not file.exists() or not file.stat().st_size:
                 file.unlink(missing_ok=True)

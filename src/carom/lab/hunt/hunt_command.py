@@ -1,4 +1,4 @@
-"""`carom hunt`: look for scenes that break a law."""
+"""`carom hunt`: search for scenes that break a law."""
 
 from __future__ import annotations
 

@@ -264,7 +264,7 @@ def _groups(draw: Draw, scale: Scales) -> Document:
 
 
 def _group(draw: Draw, scale: Scales, room: float) -> Document:
-    """Draw a group in a region of about 2 room."""
+    """Draw a group in a region of about twice the volume of its bodies."""
     L, U, M = scale
     shape = draw.choice("ball", "box", "cylinder", "shell")
     region: Document = {"shape": shape}

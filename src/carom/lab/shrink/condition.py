@@ -37,7 +37,7 @@ class Condition(Protocol):
 
     @property
     def needs_impacts(self) -> bool:
-        """Whether it looks at the impacts of the run."""
+        """Whether it depends on the impacts of the run."""
 
     @property
     def of_whole_run(self) -> bool:

@@ -19,7 +19,7 @@ Met = tuple[int, int]  # bodies that touched in a step
 
 
 def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
-    """Leave out bodies; tell whether any was."""
+    """Leave out bodies; return whether any was left out."""
     before = smallest.bodies
     _keep_the_cone(smallest, trials)
     base = smallest.document
@@ -136,7 +136,7 @@ _LISTS = ("plane", "pair", "material")  # lists of tables besides the bodies
 
 
 def drop_parts(smallest: Smallest) -> bool:
-    """Drop whole parts of the model; tell whether any was."""
+    """Drop whole parts of the model; return whether any was dropped."""
     changed = False
     for candidate in _without_parts(smallest):
         changed |= _is_simpler(candidate, smallest) and smallest.takes_as_short(candidate)
@@ -144,7 +144,7 @@ def drop_parts(smallest: Smallest) -> bool:
 
 
 def set_defaults(smallest: Smallest) -> bool:
-    """Leave out sections and keys whose defaults add no part of the model; tell whether any was."""
+    """Leave out sections and keys whose defaults add no part of the model; return whether any was left out."""
     changed = False
     for candidate in _with_defaults(smallest):
         changed |= _adds_nothing(candidate, smallest) and smallest.takes_as_short(candidate)
@@ -243,7 +243,7 @@ _NOT_ROUNDED = {"expect"}  # sections whose numbers say what a failure is
 
 
 def round_numbers(smallest: Smallest) -> bool:
-    """Shorten numbers, first all together, then one by one; tell whether any was."""
+    """Shorten numbers, first all together, then one by one; return whether any was shortened."""
     changed = _move_frame(smallest)
     for digits in range(1, MOST_DIGITS):
         if smallest.takes_as_short(_mapped(smallest.document, lambda value, digits=digits: rounded(value, digits))):  # type: ignore[misc]

@@ -31,7 +31,7 @@ class Chronicle:
     _frames: int = 0
 
     def keep(self, frame: Frame) -> None:
-        """Keep a state, or drop every other one when there is no room."""
+        """Keep a state; drop every other one when the memory is used up."""
         self.end = BodyStates.of(frame)
         if self._frames % self._gap == 0:
             self.moments.append(self.end)
@@ -62,7 +62,7 @@ def chronicle(
 
 
 def cut_time(smallest: Smallest, trials: Trials) -> bool:
-    """Let the smallest scene end right after the failure and begin as late as it can; tell whether it changed."""
+    """Let the smallest scene end right after the failure and begin as late as it can; return whether it changed."""
     if smallest.steps <= 1:
         return False
     kept, _ = chronicle(trials.space(smallest.scene), trials, every(0.0))
@@ -73,7 +73,7 @@ def cut_time(smallest: Smallest, trials: Trials) -> bool:
 
 
 def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
-    """End as early and begin as late as a failure of whole runs allows, by bisection; tell whether that is shorter.
+    """End as early and begin as late as a failure of whole runs allows, by bisection; return whether that is shorter.
 
     Each candidate is a run of a command, say, so there are few: twice the logarithm of the number of states.
     """
@@ -92,7 +92,7 @@ def end_at(smallest: Smallest, end: BodyStates) -> bool:
 
 
 def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
-    """Find the first state at which the smallest scene may end, by bisection; tell whether it is not the last."""
+    """Bisect for the first state at which the smallest scene may end; return whether it is earlier than the last."""
     document, lo, hi = smallest.document, 1, len(kept.moments) - 1
     while lo < hi:
         middle = (lo + hi) // 2
@@ -104,7 +104,7 @@ def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
 
 
 def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
-    """Find the last state at which the smallest scene may begin; tell whether it is not the first."""
+    """Find the last state at which the smallest scene may begin; return whether it is later than the first."""
     document, end = smallest.document, smallest.scene.time.duration
     earlier = [moment for moment in kept.moments if 0.0 < moment.time < end]
     lo, hi = 0, len(earlier)
@@ -120,7 +120,7 @@ def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
 
 
 def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
-    """Begin a document at the last of its states that leads to the failure; tell whether there is one but the first."""
+    """Begin a document at the last state that leads to the failure; return whether it is later than the first."""
     if kept.end is None:
         return False
     earlier = [moment for moment in kept.moments if 0.0 < moment.time < kept.end.time]
@@ -156,7 +156,7 @@ class Stage:
 
 @dataclass(slots=True)
 class ReducerProgress:
-    """What a watcher sees."""
+    """The progress that a watcher receives."""
 
     stage: str = "running the scene"
     bodies: int = 0
@@ -272,7 +272,7 @@ class Reducer:
         return smallest, lambda: self._cut_first(smallest, whole, kept, trials)
 
     def _cut_first(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
-        """Begin as late as the failure allows; one of whole runs is first seen with every body written out."""
+        """Begin as late as the failure allows; reproduce a failure of whole runs with every body written out first."""
         self._progress.stage = "cutting time"
         if trials.condition.of_whole_run:
             if not smallest.is_shown():

@@ -1,4 +1,4 @@
-"""The file of a reduced scene: TOML with comments, and the mark by which an unfinished one is found again."""
+"""The file of a reduced scene: TOML with comments, and the mark of an unfinished file."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.literal import BODIES, Document
 
 # How long a reduction may take, and whether the user has ended it.
-_POLL = 0.05  # s between two looks at a run
+_POLL = 0.05  # s between two checks of a run
 
 
 class OutOfTime(Exception):  # noqa: N818 - not an error: the smallest scene so far is the result
@@ -122,7 +122,7 @@ def observe(
     steps: int | None = None,
     schedule: Schedule | None = None,
 ) -> Observation | None:
-    """Run a space and return what a condition sees at its end.
+    """Run a space and return the observation of its end, for a condition.
 
     Parameters
     ----------
@@ -130,8 +130,7 @@ def observe(
         At the start of its run.
     budget
         The time of the reduction.
-    each
-        Called at each frame with what is seen so far; returns whether to go on.
+    each Called at each frame with the observation so far; returns whether to go on.
     steps
         Number of steps after which the run is given up; None is returned then.
     schedule
@@ -159,7 +158,7 @@ def observe(
                     return None
         except (OutOfTime, ExperimentError):
             raise
-        except Exception as error:  # a fault in the engine, which may be what is looked for
+        except Exception as error:  # a fault in the engine, which may be the failure itself
             stated = isinstance(error, PhysicsError)
             return Observation(space, initial, frames, warnings, touches, said_by(error), stated)
     return seen
@@ -195,7 +194,7 @@ class Trials:
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
-        """Run a candidate; return what is seen of it if it still shows the failure.
+        """Run a candidate; return its observation if it still shows the failure.
 
         Parameters
         ----------
@@ -246,7 +245,7 @@ class Trials:
         return max(FEWEST_STEPS, STEPS_MORE * self.steps)
 
     def judge(self, document: Document, steps: int) -> Observation | None:
-        """Run a candidate for so many steps at most; return what is seen of it if it shows the failure."""
+        """Run a candidate for so many steps at most; return its observation if it shows the failure."""
         if not document[BODIES]:
             return None
         try:
@@ -257,7 +256,7 @@ class Trials:
         return seen if seen is not None and self.condition.holds(seen) else None
 
     def space(self, scene: Scene) -> Space:
-        """Build a space whose frames carry what the condition looks at."""
+        """Build a space whose frames carry what the condition depends on."""
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
@@ -365,8 +364,7 @@ class Smallest:
     ----------
     document
         A scene that shows it.
-    seen
-        What was seen of its run.
+    seen The observation of its run.
     trials
         Judges candidates.
     taken
@@ -417,7 +415,7 @@ class Smallest:
         return document != self.document and self._try(document, steps)
 
     def is_shown(self) -> bool:
-        """Run the scene itself; tell whether it shows the failure.
+        """Run the scene itself; return whether it shows the failure.
 
         Raises
         ------

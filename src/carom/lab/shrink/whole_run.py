@@ -152,7 +152,7 @@ class FinalState:
         try:
             for _ in space.run(schedule=every(space.scene.time.duration)):
                 pass
-        except Exception as raised:  # a fault in the engine, which may be what is looked for
+        except Exception as raised:  # a fault in the engine, which may be the failure itself
             error = said_by(raised)
         return cls(space.step, space.time, space.state.position.copy(), space.state.velocity.copy(), error)
 
@@ -340,7 +340,7 @@ class CommandShows:
         """Accept every run."""
 
     def pinned(self, seen: Observation) -> CommandShows:
-        """Run the command twice, and refuse one that does not see the failure or changes its mind."""
+        """Run the command twice; refuse a command that does not report the failure both times."""
         codes = [self._code(seen.space.scene) for _ in range(2)]
         if (codes[0] == 0) != (codes[1] == 0):
             raise ExperimentError(
@@ -410,7 +410,7 @@ class ReplayDiffers:
         return set()
 
     def _difference(self, seen: Observation) -> str:
-        """Say which run differs from the one that was seen; empty if none does."""
+        """Name the run that differs from the first; empty if none does."""
         scene, expected = seen.space.scene, _ending(seen.space, seen.error)
         other, middle = _run(Space(scene, threads=2), seen.space.step // 2)
         if other != expected:

@@ -38,8 +38,8 @@ class DaskWorkers:
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._keys: dict[str, Any] = {}  # of the tasks, by those of Dask
-        self._futures: dict[str, Future[Any]] = {}  # likewise, of those that have not ended
+        self._keys: dict[str, Any] = {}  # keys of the tasks, by the keys of Dask
+        self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by the keys of Dask
         # not a SimpleQueue: a signal that interrupts its wait when the time is over makes it wait for ever
         self._done: queue.Queue[Future[Any]] = queue.Queue()
         self._stack = contextlib.ExitStack()
@@ -106,7 +106,7 @@ class DaskWorkers:
         self._forget(list(self._futures))
 
     def refuse_unfit(self, root: str, scene: str, version: str) -> None:
-        """Refuse a cluster if some workers see another folder or have another version of carom.
+        """Refuse a cluster if some workers have another folder or another version of carom.
 
         Raises
         ------

@@ -92,7 +92,7 @@ class Conductor:
         return stopped
 
     def _enter(self, ended: Ended) -> bool:
-        """Enter one run; tell whether it has ended."""
+        """Enter one run; return whether it has ended."""
         self._left.discard(ended.key)
         if isinstance(ended.error, TaskDroppedError):
             self._dropped += 1
@@ -101,7 +101,7 @@ class Conductor:
         return True
 
     def _save(self) -> None:
-        """Write the manifest; keep an error for later, since a full disk may get room again."""
+        """Write the manifest; keep an error for later, since a full disk may have space again later."""
         try:
             self._manifest.save()
             self._unsaved = ""

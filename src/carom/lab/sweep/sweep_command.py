@@ -1,4 +1,4 @@
-"""`carom sweep`: many runs of one scene, and a look at them."""
+"""`carom sweep`: many runs of one scene, and their table."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class SweepProgress(LiveLine):
         self.say(f"{self._title}: {self._runs} runs{there}")
 
     def ended(self, run: SweepRun) -> None:
-        """Count a run; tell of it if it went wrong."""
+        """Count a run; report it if it failed."""
         self._ended += 1
         self._first = self._first or time.perf_counter()
         if not run.ok:

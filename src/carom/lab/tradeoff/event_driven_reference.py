@@ -116,7 +116,7 @@ class _Solver:
         self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
-        self._velocity: list[FloatArray] = []  # (n, 3) m/s, likewise
+        self._velocity: list[FloatArray] = []  # (n, 3) m/s, at the same instant
         self._met: dict[tuple[int, int], float] = {}
         self._struck: list[float] = []  # s, of every impact
         self._ends: list[tuple[int, int]] = []  # likewise, its bodies

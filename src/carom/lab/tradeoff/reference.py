@@ -354,7 +354,7 @@ def _agreement(scale: ErrorScale, best: Trajectory, check: Trajectory) -> int:
 
 
 def _largest(errors: list[Errors], horizon: float) -> Errors:
-    """Return the largest of each error, at least rounding; for times of impacts, that of the clock."""
+    """Return the largest of each error, no less than its rounding; times of impacts are rounded as the clock is."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
     return replace(

@@ -1,4 +1,4 @@
-"""Measures the cost of accuracy on a scene: runs and times settings in turns, with errors relative to a reference.
+"""Measures the cost of accuracy on a scene: runs and times settings in rotation, with errors relative to a reference.
 
 Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so a study can be interrupted
 and resumed.
@@ -48,7 +48,7 @@ from carom.lab.tradeoff.settings_grid import refusal
 
 # The cost of a setting: the time of one run.
 def cost_of(setting: Setting, scene: Scene, threads: int | None) -> float:
-    """Run a setting of a scene once without recording; return the time it took in s, with that of a look ahead.
+    """Run a setting of a scene once without recording; return its time in s, including that of a look-ahead.
 
     On one thread that is CPU time, which other programs on the machine hardly change.
     """

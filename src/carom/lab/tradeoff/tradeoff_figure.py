@@ -134,7 +134,7 @@ def _short(entry: dict[str, Any]) -> str:
 
 
 def _looks(families: dict[str, list[dict[str, Any]]]) -> dict[str, Look]:
-    """Give each family a look of its own; those of other engines have other markers."""
+    """Give each family its own line and marker; families of other engines have other markers."""
     found: dict[str, Look] = {}
     counts = {OWN: 0, OTHERS: 0}
     for name, group in families.items():

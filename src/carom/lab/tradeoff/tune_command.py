@@ -119,7 +119,7 @@ def _extent(tuning: Tuning, errors: Collection[str]) -> str:
 
 
 def _lines(tuning: Tuning) -> list[str]:
-    """Say what was found, how much faster it is than the scene as written, and what it makes worse."""
+    """Describe the best settings: their gain in speed over the scene as written, and what they make worse."""
     best, written = tuning.best, tuning.written
     assert best is not None and best.errors is not None, "something was found"
     lines = [f"The cheapest of {len(tuning.tried)} settings tried: {best.setting.name}, {best.cost:.3g} s."]

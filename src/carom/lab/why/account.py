@@ -28,7 +28,7 @@ class Cause:
     impulse: FloatArray  # (3,) N s, on the body
     size: float  # N s, Σ |J|
     work: float  # J, on the motion of the body's centre
-    moment: float  # s, to look at: of the impact, or of the largest impulse
+    moment: float  # s, of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction

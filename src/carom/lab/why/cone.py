@@ -337,7 +337,7 @@ def _units(vectors: FloatArray) -> FloatArray:
 # The chain of causes: the strongest way back from the bodies asked about.
 MOST_LINKS = 50
 _WEAKEST = 0.1  # of the share that led to a body, below which what it had by itself is the cause
-_AT_ONCE = 0.5  # likewise, for another impact at the same instant: nothing says which of them was first
+_AT_ONCE = 0.5  # an impact at the same instant as another: their order is unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -118,7 +118,7 @@ class Momentum:
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
     linear_error: float | None  # over the largest Σ m |v| of the checks so far; None if something is fixed
-    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|); None likewise, and in a periodic box
+    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
 
 
 @dataclass(frozen=True, slots=True)

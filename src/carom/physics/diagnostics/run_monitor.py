@@ -98,7 +98,7 @@ class Activity:
         How many there are.
     from_rest
         Whether there is a uniform field or something fixed, so a pile at rest has no kinetic energy. Otherwise it may
-        drift and turn as a whole.
+        drift and rotate as a whole.
     """
 
     def __init__(self, bodies: int, from_rest: bool) -> None:
@@ -153,8 +153,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
     """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
 
     An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
-    ones. Integrators that choose steps by their error take time.max_dt as it is. The leapfrog that takes over where
-    contacts come to rest takes a part of it.
+    ones. Integrators that choose steps by their error take time.max_dt as it is. Part of it belongs to the leapfrog
+    that takes over where contacts come to rest.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:

@@ -57,7 +57,7 @@ class Selection:
         self._shown = len(shown)
         self._box = box
         self._bodies_in_all = bodies
-        self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until the contacts of the step were seen
+        self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until its contacts are read
 
     def of(self, chunk: Chunk) -> Chunk:
         """Return a chunk without the rows' parts of other bodies."""

@@ -27,12 +27,12 @@ if TYPE_CHECKING:
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
 
 _ESCAPING = 0.05  # largest share of the bodies that may be outside the view
-_FAR = 20.0  # times the median distance from the middle; bodies that are farther away may be outside, too
+_FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
 _FEW = 5  # bodies; of so few or fewer all are inside the view
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
 _LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
-_LOOSE_PATHS = 25.0  # likewise with paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
-_MOST, _LARGEST = 100_000, 1000  # bodies that are looked at; of more, every k-th and so many of the largest
+_LOOSE_PATHS = 25.0  # for paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
+_MOST, _LARGEST = 100_000, 1000  # bodies that are measured; of more, every k-th and as many of the largest
 _SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's field of view is 55° from top to bottom
 _FLAT = 0.2  # thickness over width; flatter sets of bodies are seen from higher above
 _LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up

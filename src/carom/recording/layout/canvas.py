@@ -69,17 +69,17 @@ class Additions:
 NONE = Additions()
 
 
-# Magnified spaces, in which views show small scenes. Rerun's camera sees nothing nearer than 0.01 units (Rerun 0.41),
-# and cannot be told otherwise: grains of a millimetre would be invisible in metres. A view of such a scene therefore
+# Magnified spaces, in which views show small scenes. Rerun's camera draws nothing nearer than 0.01 units (Rerun 0.41),
+# and this cannot be changed: grains of a millimetre would be invisible in metres. A view of such a scene therefore
 # has an entity as its origin whose transform shrinks by a power of ten, so that everything else is larger in the
 # space of the view. The numbers in the file stay as they are.
 
-NEAREST = 0.5  # units, of the camera from what it looks at: the bodies are seen, and arrows in front of them, too
+NEAREST = 0.5  # units, of the camera from its target: bodies are drawn, and so are arrows in front of them
 EVERYTHING = "/"
 
 
 def space(distance: float) -> str:
-    """Return the origin of a view whose camera is this far (m) from what it looks at."""
+    """Return the origin of a view whose camera is this far (m) from its target."""
     if not 0.0 < distance < NEAREST:
         return EVERYTHING
     return f"/{paths.MAGNIFIED}/{math.ceil(math.log10(NEAREST / distance))}"

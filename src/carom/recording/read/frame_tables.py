@@ -73,7 +73,7 @@ class FrameTables(Statics):
         return events.take(np.argsort(events[STEP].to_numpy(), kind="stable"))
 
     def warnings(self, until: int | None = None) -> list[Event]:
-        """Return the warnings of a run up to a step, in order of time, without the event that tells how it ended."""
+        """Return the warnings of a run up to a step, in order of time, without the event that describes its end."""
         table = self.events()
         seconds = table[SIM_TIME].cast(pa.int64()).to_numpy() * 1e-9 * float(self.info["time_scale"])
         columns = (table[name].to_pylist() for name in ("level", "text", "kind"))

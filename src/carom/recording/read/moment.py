@@ -1,4 +1,4 @@
-"""The default time to look at: the hardest impact of a run or, without any, the most contacts.
+"""The time that is shown by default: the hardest impact of a run or, without any, the most contacts.
 
 Of a run that was killed, neither is known: then the frame before which contacts took out most energy.
 """
@@ -32,7 +32,7 @@ _RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, whic
 
 
 def moment(recording: Recording, at: float | None) -> float:
-    """Return the simulated time (s) to look at; see `Recording.moment`."""
+    """Return the simulated time (s) to show; see `Recording.moment`."""
     recording.require_frames()
     times = _column(recording.fingerprints(), "time")
     if at is not None:

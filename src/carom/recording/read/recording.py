@@ -233,7 +233,7 @@ class Recording(FrameTables):
 
     @named
     def moment(self, at: float | None = None) -> float:
-        """Return the time (s) to look at: the given one, else the hardest impact, else the most contacts, else the end.
+        """Return the time (s) to show: the given one, else the hardest impact, else the most contacts, else the end.
 
         The hardest impact is known if the run was closed; otherwise it is searched among the frames. Of a clip of some
         bodies it is the impact among these with the largest impulse.

@@ -213,7 +213,7 @@ class Statics:
     @property
     @named
     def title(self) -> str:
-        """The scene's title; an empty one is empty or missing, as Rerun has seen texts under this name or not."""
+        """The scene's title; an empty title is stored as an empty text, or not at all."""
         return called(str(self.info.get("title", "")))
 
     @named

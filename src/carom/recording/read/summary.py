@@ -118,7 +118,8 @@ def _energy(energy: pa.Table) -> dict[str, float]:
 def _changes(recording: Recording) -> dict[str, float]:
     """Divide the change of the energy of another engine's run, in J: while bodies touched, and otherwise.
 
-    What changes while bodies touch is what contacts take and what the engine gets wrong; states do not tell them apart.
+    While bodies touch, the energy changes by the work of contacts and by errors of the engine; states do not separate
+    the two.
     """
     if not recording.engine:
         return {}

@@ -109,7 +109,7 @@ class ChunkIndex:
                 self._known(store).entries.append(entry_of(chunk, message))
 
     def stores(self) -> list[Store]:
-        """Return the stores found, without layouts that were not sent completely."""
+        """Return the stores, without layouts that were not sent completely."""
         return [s for s in self._stores.values() if s.kind != BLUEPRINT or s.store_id in self._activated]
 
     def _known(self, store: Store) -> Store:

@@ -102,7 +102,7 @@ def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
 
 
 def read_footer(file: BinaryIO) -> bytes | None:
-    """Read the end message's body, by which chunks are found; None if the file has no footer.
+    """Read the end message's body, which locates the chunks; None if the file has no footer.
 
     Raises
     ------
@@ -146,7 +146,7 @@ class MessageSplitter:
         self._pending += piece
 
     def pass_on(self, write: Callable[[memoryview], None]) -> bool:
-        """Give the next message to a function, as memory that it must not keep; tell whether there was a whole one."""
+        """Pass the next message to a function, as memory that it must not keep; return whether one was complete."""
         length = self._next_length()
         if length is None or length > len(self._pending):
             return False

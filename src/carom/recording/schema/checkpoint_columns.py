@@ -34,7 +34,7 @@ _DIGEST = "digest"
 _NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
 _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
-_IF_ASKED = ("contact_audit",)  # extremes that only some runs look at
+_IF_ASKED = ("contact_audit",)  # extremes that only some runs measure
 _BOOKS_BYTES = 1200  # as JSON
 _CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
 _INTEGRATOR = "integrator_"
@@ -220,7 +220,7 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
 
 
 class _Row:
-    """One row of stored components, looked at with suspicion."""
+    """One row of stored components, each checked before it is used."""
 
     def __init__(self, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: int) -> None:
         self._stored = stored

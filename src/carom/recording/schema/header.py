@@ -84,7 +84,7 @@ RECORDED_PARTS = (*_FLAGS, *_FORCES)  # of the model, that series depend on
 
 
 def flag_of(part: str) -> str:
-    """Return the property of a recording that tells whether its scene requires a part of the model."""
+    """Return the property of a recording that states whether its scene requires a part of the model."""
     if part in _FLAGS:
         return _FLAGS[part]
     return _FORCES[part].present if part in _FORCES else f"{PROPERTY}forces.{part}"
@@ -151,7 +151,7 @@ class Header:
 
     @property
     def coloured_by(self) -> str:
-        """What the bodies' recorded colours tell: "group" or "material", both static, "speed", "graph" or "island"."""
+        """What the bodies are coloured by: "group" or "material", both static, "speed", "graph" or "island"."""
         if self.colour_by != "auto":
             return self.colour_by
         if self.body_colouring:

@@ -25,7 +25,7 @@ GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
 
-# Found by a search for the largest difference between any two, seen with and without colour blindness: ΔE ≥ 18 (CIE76).
+# Found by a search for the largest difference between any two, with and without colour blindness: ΔE ≥ 18 (CIE76).
 LINES = {
     "blue": 0x4A66F0FF,
     "red": 0xD42A1EFF,
@@ -36,7 +36,7 @@ LINES = {
 }
 PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # of plots, in the viewer's two themes
 
-# Neighbouring stages must be told apart at a glance, so the order alternates warm and cold.
+# Neighbouring stages must be distinct at a glance, so the order alternates warm and cold.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
 SERIAL_STAGE = 64  # contacts beyond this many colours are solved serially, last; drawn white
@@ -71,7 +71,7 @@ DT_LIMITS = {
     "end": GREEN,
 }
 
-MOST_SINGLE = 70  # single bodies that take turns in the hues; of more, each hue would have more than ten
+MOST_SINGLE = 70  # single bodies to which the hues are given in rotation; of more, each hue would have more than ten
 
 _GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) evenly in any prefix
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
@@ -84,7 +84,7 @@ def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
 
 
 def body_colours(group: IntArray) -> NDArray[np.uint32]:
-    """Return the static colours of bodies: a hue per group and per single body, in turns, and a shade per body.
+    """Return the static colours of bodies: a hue per group and per single body, in rotation, and a shade per body.
 
     With few bodies each has its own hue. More than `MOST_SINGLE` single bodies share one.
     """

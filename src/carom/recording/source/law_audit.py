@@ -107,7 +107,7 @@ class Fault:
 
 @dataclass(slots=True)
 class AuditFinding:
-    """What the audit of one frame found."""
+    """Results of the audit of one frame."""
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, by contacts; negative where they gave some back
@@ -135,8 +135,7 @@ class LawAudit:
     ----------
     setup
         Of the run.
-    tolerances
-        How much may be wrong.
+    tolerances How much may be wrong.
     names
         Of the bodies and planes.
     units
@@ -209,7 +208,7 @@ class LawAudit:
             yield from ((f"{key}.step", first.step), (f"{key}.time", first.time), (f"{key}.text", first.text))
 
     def note(self, fault: Fault) -> None:
-        """Count a fault that was found elsewhere."""
+        """Count a fault that another check reports."""
         self._tell(fault)
 
     def _tell(self, fault: Fault) -> bool:

@@ -63,7 +63,8 @@ class Model:
     units
         Of all numbers, as in `Recorder`; empty: SI.
     every
-        Calls of `Recorder.frame` for one frame, unless the recorder is told: more than 1 where the engine takes long
+        Calls of `Recorder.frame` for one frame, unless the recorder has its own number: more than 1 where the engine
+        takes long
         to hand over a state.
     """
 
@@ -87,14 +88,14 @@ class Model:
 
 @dataclass(slots=True)
 class State:
-    """What one moment of a run looks like. Arrays may be views of the engine's own memory: they are copied."""
+    """The state of a run at one moment. Arrays may be views of the engine's own memory: they are copied."""
 
     time: float  # s
     position: Any  # (n, 3) m
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
     angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; likewise
-    contacts: Any = None  # (m, 2) indices of touching bodies, n + k for plane k; None: found by their distances
+    contacts: Any = None  # (m, 2) indices of touching bodies, n + k for plane k; None: computed from distances
 
 
 class Source(Protocol):
@@ -110,7 +111,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class SteppedSource(Protocol):
-    """A source whose engine does not tell the time, which it therefore counts."""
+    """A source that counts the time, because its engine does not report it."""
 
     def stepped(self) -> None:
         """Note another call of `Recorder.frame`, after the first; it may be one that is not recorded."""

@@ -2,7 +2,7 @@
 
 When a write of Rerun's own file sink fails, its thread dies, half a message stays in the file, and the process may hang
 at exit. So the sink writes into a pipe, which never fails, and `DurableSink` copies the pipe to the file, one whole
-message at a time. When the disk is full it releases a reserve, which leaves room for pending messages and the footer.
+message at a time. When the disk is full it releases a reserve, which leaves space for pending messages and the footer.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class DurableSink:
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
-        """Reserve this many bytes for closing the file; without room for them the disk counts as full."""
+        """Reserve this many bytes for closing the file; without space for them, the disk counts as full."""
         if self.full:
             return
         try:
@@ -215,7 +215,7 @@ _STATIC_PER_BODY = 1000
 class AddressReserve:
     """Refuses a batch for which there are too few addresses, while there are still enough to close the file.
 
-    It works only where `ulimit -v` limits addresses and the system tells how many are in use.
+    It works only where `ulimit -v` limits addresses and the system reports how many are in use.
     """
 
     def __init__(self, bodies: int) -> None:
@@ -229,7 +229,7 @@ class AddressReserve:
 
     @property
     def limited(self) -> bool:
-        """Whether addresses are limited, and the system tells how many are in use."""
+        """Whether addresses are limited, and the system reports how many are in use."""
         return self._limit is not None
 
     def require(self, batch: Sequence[Frame], path: Path) -> None:
@@ -247,7 +247,7 @@ class AddressReserve:
             )
 
     def _keep(self, size: int) -> bool:
-        """Keep at least so many bytes; tell whether there are as many."""
+        """Keep at least so many bytes; return whether there are as many."""
         if size > self._size:
             self.release()
             try:

@@ -163,7 +163,7 @@ _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
 _QUEUE_BYTES = 64_000_000
-_LOOK = 1.25  # times as many frames from one look of the camera to the next
+_LOOK = 1.25  # times as many frames from one update of the camera to the next
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
@@ -323,7 +323,7 @@ class FrameRecorder:
             self._last_checkpoint = kept[-1].step
         self._look(batch, encoder.origin)
         self._last = batch[-1]
-        self.frames += len(batch)  # even if the flush finds the disk full: the reserve had room for them
+        self.frames += len(batch)  # even if the disk is full at the flush: the reserve had space for them
         self._stream.flush()
 
     def _begin(self, position: FloatArray) -> BatchEncoder:
@@ -355,7 +355,7 @@ class FrameRecorder:
         if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit))
             self._laid_out = True
-        if self.frames >= _LOOK * self._looked:  # a look takes a millisecond, during which the physics waits
+        if self.frames >= _LOOK * self._looked:  # an update takes a millisecond, during which the physics waits
             self._looked = self.frames
             self._camera_fit.see(batch, origin)
 

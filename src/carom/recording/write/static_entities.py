@@ -27,7 +27,7 @@ Static = tuple[str, rr.AsComponents]
 _THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
-_MESH_RINGS = 8  # from pole to pole; enough for a sphere among thousands to look round
+_MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to appear round
 
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:

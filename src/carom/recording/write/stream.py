@@ -130,7 +130,7 @@ class Stream:
         self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
-        # room for a batch in flight when the disk fills up, for the last checkpoint and for the end of the file
+        # for a batch in flight when the disk fills up, the last checkpoint and the end of the file
         self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
         self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()

@@ -39,7 +39,7 @@ class SourcedBodies(NamedTuple):
 
 @dataclass(frozen=True)
 class Wanted:
-    """The [[bodies]] whose bodies are to be found."""
+    """The [[bodies]] section whose bodies are requested."""
 
     section: BodyData
     index: int  # among those of the scene
@@ -53,7 +53,7 @@ class BodySource(Protocol):
     """Finds the bodies of each [[bodies]] of a scene."""
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies of a section; SceneError if they cannot be found."""
+        """Return the bodies of a section; SceneError if they are not available."""
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ _RIVALS = {
 
 
 class Columns(Section):
-    """Which columns of a file hold which quantity; those left out are found by their usual names."""
+    """Which columns of a file hold which quantity; a column that is left out has its usual name."""
 
     position: Axes | Name | None = Field(None, description="m; three columns, or one that holds [x, y, z]")
     velocity: Axes | Name | None = Field(None, description="m/s; three columns, or one that holds [x, y, z]")

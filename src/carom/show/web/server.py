@@ -35,7 +35,7 @@ class Hosted:
     Attributes
     ----------
     link
-        With a secret: whoever knows it sees the recording.
+        With a secret: whoever knows it can open the recording.
     command_line
         Without it, since other users can read the command lines of a browser; leads this user to `link`, nobody else.
     """
