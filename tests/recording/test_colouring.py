@@ -5,7 +5,7 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
-from carom.recording.layout import drawing as colouring
+from carom.recording.layout import colouring
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording

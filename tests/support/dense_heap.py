@@ -48,6 +48,6 @@ if __name__ == "__main__":
     count, output = int(sys.argv[1]), Path(sys.argv[2])
     scene = output.with_suffix(".toml")
     scene.write_text(SCENE.format(count=count, side=1.8 * count ** (1 / 3) + 2.0), encoding="utf-8")
-    random_placement.RANDOM = random_placement.RANDOM._replace(arrange=arranged)
+    random_placement.RANDOM = random_placement.RANDOM._replace(arrange=arranged)  # type: ignore[arg-type]
     sys.argv = ["carom", "run", str(scene), "-o", str(output)]
     main()

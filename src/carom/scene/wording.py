@@ -28,8 +28,10 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:
-    """Name the most similar known name, and list all."""
+    """Name the most similar known name, and list all known ones."""
     known = list(known)
+    if not known:
+        return "there is none"
     near, listed = nearest(name, known), ", ".join(known)
     return f'did you mean "{near}"? There are {listed}' if near else f"there are {listed}"
 

@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, IntArray, SingleArray
 from carom.errors import RecordingError
-from carom.recording.layout import drawing as colouring
+from carom.recording.layout import colouring
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.drawing import shape

@@ -14,8 +14,7 @@ from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
-from carom.recording.layout import drawing
-from carom.recording.layout import drawing as colouring
+from carom.recording.layout import colouring, drawing
 from carom.recording.layout.drawing import arrow_length, shape, single
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.recorded_impacts import RecordedImpacts
