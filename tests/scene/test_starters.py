@@ -46,6 +46,7 @@ def test_balls_on_the_slope_slide_slip_and_roll_at_the_accelerations_of_the_text
 
 def body_energy(frame: Frame, body: int) -> float:
     """Energy of a solid ball of 1 kg and 0.1 m under gravity, in J."""
+    assert frame.angular_velocity is not None
     speed, spin = frame.velocity[body], frame.angular_velocity[body]
     return float(speed @ speed / 2 + 0.4 * 0.1**2 * spin @ spin / 2 + G * frame.position[body][2])
 
@@ -58,6 +59,7 @@ def test_the_object_ball_leaves_along_the_line_of_centres_but_for_the_throw_and_
     after = next(frame for frame in frames if frame.velocity[1, 0] > 0.1)
     assert math.degrees(math.atan2(after.velocity[1, 1], after.velocity[1, 0])) == pytest.approx(30.0 - throw, abs=off)
     end = frames[-1]
+    assert end.angular_velocity is not None
     slip = end.velocity + np.cross(end.angular_velocity, [0.0, 0.0, -0.028575])  # of the points that touch the cloth
     assert abs(slip).max() < 1e-12
 

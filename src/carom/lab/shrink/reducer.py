@@ -12,7 +12,7 @@ from carom.extend import InitialBodies, Interrupts, Schedule, counted, every, pl
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbers, set_defaults
-from carom.lab.shrink.literal import Document, BodyStates, at_moment, literal, with_value
+from carom.lab.shrink.literal import BodyStates, Document, at_moment, literal, with_value
 from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials, observe
 
 ROOM = 200_000_000  # bytes of states that are kept of a run
