@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
+
 CACHE_LINE = 64  # bytes
 
 
@@ -72,26 +74,26 @@ def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[n
     )
 
 
-def raw(records: NDArray[np.void]) -> NDArray[np.void]:
+def raw(records: Records) -> Records:
     """Return contiguous records as bytes, a view. NumPy copies fields one by one, which takes 100 times as long."""
     return records.view(np.dtype((np.void, records.dtype.itemsize)))
 
 
-def joined(parts: Iterable[NDArray[np.void]], kind: np.dtype[np.void]) -> NDArray[np.void]:
+def joined(parts: Iterable[Records], kind: np.dtype[np.void]) -> Records:
     """Return contiguous records, one part after another, as one array."""
-    found: NDArray[np.void] = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
+    found: Records = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
     return found
 
 
-def picked(records: NDArray[np.void], places: NDArray[np.int64]) -> NDArray[np.void]:
+def picked(records: Records, places: IntArray) -> Records:
     """Return some of contiguous records, a copy."""
     return raw(records)[places].view(records.dtype)
 
 
-def columns(records: NDArray[np.void], names: tuple[str, ...]) -> NDArray[np.float64]:
+def columns(records: Records, names: tuple[str, ...]) -> FloatArray:
     """Return number fields that follow each other in records, as a view, (m, k)."""
     kind, offset = _place_of(records.dtype, names)
-    numbers: NDArray[np.float64] = records.getfield(kind, offset)
+    numbers: FloatArray = records.getfield(kind, offset)
     return numbers
 
 

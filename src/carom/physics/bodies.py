@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray
+from carom.arrays import BoolArray, FloatArray
 from carom.scene.start import InitialBodies
 
 
@@ -77,7 +76,7 @@ class Bodies:
         return len(self.mass)
 
 
-def _inverse(mass: FloatArray, fixed: NDArray[np.bool_]) -> FloatArray:
+def _inverse(mass: FloatArray, fixed: BoolArray) -> FloatArray:
     """Return 1/mass; 0 of what is fixed."""
     with np.errstate(divide="ignore"):
         return np.where(fixed, 0.0, 1.0 / mass)

@@ -9,6 +9,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError
 from carom.physics.space import Space
 from carom.plan.auto import auto_interval
@@ -221,14 +222,14 @@ class StaticCheck:
         return reach_of(position, self._header.radius)
 
 
-def groups_of(scene: Scene) -> NDArray[np.int64]:
+def groups_of(scene: Scene) -> IntArray:
     """Return the groups of all bodies, (n,), as they are placed: explicit ones, those from data, those of groups."""
     given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
     numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
     return np.repeat(np.array(numbers, np.int64), counts)
 
 
-def reach_of(position: NDArray[np.float64], radius: NDArray[np.float64]) -> float:
+def reach_of(position: FloatArray, radius: FloatArray) -> float:
     """Return how far from the origin bodies reach along an axis, in m."""
     return float(np.max(np.abs(position).max(axis=1) + radius))
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.event import Event
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import Selection
@@ -72,9 +72,7 @@ class FrameCheck:
         Whether the replay makes exactly the same frames as the run from ``begin`` on.
     """
 
-    def __init__(
-        self, recording: Recording, header: Header, steps: NDArray[np.int64], begin: int, all_frames: bool
-    ) -> None:
+    def __init__(self, recording: Recording, header: Header, steps: IntArray, begin: int, all_frames: bool) -> None:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared, in order
         self._path = recording.path
         self._rows = RecordedRows(recording)
@@ -339,15 +337,15 @@ def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBat
 class _States:
     """A state that is recorded only when it changes."""
 
-    step: NDArray[np.int64]
-    shown: NDArray[np.int64]  # ns on the timeline
+    step: IntArray
+    shown: IntArray  # ns on the timeline
     name: list[str]
 
     @classmethod
     def of(cls, table: pa.Table) -> _States:
         return cls(table[STEP].to_numpy(), table[SIM_TIME].cast(pa.int64()).to_numpy(), table["state"].to_pylist())
 
-    def at(self, step: int) -> tuple[str | None, NDArray[np.int64]]:
+    def at(self, step: int) -> tuple[str | None, IntArray]:
         """Return the state at a step, and the times of its rows of this step."""
         first, last = (int(np.searchsorted(self.step, step, side=side)) for side in ("left", "right"))
         return self.name[last - 1] if last else None, self.shown[first:last]

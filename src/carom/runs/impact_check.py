@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.contact_table import CONTACT_ROW
 from carom.physics.contact.contact_tap import MOST_IMPACTS
 from carom.physics.frame import Frame
@@ -32,15 +32,13 @@ ROOM = "how many contacts have arrows, and how many impacts the bodies drawn at 
 FIRST_BODIES = "bodies drawn at impacts before the first frame"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
-IntArray = NDArray[np.int64]
-
 
 class _Interval(NamedTuple):
     """The impacts between two recorded frames, as a replay finds them."""
 
     frame: Frame  # at its end
     before: Frame | None  # at its beginning
-    impacts: NDArray[np.void]  # (k,) CONTACT_ROW, in order of time
+    impacts: Records  # (k,) CONTACT_ROW, in order of time
     kept: Kept | None  # how many of them should be recorded; None if that cannot be told
     numbers: IntArray  # (k,)
     begin: int  # the impacts of the run before it
@@ -92,7 +90,7 @@ class ImpactCheck:
             self.skipped |= {ROOM: None, **({LEFT_OUT: None} if self._leaves_out else {})}
         if few:
             self.skipped[OF_OTHERS] = None
-        self._since: list[NDArray[np.void]] = []
+        self._since: list[Records] = []
         self._missed = 0  # that the replay left out itself
         self._before: tuple[Frame, int | None] | None = None  # the recorded frame before, and the impacts up to it
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, SingleArray
 from carom.errors import PhysicsError, RecordingError, SceneError
 from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
@@ -329,9 +329,7 @@ def _nearest(recording: Recording, moment: float, step: int, count: int) -> list
     return [int(body) for body in shown[np.sort(order[:count])]]
 
 
-def _focus(
-    recording: Recording, moment: float, shown: NDArray[np.int64], drawn: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _focus(recording: Recording, moment: float, shown: IntArray, drawn: SingleArray) -> SingleArray:
     """Return where the body is drawn that has to do with a moment; the middle of all if none has."""
     for found in recording.summary()["moments"].values():
         places = np.flatnonzero(np.isin(shown, found["bodies"]))

@@ -247,7 +247,7 @@ def _times(origin: float, end: float, interval: float) -> FloatArray:
 
 
 def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
-    """Return what an outcome asks of single bodies: Coordinates such as ``x_3`` in m, and ``speed_3`` in m/s."""
+    """Return what an outcome asks of single bodies: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s."""
     found: dict[str, float] = {}
     for name in outcome.names:
         what, _, number = name.partition("_")

@@ -26,8 +26,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, Records
 from carom.physics.aligned import columns, record
 from carom.physics.bodies import Bodies
 from carom.physics.contact.events.drift import Impacts
@@ -38,10 +38,6 @@ from carom.physics.jit.decorators import kernel
 from carom.physics.jit.thread_team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 SUMS = record(
     "lost"  # J, what the medium took out

@@ -28,13 +28,11 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray
 from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
-
-IntArray = NDArray[np.int64]
 
 LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
 JOB, FIRST = DOER + 1, DOER + 2  # written by the leader only, like DOER

@@ -32,9 +32,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
 from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, Meeting
@@ -132,7 +131,7 @@ class GaussRadau15:
         position: FloatArray,
         velocity: FloatArray,
         gm: FloatArray,
-        fixed: NDArray[np.int64],
+        fixed: IntArray,
         field: FloatArray,
         softening: float,
         max_dt: float,

@@ -10,9 +10,8 @@ from math import comb, prod
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.jit.decorators import inline, unowned
@@ -97,7 +96,7 @@ def motion_of(
     position: FloatArray,
     velocity: FloatArray,
     gm: FloatArray,
-    fixed: NDArray[np.int64],
+    fixed: IntArray,
     field: FloatArray,
     softening: float,
     mass: FloatArray | None = None,
