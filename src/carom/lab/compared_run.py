@@ -172,8 +172,8 @@ class Trajectory:
 def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
 
-    The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The
-    others are not round numbers, because times of impacts can be, and at such a time a velocity has two values.
+    The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The other
+    times are not round numbers: an impact may happen at a round time, where the velocity has two values.
     """
     count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count

@@ -82,7 +82,7 @@ class Expression:
             raise ExperimentError(f"{option} {text}: it names nothing of a run; {_EXAMPLE}")
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
-        """Tell whether the condition holds.
+        """Return whether the condition holds.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class Expression:
         return f"{self.option} {self.text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
 
     def measured(self, summary: Mapping[str, Any]) -> str:
-        """Say what the summary has under each name, for a message."""
+        """Describe what the summary has under each name, for a message."""
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
     def _names(self, node: ast.expr) -> Iterator[str]:
@@ -192,7 +192,7 @@ Pair = frozenset[str]  # names of both ends
 
 SUNK = 0.05  # of the smaller radius: a deeper overlap must not last
 LASTING = 20  # steps
-STEADY = 0.01  # of the smaller radius: an overlap that changes less in so many steps is one at rest
+STEADY = 0.01  # of the smaller radius: an overlap at rest changes less in `LASTING` steps
 
 
 class Touches:

@@ -200,7 +200,7 @@ def _energy(scene: Scene) -> Part:
 
 
 def _times(scene: Scene) -> str:
-    """Say how often a run is checked by its time."""
+    """Describe how often a run is checked by its time."""
     duration = scene.time.duration
     return f"{round(duration / auto_interval(scene, duration))} times a run"
 

@@ -94,7 +94,7 @@ def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, l
 
 
 def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wrong: list[Wrong]) -> Any:
-    """Convert a value and all values below it; those that need no conversion are returned unchanged."""
+    """Convert a value and all values below it; values without a unit are returned unchanged."""
     kind = type(value)
     if at is None or kind is bool or (kind in _NUMBERS and not units.converts):
         return value

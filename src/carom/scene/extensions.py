@@ -38,7 +38,7 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 
 def missing(extensions: Mapping[str, str]) -> str:
-    """Say which packages to install for the parts of a recording that are not there; empty if all are there."""
+    """Name which packages to install for the parts of a recording that are not there; empty if all are there."""
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():
         kind, _, name = key.partition(".")

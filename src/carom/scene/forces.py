@@ -2,7 +2,7 @@
 
 `FORCES` is the table of carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts
 where a scene has the section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger
-entries of a recording, and the reports follow from the `ForceKind` of either.
+entries of a recording, and the reports follow from its `ForceKind`.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ class BodyForce:
 class PairForce:
     """A central force between each two bodies that depends on their distance.
 
-    The functions are compiled as those of `BodyForce` are. In a periodic box, they act between nearest images.
+    The functions are compiled like the functions of a `BodyForce`. In a periodic box, they act between nearest images.
     """
 
     section: type[Any]  # of the scene, as for `BodyForce`
@@ -194,7 +194,7 @@ def kind_called(name: str) -> ForceKind:
 
 
 def acts_from_outside(scene: Scene) -> bool:
-    """Tell whether a force of an installed package acts on single bodies, and so changes the momentum of all."""
+    """Return whether a force of an installed package acts on single bodies, and so changes the momentum of all."""
     return any(isinstance(force_called(name), BodyForce) for name in scene.forces.given)
 
 

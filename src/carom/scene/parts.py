@@ -43,7 +43,7 @@ class Part:
 
 
 def in_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of parts as `PARTS` orders them; those of other forces follow carom's own."""
+    """Return the names of parts in the order of `PARTS`; names of other forces follow carom's own."""
     others = [name for name in names if name not in PARTS]
     last = PARTS.index(FORCES[-1].name) + 1
     return (*PARTS[:last], *others, *PARTS[last:])

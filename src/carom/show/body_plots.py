@@ -107,7 +107,7 @@ def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False)
 
 
 def needs_replay(asked: Sequence[tuple[int, Quantity]]) -> bool:
-    """Tell whether the run must be done again: positions are recorded at every frame, velocities are not."""
+    """Return whether the run must be done again: positions are recorded at every frame, velocities are not."""
     return any(quantity.vector != "position" for _, quantity in asked)
 
 

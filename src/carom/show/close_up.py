@@ -293,7 +293,7 @@ def close_up(
 
 
 def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool:
-    """Tell whether bodies at (b, 3) m, with radii (b,) m, still touch in a contact of the step."""
+    """Return whether bodies at (b, 3) m, with radii (b,) m, still touch in a contact of the step."""
     other = contact.point if len(position) == 1 else position[1]
     return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
 

@@ -60,7 +60,7 @@ _SERIES = {
 _LARGEST = 100_000_000  # bytes of positions; of longer recordings every k-th frame is shown
 _BATCH = 4_000_000  # bytes
 _SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
-_HALO = 1.04  # scale of B's spheres, which those of A would hide at equal size
+_HALO = 1.04  # scale of B's spheres, which A's would hide at equal size
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,8 +226,8 @@ def write_trajectories(
     radius
         (n,) m.
     trajectories
-        The reference first, which is drawn grey. Each family of the others has a colour, and each run without a family;
-        of those that share one, the first has a wide curve.
+        The reference first, which is drawn grey. Each other family has a colour, and so has each run without a family.
+        Of runs that share a colour, the first has a wide curve.
 
     Raises
     ------

@@ -40,12 +40,12 @@ _DRAWN = re.compile(
 
 
 def drawable(text: str) -> bool:
-    """Tell whether the font has all characters of a text."""
+    """Return whether the font has all characters of a text."""
     return _DRAWN.fullmatch(text) is not None
 
 
 def has_all_glyphs(recording: Recording) -> bool:
-    """Tell whether the font has all characters of the names that a picture shows.
+    """Return whether the font has all characters of the names that a picture shows.
 
     These are the names of bodies and planes, in labels and events, and that of the file; of an overlay, those of files.
     """
@@ -146,7 +146,7 @@ def try_to_render(path: Path, request: Request, out_png: Path, size: tuple[int, 
 
 
 def is_picture_of_carom(path: Path) -> bool:
-    """Tell whether a file is a picture that `render` wrote, so that it may be replaced."""
+    """Return whether a file is a picture that `render` wrote, so that it may be replaced."""
     try:
         with path.open("rb") as file:
             return _MARK in file.read(_HEAD + 2 * len(_MARK))

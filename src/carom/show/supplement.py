@@ -93,7 +93,7 @@ class Trails:
         camera.include(past.reshape(-1, 3).astype(np.float64))
 
     def statics(self) -> Iterable[Static]:
-        """Yield their colours, those of the bodies."""
+        """Yield the colours of the bodies."""
         yield TRAILS, rr.LineStrips3D.from_fields(colors=self._colours, radii=rr.Radius.ui_points(0.75))
 
     def rows(self) -> Iterable[Rows]:
@@ -167,7 +167,7 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
 
 
 def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:
-    """Take speeds from distances between frames; those of repeated steps are exact."""
+    """Yield speeds from distances between frames; speeds of repeated steps are exact."""
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
     if len(times) < 2:

@@ -212,7 +212,7 @@ def start_live_viewer() -> str:
 
 
 def broken_off(said: str) -> str | None:
-    """Return what a viewer that broke off said of it; None if it did not."""
+    """Return the last message of a viewer that broke off; None if it did not."""
     found = _GLYPH.search(said)
     if found:
         return (
@@ -227,7 +227,7 @@ def broken_off(said: str) -> str | None:
 
 
 def drawing() -> str:
-    """Say what a viewer needs that draws without a screen, and how to install it."""
+    """Describe what a viewer needs that draws without a screen, and how to install it."""
     debian = "mesa-vulkan-drivers libvulkan1 libxkbcommon0 libxkbcommon-x11-0"
     fedora = "mesa-vulkan-drivers vulkan-loader libxkbcommon libxkbcommon-x11"
     return f"it needs a Vulkan driver; without a graphics card: {install_packages(debian, fedora)}"
@@ -239,7 +239,7 @@ def virtual_screen() -> str:
 
 
 def _lacks_driver(said: str) -> bool:
-    """Tell whether a text says that there is no graphics card or driver, or no library that they need."""
+    """Return whether a text says that there is no graphics card or driver, or no library that they need."""
     return any(word in said.lower() for word in _DRIVER_WORDS)
 
 

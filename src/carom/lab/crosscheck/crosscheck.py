@@ -241,7 +241,7 @@ class Crosscheck:
     runs: Runs = field(default_factory=lambda: Runs(1))
     refused: dict[str, str] = field(default_factory=dict)  # engine → why it cannot run the scene
     examinations: dict[str, Examination] = field(default_factory=dict)  # by the names of the settings
-    _seen: dict[str, Watched] = field(default_factory=dict)  # likewise, of runs that are not examined yet
+    _seen: dict[str, Watched] = field(default_factory=dict)  # observations of runs that are not examined yet
 
     def __post_init__(self) -> None:
         for engine in self.engines:

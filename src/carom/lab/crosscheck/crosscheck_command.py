@@ -247,7 +247,7 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
 
 
 def _criteria(run: dict[str, Any]) -> str:
-    """Say how many criteria were met, and which were not or could not be judged."""
+    """Describe how many criteria were met, and which were not or could not be judged."""
     criteria = run.get("criteria") or []
     if not criteria:
         return "none"

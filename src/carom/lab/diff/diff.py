@@ -79,7 +79,7 @@ class ImpactDivergence:
     counts: tuple[int, int] | None  # up to the last frame at a common time; None if there is no such frame
     compared: int  # impacts that both recorded
     first: ImpactPair | None  # the first of them that is not the same
-    alone: ImpactPair | None  # the first that only one run has, while the recording of the other has all of its own
+    alone: ImpactPair | None  # the first impact of only one run, while the recording of the other is complete
 
     @property
     def same(self) -> bool:

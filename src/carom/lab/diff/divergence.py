@@ -204,7 +204,7 @@ class FrameAlignment:
         self._first, self._second = first, second
 
     def _reaches_the_end(self, common: IntArray) -> bool:
-        """Tell whether frames of the first recording go on to the last time that both have.
+        """Return whether frames of the first recording go on to the last time that both have.
 
         Runs with other steps may have the same number at the start only, or by chance.
         """

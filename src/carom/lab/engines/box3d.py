@@ -45,7 +45,7 @@ class Box3D(SteppedEngine):
         )
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently."""
+        """Describe what is translated differently."""
         found = [f"single precision, {SUBSTEPS} substeps"]
         return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
 

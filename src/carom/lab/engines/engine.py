@@ -28,7 +28,7 @@ class Engine(Protocol):
         """Raise ExperimentError if the engine cannot represent a scene; the message says what it lacks."""
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently, a clause each."""
+        """Describe what is translated differently, a clause each."""
 
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the few settings for `carom crosscheck`."""
@@ -60,7 +60,7 @@ class Engine(Protocol):
         """
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Tell whether `follow` takes its samples from the ends of steps, as `watch` does."""
+        """Return whether `follow` takes its samples from the ends of steps, as `watch` does."""
 
     def run(self, scene: Scene, setting: Setting) -> float:
         """Run a scene without sampling; return the seconds that the engine took: CPU time if it uses one thread."""

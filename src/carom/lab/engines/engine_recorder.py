@@ -420,7 +420,7 @@ class Recorder:
 
 
 def _counts(number: int) -> bool:
-    """Tell whether a caller's number is whole and positive."""
+    """Return whether a caller's number is whole and positive."""
     try:
         return operator.index(number) > 0
     except TypeError:

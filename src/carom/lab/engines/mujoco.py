@@ -36,7 +36,7 @@ class MuJoCo(SteppedEngine):
         problem_of(self.name, scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently."""
+        """Describe what is translated differently."""
         found = [f"contacts are springs that bounce in {BOUNCE:g} steps"]
         return found + (["one coefficient of friction, the kinetic"] if _has_friction(scene) else [])
 
@@ -80,7 +80,7 @@ class MuJoCo(SteppedEngine):
 
 
 class _InOrder:
-    """A source with its bodies in the order of the scene; MuJoCo's has those that never move at the end, unnamed.
+    """A source with its bodies in the order of the scene; MuJoCo has fixed bodies at the end, without names.
 
     Parameters
     ----------

@@ -34,7 +34,7 @@ class Newton(SteppedEngine):
         problem_of(self.name, scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently."""
+        """Describe what is translated differently."""
         found = [f"single precision, XPBD with {ITERATIONS} iterations"]
         return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
 

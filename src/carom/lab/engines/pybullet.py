@@ -44,7 +44,7 @@ class PyBullet(SteppedEngine):
         refuse(self.name, {what.format("bounces"): bounces, what.format("rubs"): rubs})
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently."""
+        """Describe what is translated differently."""
         return ["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:

@@ -84,7 +84,7 @@ class Rebound:
         _refuse(scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently."""
+        """Describe what is translated differently."""
         return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
@@ -141,7 +141,7 @@ class Rebound:
         )
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Tell whether `follow` takes its samples from the ends of steps: where bodies touch."""
+        """Return whether `follow` takes its samples from the ends of steps: where bodies touch."""
         return require(scene).contact.modelled
 
     def run(self, scene: Scene, setting: Setting) -> float:

@@ -61,7 +61,7 @@ class Problem:
         return 10.0 * (self.extent + speed * self.duration + fall)
 
     def named(self, model: Model) -> Model:
-        """Return the model of an engine without names, with those of the scene's bodies and planes."""
+        """Return the model of an engine that has no names, with the names of the scene's bodies and planes."""
         named = zip(model.planes, self.planes.name, strict=True)
         return replace(model, names=self.start.name, planes=[plane._replace(name=name) for plane, name in named])
 
@@ -72,7 +72,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     Raises
     ------
     ExperimentError
-        If the scene has what such engines lack; the message names all of it.
+        If the scene has what such engines lack; the message names each part.
     """
     parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
@@ -135,7 +135,7 @@ class SteppedEngine(ABC):
 
     @abstractmethod
     def notes(self, scene: Scene) -> list[str]:
-        """Say what is translated differently, a clause each."""
+        """Describe what is translated differently, a clause each."""
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError if the engine is not installed; the message has the line that installs it."""
@@ -164,7 +164,7 @@ class SteppedEngine(ABC):
         return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Tell whether `follow` takes its samples from the ends of steps: it does."""
+        """Return whether `follow` takes its samples from the ends of steps: it does."""
         return True
 
     def run(self, scene: Scene, setting: Setting) -> float:

@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-9  # of the duration, that the sum of the steps may lack
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # steps that are looked at, where nothing can touch
+MOST_SEEN = 20_000  # steps that are examined, where nothing can touch
 FRAMES = 600  # of a recording, besides those in which a law is broken
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """What was seen of an engine's run."""
+    """Observations of an engine's run."""
 
     outcome: str  # "completed", or why the run ended
     dt: float  # s, of the steps
@@ -61,7 +61,7 @@ def watch(
 ) -> Watched:
     """Run a simulation to the end of its scene.
 
-    Of more than `MOST_SEEN` steps between which nothing can touch, only so many are looked at.
+    If nothing can touch, at most `MOST_SEEN` steps are examined.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def watch(
 
 
 class _Walk:
-    """Takes a simulation from its start to the end of its scene, and looks at it on the way."""
+    """Runs a simulation from its start to the end of its scene, and examines it on the way."""
 
     def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, samples: _Samples) -> None:
         self.observer = observer
@@ -113,7 +113,7 @@ class _Walk:
         self._met: dict[tuple[int, int], float] = {}  # when two ends first touched, in s
         self._step = 0
         many = math.ceil(scene.time.duration / simulation.dt / MOST_SEEN) if simulation.dt else 1
-        self._stride = 1 if observer.setup.collides else many  # steps between two looks
+        self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
 
     def run(self, first: State, log: _Log | None, limit: float) -> str:
         """Go on until the scene ends, the state is not finite, or so many s of CPU time are spent; say which."""
@@ -159,7 +159,7 @@ class _Walk:
         )
 
     def _advance(self) -> str:
-        """Take the steps up to the next look, and look; return why the run cannot go on, or nothing."""
+        """Advance to the next examined step and examine it; return why the run cannot go on, or nothing."""
         dt = self._simulation.dt
         left = math.ceil((self._scene.time.duration - self.frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
         for _ in range(min(self._stride, left)):

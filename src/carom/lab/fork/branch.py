@@ -276,7 +276,7 @@ class PerturbedTask:
 
 @dataclass(frozen=True, slots=True)
 class PerturbedResult:
-    """How far the bodies of a perturbed branch are from those of the unperturbed one."""
+    """Distances between the bodies of a perturbed branch and of the unperturbed one."""
 
     seed: int
     apart: SingleArray  # (k, n) m

@@ -241,7 +241,8 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
         The ``.rrd`` to write.
     shift, ulps
         Seed and size of a perturbation; see `ForkStart.space`.
-    watch Called several times a second with the progress of the run.
+    watch
+        Called several times a second with the progress of the run.
 
     Raises
     ------
@@ -261,7 +262,7 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
 
 
 def ended_early(outcome: Outcome) -> str:
-    """Say why a fork stopped before its end; return nothing if it did not, even if it missed a promise."""
+    """Explain why a fork stopped before its end; return nothing if it did not, even if it missed a promise."""
     if outcome.status in ("completed", "expectation missed"):
         return ""
     return f"The fork ended early, {in_words(outcome.status)}: {outcome.reason}."

@@ -27,7 +27,7 @@ class Draw(Protocol):
     """What draws."""
 
     def choice(self, *values: Value) -> Value:
-        """Draw one of some values."""
+        """Draw one of the given values."""
 
     def integer(self, low: int, high: int) -> int:
         """Draw a whole number from low to high."""
@@ -40,7 +40,7 @@ class RandomDraw:
         self._rng = random.Random(seed)
 
     def choice(self, *values: Value) -> Value:
-        """Draw one of some values."""
+        """Draw one of the given values."""
         return self._rng.choice(values)
 
     def integer(self, low: int, high: int) -> int:

@@ -33,7 +33,7 @@ from carom.lab.shrink.trials import Budget, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies
 
 LEDGER = 1e-9  # of the energy scale, where no force bends the flight: some 10⁶ roundings of 10⁻¹⁶
-CONSERVED = 1e-9  # of the largest momentum; likewise
+CONSERVED = 1e-9  # of the largest momentum
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,19 +58,19 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 
 
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
-    """Tell whether the integrator errs by rounding only, so that the ledger explains every change of the energy."""
+    """Return whether the integrator errs by rounding only, so that the ledger explains every change of the energy."""
     exact = not integrator(scene).controls_error and _falls_exactly(scene)
     pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked to the next order only
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
 
 def _falls_exactly(scene: Scene) -> bool:
-    """Tell whether bodies fall as they should; with semi-implicit Euler they lose ½ M g² dt² in each step."""
+    """Return whether bodies fall as they should; with semi-implicit Euler they lose ½ M g² dt² in each step."""
     return integrator(scene).order > 1 or not any(scene.gravity.uniform)
 
 
 def _is_free(scene: Scene, needs: Requirements) -> bool:
-    """Tell whether nothing takes up momentum, and forces between bodies come in exact pairs."""
+    """Return whether nothing takes up momentum, and forces between bodies come in exact pairs."""
     return not scene.anchored and not needs.tree.modelled
 
 

@@ -84,7 +84,7 @@ def _drawn(draw: Draw) -> Drawn:
 
 
 def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
-    """Change what may be changed in any scene; each mostly stays as it is."""
+    """Draw the switches that any scene may have; most keep their default."""
     time, contact, gravity = document["time"], document["contact"], document["gravity"]
     T = scale.L / scale.U
     _bound(draw, document, scale)

@@ -62,10 +62,10 @@ class Condition(Protocol):
         """
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the run shows the failure."""
+        """Return whether the run shows the failure."""
 
     def said(self, seen: Observation) -> str:
-        """Say what the run shows, for the comments of the result."""
+        """Describe what the run shows, for the comments of the result."""
 
     def bodies(self, seen: Observation) -> set[str]:
         """Return the names of the bodies in question, as far as they are known."""
@@ -148,7 +148,7 @@ class MissedPromise:
         return replace(self, name=missed[0].name, note=missed[0].note)
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the promise is missed."""
+        """Return whether the promise is missed."""
         return not seen.error and any(self.note in (None, verdict.note) for verdict in self._missed(seen))
 
     def said(self, seen: Observation) -> str:
@@ -181,7 +181,7 @@ class Measured:
                 raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
 
     def pinned(self, seen: Observation) -> Measured:
-        """Return the condition that the expression holds of a run that ends likewise."""
+        """Return the condition that the expression holds of a run with the same ending."""
         try:
             if not self.expression.holds(seen.summary):
                 raise ExperimentError(f"nothing to shrink: {self.expression.measured(seen.summary)}")
@@ -190,7 +190,7 @@ class Measured:
         return replace(self, failed=bool(seen.error))
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the expression holds."""
+        """Return whether the expression holds."""
         if bool(seen.error) != self.failed:
             return False
         try:
@@ -236,7 +236,7 @@ class Met:
         return replace(self, pair=self._pair(seen))
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether they met."""
+        """Return whether they met."""
         return not seen.error and (self.pair or self._pair(seen)) in seen.touches.pairs
 
     def said(self, seen: Observation) -> str:
@@ -275,13 +275,13 @@ class Sunk:
         """Accept every run."""
 
     def pinned(self, seen: Observation) -> Sunk:
-        """Return the condition, of whichever pair."""
+        """Return the condition for any pair."""
         if not self.holds(seen):
             raise ExperimentError(f"nothing to shrink: no overlap above {SUNK:.0%} of a radius lasts {LASTING} steps")
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether there is one."""
+        """Return whether there is one."""
         return not seen.error and bool(seen.touches.sunk)
 
     def said(self, seen: Observation) -> str:
@@ -316,7 +316,7 @@ class Warned:
         return replace(self, kind=self.kind or min(seen.warned))
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the run gave it."""
+        """Return whether the run gave it."""
         return not seen.error and (self.kind in seen.warned if self.kind else bool(seen.warned))
 
     def said(self, seen: Observation) -> str:
@@ -352,7 +352,7 @@ class Failed:
         return replace(self, message=_template(seen.error))
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the run failed so."""
+        """Return whether the run failed so."""
         if not seen.error or (seen.stated and not self.stated):
             return False
         return self.about in seen.error and self.message in ("", _template(seen.error))

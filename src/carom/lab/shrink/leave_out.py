@@ -51,7 +51,7 @@ def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
 
 
 def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:
-    """Yield the bodies, then also those that touched them, and so on; last those of the whole backward cone.
+    """Yield the bodies, then also the bodies that touched them, and so on up to the whole backward cone.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ Item = TypeVar("Item")
 
 
 def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
-    """Return a part of the items that fails, and of which no item can be left out.
+    """Return items that still fail, none of which can be left out.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def set_defaults(smallest: Smallest) -> bool:
 
 
 def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
-    """Tell whether a candidate models no part that the smallest scene does not."""
+    """Return whether a candidate models no part that the smallest scene does not."""
     try:
         return _modelled(candidate) <= _modelled(smallest.document)
     except SceneError:
@@ -160,7 +160,7 @@ def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
 
 
 def _is_simpler(candidate: Document, smallest: Smallest) -> bool:
-    """Tell whether a candidate models fewer parts than the smallest scene, or as few with fewer keys."""
+    """Return whether a candidate models fewer parts than the smallest scene, or as few with fewer keys."""
     try:
         before, after = _modelled(smallest.document), _modelled(candidate)
     except SceneError:

@@ -194,7 +194,7 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
 
 
 def is_recording(path: Path) -> bool:
-    """Tell whether a file is a recording or a bundle with one."""
+    """Return whether a file is a recording or a bundle with one."""
     if not path.is_file():
         return False
     with path.open("rb") as file:

@@ -224,7 +224,7 @@ class Reducer:
         scene
             The scene that shows it.
         start
-            Its bodies; by default those that it places.
+            Its bodies at time 0; by default as the scene places them.
 
         Raises
         ------

@@ -34,7 +34,7 @@ class Earlier:
     """What an earlier reduction left."""
 
     finished: bool
-    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene that it began with
+    before: tuple[int, int]  # of the scene before the reduction: bodies, and steps up to the failure
 
 
 def earlier(path: Path, key: str) -> Earlier | None:
@@ -86,7 +86,7 @@ def _history(reduction: Reduction) -> list[str]:
 
 
 def _turns(stages: list[Stage]) -> list[Stage]:
-    """Return the first stage of each name, and those that changed the number of bodies or steps."""
+    """Return the first stage of each name, and stages that changed the number of bodies or steps."""
     told: list[Stage] = []
     for stage in stages:
         known = any(stage.name == other.name for other in told)

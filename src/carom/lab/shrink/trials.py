@@ -105,7 +105,7 @@ class EveryUpTo(Every):
     last: int
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Tell whether a step passes a multiple, or is the last."""
+        """Return whether a step passes a multiple, or is the last."""
         return step == self.last or Every.__call__(self, step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -130,7 +130,8 @@ def observe(
         At the start of its run.
     budget
         The time of the reduction.
-    each Called at each frame with the observation so far; returns whether to go on.
+    each
+        Called at each frame with the observation so far; returns whether to go on.
     steps
         Number of steps after which the run is given up; None is returned then.
     schedule
@@ -277,7 +278,7 @@ class Task:
 
 
 def execute(task: Task) -> bool:
-    """Tell whether a candidate shows the failure."""
+    """Return whether a candidate shows the failure."""
     trials = Trials(task.condition, Budget(math.inf, Interrupts()))
     return trials.judge(task.document, task.steps) is not None
 
@@ -307,7 +308,7 @@ class Judges:
             self._workers.__exit__(kind, error, traceback)
 
     def pay(self, seconds: float, candidates: int) -> bool:
-        """Tell whether to judge candidates here that take so long each; starts the processes where that pays."""
+        """Return whether to judge candidates here that take so long each; starts the processes where that pays."""
         if self._count == 1 or candidates < 2:
             return False
         if self._workers is None and seconds * candidates > START:
@@ -364,7 +365,8 @@ class Smallest:
     ----------
     document
         A scene that shows it.
-    seen The observation of its run.
+    seen
+        The observation of its run.
     trials
         Judges candidates.
     taken

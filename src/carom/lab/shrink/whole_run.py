@@ -1,6 +1,6 @@
 """Conditions on whole runs, which no single frame shows: invariances, replays that differ, the verdict of a command.
 
-An invariance compares a scene with an image of it, which must run alike: in other units, mirrored, moved, turned, or
+An invariance compares a scene with an image of it, which must run alike: in other units, mirrored, moved, rotated, or
 renumbered. An image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order. Where
 floating point is exact, bits are compared: powers of two commute with every operation, and so do changes of sign.
 Otherwise the image may be as far off as runs from starts that differ by roundings, times a factor for the roundings of
@@ -64,12 +64,12 @@ class Image:
     exact: bool = True
 
     def positions(self, position: FloatArray, time: float) -> FloatArray:
-        """Return those of the image, (n, 3) m, at its time."""
+        """Return the positions of the image, (n, 3) m, at its time."""
         found = self.length * (position @ self.matrix.T) + self.shift + self.boost * time
         return np.asarray(found[::-1] if self.backwards else found)
 
     def velocities(self, velocity: FloatArray) -> FloatArray:
-        """Return those of the image, (n, 3) m/s."""
+        """Return the velocities of the image, (n, 3) m/s."""
         found = (self.length / self.time) * (velocity @ self.matrix.T) + self.boost
         return np.asarray(found[::-1] if self.backwards else found)
 
@@ -179,11 +179,11 @@ class Varies:
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether it matters."""
+        """Return whether it matters."""
         return bool(self.said(seen))
 
     def said(self, seen: Observation) -> str:
-        """Say what differs; empty if nothing does."""
+        """Describe what differs; empty if nothing does."""
         scene = seen.space.scene
         if seen.error or scene.bodies or not applies(self.name, scene):
             return ""
@@ -202,7 +202,7 @@ class Varies:
 
 
 def applies(name: str, scene: Scene) -> bool:
-    """Tell whether carom promises an invariance for a scene."""
+    """Return whether carom promises an invariance for a scene."""
     needs = require(scene)
     bounded, outside = scene.domain.boundary != "open", bool(scene.plane) or scene.anchored
     match name:
@@ -354,7 +354,7 @@ class CommandShows:
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the command exits with 0."""
+        """Return whether the command exits with 0."""
         return self._code(seen.space.scene) == 0
 
     def said(self, seen: Observation) -> str:
@@ -397,12 +397,12 @@ class ReplayDiffers:
         return replace(self, way=way)
 
     def holds(self, seen: Observation) -> bool:
-        """Tell whether the runs differ."""
+        """Return whether the runs differ."""
         way = self._difference(seen)
         return bool(way) and self.way in ("", way)
 
     def said(self, seen: Observation) -> str:
-        """Say how they differ."""
+        """Describe how they differ."""
         return f"a run {self.way} ends with other bits"
 
     def bodies(self, seen: Observation) -> set[str]:

@@ -50,7 +50,7 @@ def execute(task: SweepTask) -> Report:
 
 
 def unfit(root: str, scene: str, version: str) -> str:
-    """Say why this process cannot make the runs of a sweep; empty if it can."""
+    """Explain why this process cannot make the runs of a sweep; empty if it can."""
     ours = versions()["carom"]
     if ours != version:
         return f"has carom {ours}, but the sweep is of {version}; results depend on the version"

@@ -53,7 +53,7 @@ class Plan:
     scene: str  # TOML, without [sweep]
     varied: tuple[str, ...]  # keys, in the order of the names; the seed last if it varies
     points: tuple[SweepPoint, ...]
-    files: Mapping[str, Path] = field(default_factory=dict)  # data files that the scene reads, by the names it gives
+    files: Mapping[str, Path] = field(default_factory=dict)  # data files of the scene, by their names in it
     units: str = "SI"  # of the results, as `UnitSystem.recorded` names them
 
     @property

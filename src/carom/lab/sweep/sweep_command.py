@@ -29,7 +29,7 @@ class SweepProgress(LiveLine):
         self._first: float | None = None  # when the first run ended: the workers were starting before
 
     def begin(self, found: int) -> None:
-        """Say what there is to do."""
+        """Describe what there is to do."""
         self._found = found
         self._restart()
         there = f", {found} of them are there" if found else ""
@@ -213,7 +213,7 @@ def _run(
 
 
 def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool) -> None:
-    """Say how a sweep ended."""
+    """Describe how a sweep ended."""
     if ending.untabled:
         typer.echo(f"carom: {ending.untabled}", err=True)
     if as_json:

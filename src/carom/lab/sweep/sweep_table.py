@@ -90,7 +90,7 @@ def known(key: str, rows: Sequence[Row]) -> str:
 
 
 def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Tell of each row whether it meets a condition; a value of another kind than is wanted only differs."""
+    """Return of each row whether it meets a condition; a value of another kind than is wanted only differs."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")

@@ -41,7 +41,7 @@ MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
 SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
-TOUCHING = 1e-12  # of the sum of radii: gaps up to this are contact, and those that rounding does not resolve
+TOUCHING = 1e-12  # of the sum of radii: gaps up to this, or up to rounding, are contact
 ROUNDINGS = 8.0  # units in the last place, of speeds and places, by which contacts may seem to close or be apart
 LOWEST_FLIGHT = 10.0  # times the largest gap that is contact; after a lower bounce the contact counts as lasting
 BISECTIONS = 30  # of a step in which a force begins to press
@@ -61,7 +61,7 @@ class EventDrivenSolution:
 
 
 def why_not(scene: Scene) -> str:
-    """Say why a scene cannot be solved exactly; empty if it can."""
+    """Explain why a scene cannot be solved exactly; empty if it can."""
     if scene.count > MOST_BODIES:
         return f"{scene.count} bodies are more than {MOST_BODIES}"
     if scene.domain.boundary != "open" or scene.plane:

@@ -53,10 +53,10 @@ class Errors:
     momentum: float  # largest error of the momentum over its scale
     angular_momentum: float
     overlap: float  # deepest overlap over the smaller radius
-    sinking: float  # mean overlap of contacts late in the run, likewise; NaN if nothing can rest
+    sinking: float  # error of the mean overlap of contacts late in the run; NaN if nothing can rest
     impacts: float  # | number of impacts / that of the reference - 1 |
     size: float  # rms over all samples of the rms radius, over the reference's
-    dispersion: float  # likewise of the rms speed about the centre
+    dispersion: float  # error of the rms speed about the centre
 
 
 NAMES = tuple(Errors.__dataclass_fields__)
@@ -201,8 +201,8 @@ def make_reference(
     threads
         For the kernels.
     budget
-        Seconds of computing. An exact solution ends after a third of it; after all of it, no refinement but the second
-        begins.
+        Seconds of computing. An exact solution ends after a third of the limit. After all of it, only the second
+        refinement may begin.
     tell
         Called with a sentence before each solution.
 

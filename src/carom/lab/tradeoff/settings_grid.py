@@ -25,7 +25,7 @@ from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting
 from carom.lab.tradeoff.reference import refined
 
 STEP = "step"  # a pseudo-key: a factor on the step under any limit
-THREADS = "threads"  # likewise: threads of the kernels, which change the cost but no bits
+THREADS = "threads"  # threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
 MOST_ACCURATE = 100  # bodies; with more, looking ahead takes longer than all other settings
@@ -148,7 +148,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
 
 
 def _controls_error(scene: Scene, point: GridPoint) -> bool:
-    """Tell whether a factor on the step has no effect at a point."""
+    """Return whether a factor on the step has no effect at a point."""
     return integrator_called(point.value("time.integrator") or integrator(scene).name).controls_error
 
 
@@ -191,7 +191,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
 
 
 def refusal(scene: Scene) -> str:
-    """Say why this version cannot run a valid scene; empty if it can."""
+    """Explain why this version cannot run a valid scene; empty if it can."""
     try:
         Space(scene)
     except (SceneError, PhysicsError) as error:

@@ -265,7 +265,7 @@ class Study:
         return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
 
     def _may_go_on(self, result: SettingResult) -> bool:
-        """Tell whether a setting was stopped earlier than it would be now."""
+        """Return whether a setting was stopped earlier than it would be now."""
         bound = self._bound(result)
         return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
 
@@ -340,7 +340,7 @@ def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
 
 
 def _count(number: int, results: list[SettingResult]) -> str:
-    """Say which of several repeats it is."""
+    """Name which of several repeats it is."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 

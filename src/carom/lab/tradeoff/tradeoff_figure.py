@@ -159,7 +159,7 @@ def _panel(
     looks: dict[str, Look],
     units: UnitSystem | None,
 ) -> None:
-    """Draw one error over the cost; ``units`` are those of an error that is a time."""
+    """Draw one error over the cost; ``units`` are for an error that is a time."""
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
     one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")

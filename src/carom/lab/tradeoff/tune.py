@@ -89,13 +89,13 @@ class SettingSearch:
         return here
 
     def _too_dear(self, point: GridPoint, best: GridPoint | None) -> bool:
-        """Tell whether a point is too expensive to be tried with half the step."""
+        """Return whether a point is too expensive to be tried with half the step."""
         if best is not None and not self._excess(best):
             return self._see(point).cost >= self._see(best).cost
         return self._see(point).cost >= DEAREST * self._see(GridPoint()).cost
 
     def _cannot_win(self, point: GridPoint, best: GridPoint | None) -> bool:
-        """Tell whether a point is too expensive, now or once its steps are short enough to keep the limits.
+        """Return whether a point is too expensive, now or once its steps are short enough to keep the limits.
 
         Half the step costs twice as much, and errors of smooth motion fall by the order of the integrator at most.
         """
@@ -151,7 +151,7 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
 
 
 def loses_frames(study: Study, written: SettingResult, result: SettingResult) -> bool:
-    """Tell whether a recording has fewer frames than one of the scene as written.
+    """Return whether a recording has fewer frames than one of the scene as written.
 
     If the scene records every step, the number of frames of an automatic recording is enough.
     """

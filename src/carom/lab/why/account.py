@@ -32,7 +32,7 @@ class Cause:
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction
-    share: float = 0.0  # of the velocity; those of an account, with its start and the forces, sum to 1
+    share: float = 0.0  # of the velocity; all shares of an account, with its start and the forces, sum to 1
 
     @property
     def kind(self) -> str:
@@ -46,7 +46,7 @@ class Cause:
         return self.holds and earlier.holds and earlier.partner == self.partner and gap <= 1
 
     def join(self, earlier: Cause) -> None:
-        """Add an earlier part."""
+        """Add an account of earlier steps."""
         self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
         self.size, self.work = self.size + earlier.size, self.work + earlier.work
         self.share += earlier.share
@@ -96,7 +96,7 @@ class Account:
 
     @property
     def largest(self) -> list[Cause]:
-        """The causes, those with the largest share first; of a body at rest, those with the largest impulse."""
+        """The causes, the largest share first; for a body at rest, the largest impulse first."""
         return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
 
     def share_of(self, *kinds: str) -> float:
@@ -221,7 +221,7 @@ class Account:
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
         if not holds:
             self._find_impact(cause, impacts)
-        if cause.kind != "impact":  # the last part of the step has all that was lost in it
+        if cause.kind != "impact":  # the loss of the whole step is booked to its last piece
             cause.energy_lost = self._lost.pop(partner, 0.0)
         known = self._held.get(partner)
         if holds and known is not None and known[0].takes(cause, known[1] - step):

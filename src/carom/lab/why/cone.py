@@ -355,8 +355,8 @@ class Link:
 def chain_of(cone: Cone, bodies: tuple[int, ...]) -> list[Link]:
     """Return the impacts of the chain, the latest first.
 
-    From each body it goes back over the impact that most of the answer passed, among those before, until what the body
-    had without them is more. There is none if no impact passed on a tenth of the answer.
+    From each body it follows the earlier impact with the largest share of the answer, until the body's own motion has a
+    larger share. There is none if no impact passed on a tenth of the answer.
     """
     left = list(cone.passages)
     links: list[Link] = []

@@ -50,7 +50,7 @@ class Answer:
 
     @property
     def closed(self) -> IntArray:
-        """The cone, and the bodies that touched one of it, directly or not: without any others all would be the same.
+        """The cone and all bodies connected to it by contacts: nothing else could change the answer.
 
         This holds bit for bit where no forces act between bodies and steps have a fixed length.
         """

@@ -66,7 +66,7 @@ def why(
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Say why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
+    """Explain why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
 
     The steps before the moment are run again, so any recording can be asked. FILE may be the zip that `carom report`
     made.
@@ -213,7 +213,7 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
 
 
 def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Say what the velocity is and what it is the sum of."""
+    """Describe what the velocity is and what it is the sum of."""
     at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
     yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
     parts = (
@@ -285,7 +285,7 @@ def _kind(cause: Cause, units: UnitSystem) -> str:
 
 
 def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Say what is behind the impulses: a chain of impacts, a flow over contacts, or neither."""
+    """Describe what is behind the impulses: a chain of impacts, a flow over contacts, or neither."""
     cone = answer.cone
     others = len(answer.bodies) - len(answer.question.bodies)
     resting = [account for account in answer.accounts if account.rests]

@@ -158,7 +158,8 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        They list the contacts that were kept, and those of ``contact``, if they may have changed the energy, too.
+        They list the contacts that were kept, and the contacts of ``contact`` if these may have changed the energy,
+        too.
         """
 
         def suspects() -> list[Suspects]:
@@ -249,7 +250,7 @@ class Bookkeeper:
         return self.audit.refer_to(books)
 
     def begin_step(self, judged: bool) -> None:
-        """Begin a step, after the clock has advanced; the contacts are still those of the step before."""
+        """Begin a step, after the clock has advanced; the contacts still belong to the step before."""
         if judged:
             self.suspect_contacts(self._world.clock.step - 1)
         self.begin_contacts()
@@ -257,7 +258,7 @@ class Bookkeeper:
             self.impulse_audit.begin(self.audit.ledger)
 
     def suspect_contacts(self, step: int) -> None:
-        """Keep the present contacts of a step as those that may have changed the energy."""
+        """Keep the present contacts of a step, which may have changed the energy."""
         contact = self._world.contact
         if contact:
             self.audit.suspect(step, contact)
@@ -300,8 +301,8 @@ class Bookkeeper:
         """Compute energy and momentum.
 
         ``judged`` says whether their errors count for the verdict on the run, and whether to warn of them. What is
-        computed for a frame alone leaves no trace in the books. A warning lists the present contacts of ``contact``,
-        if given, beside those that were kept.
+        computed for a frame alone leaves no trace in the books. A warning lists the present contacts of ``contact``, if
+        given, beside the kept ones.
         """
         world, clock = self._world, self._world.clock
         try:

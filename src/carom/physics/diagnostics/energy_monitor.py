@@ -22,7 +22,7 @@ from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, 
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
 
-MOST_CONTACTS = 6  # listed in a warning, those that added most energy first
+MOST_CONTACTS = 6  # listed in a warning, the largest energy first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
 MOST_WARNINGS = 100  # of a rise in a run; more would add nothing new
 

@@ -39,7 +39,7 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
 
-DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64, and just below it takes very long
+DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64, and just below, growth takes very long
 BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # see `densest`
 LOOSE = 0.2  # packing of the random start
 INFLATED = 1e-6  # of the radius: spheres grow a little too large, so that rounding leaves no overlap
@@ -204,7 +204,7 @@ SPHERE = np.dtype(
         ("impacts", np.int64),  # so far in this flight
         ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
         ("partner", np.int64),  # the other end of that impact: sphere j, or the number of spheres + k for border k
-        ("partner_impacts", np.int64),  # those of the partner when that impact was predicted
+        ("partner_impacts", np.int64),  # impacts of the partner when this impact was predicted
         ("queue_place", np.int64),  # see `event_queue`
     ],
     align=True,

@@ -243,7 +243,7 @@ def _refuse_full_box(scene: Scene) -> None:
 # checks of a start: overlaps, and numbers out of range
 MOST_PAIRS = 3  # that a message names
 WRITTEN = 5e-7  # half a unit in the last of seven digits, of numbers that begin with 1; files and people write no fewer
-MOST_WRITTEN = 1e-3  # of a radius: an overlap above it is one, however far from the origin
+MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is no rounding of the file, at any distance from the origin
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:

@@ -33,7 +33,7 @@ _SURPRISES = (
 
 
 def is_bundle(path: Path) -> bool:
-    """Tell whether a file begins like a zip file."""
+    """Return whether a file begins like a zip file."""
     try:
         if not path.is_file():  # a pipe would be waited for
             return False

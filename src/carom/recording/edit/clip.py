@@ -81,7 +81,7 @@ class Selection:
         return chunk
 
     def _joins(self, ends: IntArray) -> BoolArray:
-        """Tell which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
+        """Return which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
         return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
     def _bodies(self, chunk: Chunk) -> Chunk:
@@ -101,7 +101,7 @@ class Selection:
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
     def _among(self, step: int, lines: SingleArray) -> BoolArray:
-        """Tell which of a frame's lines (m, 2, 3) join kept bodies, or a kept body and a plane."""
+        """Return which of a frame's lines (m, 2, 3) join kept bodies, or a kept body and a plane."""
         centres = self._centres.pop(step)
         kept = centres[self._places]
         begins = np.any(np.all(lines[:, 0, None] == kept, axis=2), axis=1)  # a line begins at a centre, to the bit
@@ -112,7 +112,7 @@ class Selection:
         return np.asarray(begins & ends)
 
     def _meets(self, point: SingleArray, centres: SingleArray) -> bool:
-        """Tell whether a point is one of the centres, in a periodic box any of its images."""
+        """Return whether a point is one of the centres; in a periodic box, or one of their images."""
         apart = centres.astype(np.float64) - point
         size = float(np.max(np.abs(centres), initial=0.0))
         if self._box is not None:

@@ -73,7 +73,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
     Raises
     ------
     RecordingError
-        If there is no such file, it is not carom's, nothing of it can be read, or the new one cannot be written.
+        If there is no such file, it is not carom's, nothing in it can be read, or the new one cannot be written.
     """
     source, out = Path(source), Path(out)
     with reading(source):
@@ -157,7 +157,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
 
 
 def _has_frames(recording: Recording) -> bool:
-    """Tell whether the table of frames, without which nothing is shown, can be read."""
+    """Return whether the table of frames, without which nothing is shown, can be read."""
     try:
         recording.fingerprints()
     except RecordingError:
@@ -192,7 +192,7 @@ def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]
 
 
 def _ending(recording: Recording) -> str:
-    """Say how the run ended, if its end was not lost."""
+    """Describe how the run ended, if its end was not lost."""
     ended = recording.outcome
     return "unfinished: the run was killed, or its end lost" if ended == UNFINISHED else ended
 

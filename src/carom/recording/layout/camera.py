@@ -62,7 +62,7 @@ class View:
 
 
 class CameraFit:
-    """Fits the camera to the bodies of a first moment, and to those of other moments if that does not take it too far.
+    """Fits the camera to the bodies at a first moment, and at other moments unless it would move too far away.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def reference(magnitude: FloatArray, natural_unit: float) -> float:
 
 
 class References(dict[str, float]):
-    """Magnitudes m_ref by name; those that are not given are chosen by the first frame that has something to draw.
+    """Magnitudes m_ref by name. The first frame that has something to draw chooses the magnitudes that are not given.
 
     Attributes
     ----------

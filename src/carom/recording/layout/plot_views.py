@@ -237,7 +237,7 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
 
 
 def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
-    """Tell whether a series shows something; ``negligible`` is an energy in J."""
+    """Return whether a series shows something; ``negligible`` is an energy in J."""
     curve = curves.get(series.path)
     if curve is None or curve.largest <= (negligible if series.unit == "J" else 0.0):
         return False

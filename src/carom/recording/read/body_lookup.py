@@ -84,7 +84,7 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
 
 
 def _begun(text: str, names: Iterable[str]) -> list[str]:
-    """Return the names of which a text is the beginning; numbers are those of bodies."""
+    """Return the names that begin with a text; numbers are numbers of bodies."""
     if not text or text.isdigit():
         return []
     return [name for name in names if name.casefold().startswith(text.casefold())]

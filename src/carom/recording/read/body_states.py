@@ -50,7 +50,7 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
 
 
 def state_table(states: Sequence[Checkpoint], which: slice | int | IntArray) -> pa.Table:
-    """Tabulate states, step by step: those of all bodies, of some, or of one."""
+    """Tabulate the states of all bodies, of some, or of one, step by step."""
     each = 1 if isinstance(which, int) else len(states[0].position[which])
     columns: dict[str, Any] = {
         STEP: np.repeat([state.step for state in states], each),

@@ -62,7 +62,7 @@ class Continuation:
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
 
     def _kept(self, batch: pa.RecordBatch) -> pa.BooleanArray:
-        """Tell which rows are of steps, or of impacts, up to the checkpoint."""
+        """Return which rows are of steps, or of impacts, up to the checkpoint."""
         if STEP in batch.schema.names:
             return pc.less_equal(batch[STEP], self.step)
         return pc.less_equal(batch[IMPACT], self.impacts.count)
@@ -81,7 +81,7 @@ class Continuation:
 
 
 def _closes(chunk: Chunk) -> pa.BooleanArray:
-    """Tell of each event whether it was written because the run ended."""
+    """Return of each event whether it was written because the run ended."""
     texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
     kinds = optional_text(chunk, "kind").to_pylist()
     return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())

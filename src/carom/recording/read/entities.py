@@ -201,7 +201,7 @@ class Entities:
         return join_rows(path, self.chunks(path), columns, optional)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks in order; with a component, those that have it."""
+        """Read an entity's chunks in order; given a component, only chunks that have it."""
         found = [entry for entry in self._store.entries if not entry.is_static and entry.entity_path == path]
         for chunk in self.read(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:

@@ -52,7 +52,7 @@ SOURCE = "source"  # key of a table's metadata: where its rows come from, in wor
 
 
 def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
-    """Make a table of columns; those that are not there are null."""
+    """Make a table of columns; missing columns are null."""
     rows = len(columns["step"])
     arrays = [
         pa.array(columns[field.name], field.type) if field.name in columns else pa.nulls(rows, field.type)
@@ -106,7 +106,7 @@ def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
 
 
 def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> BoolArray:
-    """Tell which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
+    """Return which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
     among = np.isin(pairs, chosen)
     return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
 
@@ -148,7 +148,7 @@ def _recorded(recording: Recording, row: int) -> pa.Table:
 
 
 def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
-    """Read a row; contact points and normals are those of its lines."""
+    """Read a row; its lines have the contact points and normals."""
     radius = recording.bodies.radius
     pairs = _values(chunk, "bodies", row, pa.uint32()).astype(np.int64).reshape(-1, 2)
     check_pairs(pairs, len(radius), paths.CONTACTS)
@@ -182,8 +182,8 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
 def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:
     """Take approach speeds and energies from the step's impacts, where these are all that the contact did.
 
-    Bodies that are apart again at the end of the step were somewhere else when they met: time, point and normal are
-    then those of the hardest impact.
+    Bodies that are apart again at the end of the step were somewhere else when they met: time, point and normal then
+    belong to the hardest impact.
     """
     count, impulse = len(struck), columns["normal_impulse"]
     speed, lost, given, known = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)

@@ -101,7 +101,7 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     """Count the impacts up to a step that has a frame; of a clip those since its first frame.
 
-    Of a clip of some bodies only those that it has are counted: the others may have been of other bodies.
+    A clip of some bodies counts only the impacts that it holds: the others may have been between other bodies.
     """
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()

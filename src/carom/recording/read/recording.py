@@ -95,8 +95,8 @@ class Recording(FrameTables):
         -------
         path
             Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
-            wx, wy, wz (rad/s), and ``exact``: whether the row is in float64. Without a replay exact rows are those of
-            checkpoints; the others have positions in float32 and nulls elsewhere. The metadata of the schema has the
+            wx, wy, wz (rad/s), and ``exact``: whether the row is in float64. Without a replay, only rows of checkpoints
+            are exact; the others have positions in float32 and nulls elsewhere. The metadata of the schema has the
             ``source``.
 
         Raises
@@ -118,8 +118,8 @@ class Recording(FrameTables):
     ) -> pa.Table:
         """Return the impacts of an interval in order of time.
 
-        Where they are not recorded, the steps are run again. A clip has those of the step that its first frame ends,
-        too, and a clip of some bodies only those among these or with planes.
+        Where they are not recorded, the steps are run again. A clip also holds the impacts of the step before its first
+        frame. A clip of selected bodies holds only impacts among them or with planes.
 
         Parameters
         ----------
@@ -164,8 +164,8 @@ class Recording(FrameTables):
         Returns
         -------
         contacts
-            The columns of `impacts`. Point and normal are those of the end of the step; of a pair that met and is apart
-            again by then, those of its hardest impact. In what was recorded, approach_speed and energy_lost are null
+            The columns of `impacts`. Point and normal are taken at the end of the step, or at the hardest impact of a
+            pair that is apart again by then. In what was recorded, approach_speed and energy_lost are null
             but for impacts, and contacts that held after the first kick but opened within the step are missing. The
             metadata of the schema has the ``source``.
 

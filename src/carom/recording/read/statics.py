@@ -230,7 +230,7 @@ class Statics:
     @cached_property
     @named
     def units(self) -> UnitSystem:
-        """The units of its scene: recorded numbers are in SI, unless the scene has units of its own."""
+        """The units of the scene. Recorded numbers are in SI, or in the scene's own system of units."""
         return UnitSystem.of_properties(self.info)
 
     @cached_property

@@ -28,8 +28,8 @@ def summary(recording: Recording) -> dict[str, Any]:
     """Nested numbers; see docs/recording.md for the keys.
 
     Largest errors are those of the recorded frames, unless the run recorded those of all steps in its property
-    `outcome` under the same dotted key, such as ``contacts.total``. The numbers of a clip are those of its own frames;
-    its outcome and expectations are those of the whole run.
+    `outcome` under the same dotted key, such as ``contacts.total``. The numbers of a clip are about its own frames; its
+    outcome and expectations are about the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()

@@ -54,7 +54,7 @@ def is_rrd(file: BinaryIO) -> bool:
 
 
 def is_newer(file: BinaryIO) -> bool:
-    """Tell whether a file begins like an .rrd of a later format, or with messages in a later encoding."""
+    """Return whether a file begins like an .rrd of a later format, or with messages in a later encoding."""
     file.seek(0)
     header = file.read(STREAM_HEADER)
     if not re.match(rb"RRF[2-9]", header) or len(header) < STREAM_HEADER:
@@ -63,7 +63,7 @@ def is_newer(file: BinaryIO) -> bool:
 
 
 def looks_recorded(path: Path) -> bool:
-    """Tell whether a file begins like a recording of any version, or has its footer, so that it may be repaired."""
+    """Return whether a file begins like a recording of any version, or has its footer, so that it may be repaired."""
     try:
         with path.open("rb") as file:
             begins = file.read(len(_MAGIC))
@@ -125,7 +125,7 @@ def read_footer(file: BinaryIO) -> bytes | None:
 
 
 def is_footer(file: BinaryIO, at: int) -> bool:
-    """Tell whether a stream footer begins at an offset."""
+    """Return whether a stream footer begins at an offset."""
     file.seek(at)
     return file.read(STREAM_FOOTER)[20:28] == _FOOTER_MAGIC
 

@@ -252,7 +252,7 @@ class Entry:
     length: int
 
     def holds(self, step: int) -> bool:
-        """Tell whether the chunk may have rows of a step."""
+        """Return whether the chunk may have rows of a step."""
         return self.first_step is not None and self.last_step is not None and self.first_step <= step <= self.last_step
 
 

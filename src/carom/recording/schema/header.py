@@ -144,7 +144,7 @@ class Header:
     extensions: Mapping[str, str] = field(default_factory=dict)  # that the scene uses, see `extensions_of`
 
     def models(self, part: str) -> bool:
-        """Tell whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
+        """Return whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
         if part in _FLAGS:
             return bool(getattr(self, _FLAGS[part]))
         return (_FORCES[part].name if part in _FORCES else part) in self.forces

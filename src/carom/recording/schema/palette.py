@@ -106,7 +106,7 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:
-    """Return the colours of materials: as given by name or as "#rrggbb", the others from those that are left."""
+    """Return the colours of materials: as given by name or as "#rrggbb", otherwise from the unused colours."""
     chosen = [None if colour is None else NAMED.get(colour) or int(f"{colour[1:]}ff", 16) for colour in given]
     left = itertools.cycle([hue for hue in BODIES if hue not in chosen] or BODIES)
     return [next(left) if colour is None else colour for colour in chosen]

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 
 STEP = "step"  # a count
-SIM_TIME = "sim_time"  # a duration in ns, scaled: see `Clock`
+SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
 IMPACT = "impact"  # a count, from 1 on: rows of impacts, and of the bodies at the moments of some of them
 
 
@@ -42,7 +42,7 @@ START = "state/start"  # in a clip: the exact state that its first frame follows
 STATIC_STATE = "state/bodies"
 GIVEN_STATE = "scene/bodies"  # the bodies of [[bodies]] at time 0
 
-CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # whichever it is drawn as
+CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # by how bodies are drawn
 
 
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends: a resumed run writes its own

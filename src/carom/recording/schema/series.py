@@ -207,7 +207,7 @@ def all_series(extensions: Mapping[str, str]) -> tuple[Series, ...]:
 
 
 def all_plots(series: Iterable[Series]) -> tuple[tuple[Plot, ...], ...]:
-    """Return the plots of some series, from left to right; those of extensions are the last tabs."""
+    """Return the plots of some series, from left to right; plots of extensions are the last tabs."""
     known = {plot for column in PLOTS for plot in column}
     others = dict.fromkeys(each.plot for each in series if each.plot is not None and each.plot not in known)
     return (*PLOTS[:-1], (*PLOTS[-1], *others))
@@ -222,7 +222,7 @@ def recorded(header: Header) -> Iterator[Series]:
 
 
 def _of_engine(series: Series) -> Series:
-    """Return a series of another engine's run, named as what is known of it."""
+    """Return a series of another engine's run, under the name of what the engine reports."""
     if series.path not in OF_ENGINES:
         return series
     legend, meaning = OF_ENGINES[series.path]
@@ -235,7 +235,7 @@ def names_below(root: str) -> list[str]:
 
 
 def is_recorded(root: str, name: str, properties: Mapping[str, Any]) -> bool:
-    """Tell whether a recording with these properties has a series, given by the first and the last part of its path."""
+    """Return whether a recording with these properties has a series, by the first and last name in its path."""
     rows = [row for row in _below(root) if _last_part(row) == name]
     rows = [row for row in rows if not (row.inside and properties.get("engine"))]
     return any(row.part is None or bool(properties.get(flag_of(row.part))) for row in rows)

@@ -1,7 +1,7 @@
 """Names of bodies, and the bodies of [[bodies]] at time 0, as a recording stores them.
 
-Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are those of all
-bodies, and are not stored twice.
+Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are stored with
+those of all bodies, and only once.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _COUNT, _FIRST = "name_count", "name_first"
 def encode_names(names: Sequence[str]) -> dict[str, Any]:
     """Return the components that hold the names.
 
-    Without numbered names there is one, ``name``. Otherwise ``name_count`` has 0 for a whole name, and for a prefix the
-    number of bodies that have it; ``name_first`` is the number of the first of them.
+    Without numbered names there is one, ``name``. Otherwise ``name_count`` is the number of bodies with a prefix, or 0
+    for a whole name; ``name_first`` is the number of the first body with the prefix.
     """
     parts = names.parts if isinstance(names, JoinedNames) else (names,)
     if not any(isinstance(part, NumberedNames) for part in parts):
@@ -73,7 +73,7 @@ def decode_names(stored: Stored) -> Sequence[str]:
 
 
 def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
-    """Return the components; those that are zero for all bodies are left out."""
+    """Return the components, but for any that is zero for all bodies."""
     vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in VECTORS}
     kept = {name: values for name, values in vectors.items() if name == "position" or values.any()}
     fixed = np.concatenate([columns.fixed for columns in data])

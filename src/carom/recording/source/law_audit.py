@@ -135,11 +135,12 @@ class LawAudit:
     ----------
     setup
         Of the run.
-    tolerances How much may be wrong.
+    tolerances
+        How much may be wrong.
     names
         Of the bodies and planes.
     units
-        Of the numbers, and those that faults are told in.
+        Of the numbers, and of the numbers in messages of faults.
     """
 
     def __init__(self, setup: Setup, tolerances: Tolerances, names: Names, units: UnitSystem = SI) -> None:

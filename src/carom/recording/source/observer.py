@@ -47,7 +47,7 @@ class Observer:
     tolerances
         Of the audit.
     units
-        Of the numbers, and those that faults are told in.
+        Of the numbers, and of the numbers in messages of faults.
     """
 
     def __init__(self, setup: Setup, first: State, tolerances: Tolerances, units: UnitSystem = SI) -> None:

@@ -1,4 +1,4 @@
-"""Pairs of bodies that may have touched between two states, and those that touch now."""
+"""Pairs of bodies that may have touched between two states, and pairs that touch now."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Near:
         return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
 
     def passed_deep(self) -> BoolArray:
-        """Tell of each pair whether its straight path led more than a twentieth of the reach into the other."""
+        """Return of each pair whether its straight path led more than a twentieth of the reach into the other."""
         path = self.now - self.before
         a = np.einsum("ij,ij->i", path, path)
         s = np.clip(-np.einsum("ij,ij->i", self.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
@@ -88,7 +88,7 @@ class Proximity:
         return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
-        """Return the contacts of a moment: those that the engine names, else all pairs near enough."""
+        """Return the contacts at a moment: the pairs that the engine names, or else all pairs that are near enough."""
         which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
         touching = np.flatnonzero(which)
         if len(touching) == 0:
@@ -99,7 +99,7 @@ class Proximity:
         return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
 
     def _is_named(self, near: Near, known: IntArray) -> BoolArray:
-        """Tell which of the pairs that are near the engine names."""
+        """Return which of the pairs that are near the engine names."""
         total = len(self._setup) + len(self._setup.planes)
         keys = near.pairs[:, 0] * total + near.pairs[:, 1]
         ordered = np.sort(known, axis=1)

@@ -94,7 +94,7 @@ class State:
     position: Any  # (n, 3) m
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
-    angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; likewise
+    angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; None if the engine has none
     contacts: Any = None  # (m, 2) indices of touching bodies, n + k for plane k; None: computed from distances
 
 
@@ -296,7 +296,7 @@ _Floats = NDArray[np.floating[Any]]
 
 
 class StateMemory:
-    """Memory for one state after another.
+    """Memory that holds one state at a time.
 
     The engine's own thread fills it, so that makes few calls: one copy an array, and two passes over the block to
     see that all is finite.
@@ -343,7 +343,7 @@ class StateMemory:
 
     @property
     def bounded(self) -> bool:
-        """Whether all of it is finite and not too large to compute with."""
+        """Whether all numbers are finite and not too large to compute with."""
         # NaN is out of bounds, too, and both return it; as Python's numbers, since float32 ends before LARGEST
         return (
             -LARGEST <= self.state.time <= LARGEST

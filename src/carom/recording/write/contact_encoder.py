@@ -239,13 +239,13 @@ class ContactEncoder:
         """Return arrows and impacts of the batch whose columns were asked for last."""
         header, kept, impacts = self._header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
-        # also where none is drawn, which clears those of the frame before
+        # also where none is drawn, which clears the contacts of the frame before
         yield from force_rows(
             index, self._contacts, self._middle, kept.arrows, longest, self._origin, header.has_friction
         )
         self._recorded += len(impacts)
         if len(impacts):
-            # where the tap left out some itself, numbers go to those that it kept
+            # where the tap left out some itself, numbers go to the contacts that it kept
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
             yield impact_rows(impacts, numbers, self._references, header.radius, self._origin)
 

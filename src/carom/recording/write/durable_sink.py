@@ -162,7 +162,7 @@ class DurableSink:
             self.error = OSError(errno.EIO, f"{type(error).__name__}: {error}")
 
     def _add(self, piece: memoryview) -> None:
-        """Add a piece to those that wait; without memory for it, once more with that kept for it."""
+        """Add a piece to the waiting ones; if memory runs out, release the spare memory and try again."""
         try:
             self._splitter.add(piece)
         except MemoryError:

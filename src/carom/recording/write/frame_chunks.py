@@ -1,4 +1,4 @@
-"""A run as the chunks that it would be recorded as; a replay compares them with those of the file."""
+"""The chunks that a run would be recorded as; a replay compares them with the chunks of the file."""
 
 from __future__ import annotations
 

@@ -135,7 +135,7 @@ SHARE = 0.22  # of all else in the file; with what is not counted here a fifth o
 _ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames of the bodies at impacts
 _ROW = 60  # bytes of a row besides its arrays
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
-_SCALARS = 500  # bytes of a frame's scalars, likewise
+_SCALARS = 500  # bytes of a frame's scalars
 
 _BUDGET = record(  # bytes so far
     "others contacts"  # of all else; of contacts and impacts
@@ -146,7 +146,7 @@ _BUDGET = record(  # bytes so far
 class Kept(NamedTuple):
     """What is recorded of each frame of a batch, (frames,)."""
 
-    impacts: IntArray  # impacts since the frame before, those of the largest normal impulses
+    impacts: IntArray  # impacts since the frame before, with the largest normal impulses
     arrows: IntArray  # contacts that are drawn with arrows
     scenes: IntArray  # impacts, from the first on, with a frame of all bodies
 
@@ -155,7 +155,7 @@ class ImpactPlan:
     """Decides how many impacts and contacts of each frame are recorded.
 
     All impacts are kept while everything that is recorded of contacts takes at most a fifth of the file so far. Then
-    those of the largest normal impulses are kept, of each frame at least one. The choice depends on the frames alone,
+    the largest normal impulses are kept, at least one of each frame. The choice depends on the frames alone,
     not on how they are batched, so that the same run always has the same rows.
 
     Parameters

@@ -360,7 +360,7 @@ class FrameRecorder:
             self._camera_fit.see(batch, origin)
 
     def _look_again(self) -> None:
-        """Send a layout that shows the whole recording, and of the plots those that have something to show."""
+        """Send a layout that shows the whole recording, without empty plots."""
         if self._camera_fit is not None and self._encoder is not None and self._last is not None:
             self._camera_fit.see([self._last], self._encoder.origin)
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))

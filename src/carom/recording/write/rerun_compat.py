@@ -1,4 +1,4 @@
-"""Rerun's private interfaces, each with what carom does where a version of Rerun lacks it.
+"""Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
 Nothing else in carom uses them. Without them recordings are written, read, resumed and shown alike; what is lost is
 memory, or the layout of a clip. test_rerun_compat.py tries each, and each fallback: it is the canary

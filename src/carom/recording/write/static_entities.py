@@ -280,7 +280,7 @@ def _drawn(header: Header, si: str) -> str:
 
 
 def _units(header: Header) -> list[str]:
-    """Say which units the scene has, if it is not SI."""
+    """Name which units the scene has, if it is not SI."""
     units = header.units
     if units.is_si:
         return []

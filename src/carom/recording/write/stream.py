@@ -101,7 +101,7 @@ _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
 
 
 def frames_in_batch(bodies: int) -> int:
-    """Return how many frames of so many bodies fill a batch; 0 if one is larger."""
+    """Return how many frames of a number of bodies fill a batch; 0 if one frame is larger."""
     return BATCH_BYTES // (40 * bodies + 500)
 
 
@@ -174,7 +174,7 @@ class Stream:
         return max(BATCH_BYTES, min(JOINED_BYTES, int(OF_SIZE * self.payload_bytes)))
 
     def _send_waiting(self) -> None:
-        """Send the rows that wait, those of one kind joined."""
+        """Send the waiting rows; rows of one kind are joined."""
         waiting, self._waiting, self._waiting_bytes = self._waiting, {}, 0
         for (_, clock), rows in waiting.items():
             self._send(joined(rows), clock, (self._stream,))

@@ -266,7 +266,7 @@ class _Reader:
 
 
 def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapping) -> None:
-    """Refuse a table whose numbers are in other units than those of the scene."""
+    """Refuse a table whose numbers are in other units than the scene's."""
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)

@@ -40,7 +40,7 @@ class MotionLaw(NamedTuple):
 
 
 class DataTable:
-    """The columns of a file; only those that are asked for are read."""
+    """The columns of a file; only requested columns are read."""
 
     called: str  # what messages call it
     names: Sequence[str]  # of its columns
@@ -49,14 +49,14 @@ class DataTable:
     notes: tuple[str, ...] = ()  # sentences on columns that are not used or are read in another way
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read columns by their names; ``texts`` are those of which a format without types makes texts."""
+        """Read columns by their names. A format without types reads the columns in ``texts`` as texts."""
         raise NotImplementedError
 
 
 class DataFormat(NamedTuple):
     """A format of data files; its name in `carom.registry` is the ending of its files."""
 
-    called: str  # what a message calls a file of it, such as "an Arrow file"
+    called: str  # what messages call such a file: "an Arrow file"
     open: Callable[[Path, str, int], DataTable]  # of a file, its name in messages, and which step of a file of several
 
 

@@ -1,4 +1,4 @@
-"""The columns of a table for each quantity: those that the scene names, or those with usual names."""
+"""The columns of a table for each quantity: as the scene names them, or by their usual names."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ _RIVALS = {
     "density": "mass",
     "inertia": "inertia_factor",
     "diameter": "radius",
-}  # one gives the other
+}  # each follows from the other
 
 
 class Columns(Section):

@@ -21,7 +21,7 @@ class Dimension:
     unit: str  # of SI, as it is printed and as a text may have it
     exponents: Exponents
     example: str  # a quantity, as a person writes it
-    plain: str = ""  # the key of [units] that names a unit of it; empty: it follows from the others
+    plain: str = ""  # the key of [units] that names its unit; empty for a unit that follows from the others
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         """Describe a quantity in the JSON schema: a text with a unit may stand in place of each number."""
@@ -74,4 +74,4 @@ DIMENSIONS: Sequence[Dimension] = (
 )
 NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}  # a torque's are those of an energy
+OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}  # a torque has the exponents of an energy

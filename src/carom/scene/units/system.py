@@ -1,4 +1,4 @@
-"""The units of a scene: those of its plain numbers, those that it is simulated in, and those that carom prints."""
+"""The units of a scene: of its plain numbers, of the simulation, and of the numbers that carom prints."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class MuJoCoSource:
         )
 
     def state(self) -> State:
-        """Return the present state; contacts are those that the last step found."""
+        """Return the present state, with the contacts of the last step."""
         data, k = self._data, len(self._moving)
         if self._simple:
             # qpos and qvel are those of the end of the step; xpos is still that of its start
@@ -105,7 +105,7 @@ class MuJoCoSource:
             self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
 
     def contacts(self) -> IntArray:
-        """Return the pairs that the last step found in contact, (m, 2)."""
+        """Return the pairs in contact at the last step, (m, 2)."""
         ends = self._end_of[self._data.contact.geom]
         return np.asarray(ends[(ends >= 0).all(axis=1)], dtype=np.int64)
 
@@ -116,7 +116,7 @@ def mujoco(model: Any, data: Any) -> MuJoCoSource:
 
 
 def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> bool:
-    """Tell whether a body is one sphere about its centre of mass that moves freely."""
+    """Return whether a body is one sphere about its centre of mass that moves freely."""
     return (
         model.body_jntnum[body] == 1
         and model.jnt_type[model.body_jntadr[body]] == package.mjtJoint.mjJNT_FREE

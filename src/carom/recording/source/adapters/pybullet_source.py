@@ -115,7 +115,7 @@ def _rows(pairs: Iterable[Any], count: int, width: int) -> FloatArray:
 
 
 def _is_sphere(package: Any, body: int, shapes: Any, client: int) -> bool:
-    """Tell whether a body is one sphere about its centre of mass, without joints."""
+    """Return whether a body is one sphere about its centre of mass, without joints."""
     one = len(shapes) == 1 and shapes[0][2] == package.GEOM_SPHERE and not any(shapes[0][5])
     return bool(one and package.getNumJoints(body, client) == 0)
 
