@@ -2,7 +2,7 @@
 
 The common times fall within steps, and cutting steps there would change the run. The state is therefore interpolated
 between the ends of each such step: by a polynomial of degree five, or of degree three if the integrator has no forces
-at the ends. A body that was struck follows its flight from impact to impact.
+at the ends. After an impact, a body flies freely until its next one.
 """
 
 from __future__ import annotations

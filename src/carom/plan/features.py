@@ -294,7 +294,7 @@ def _not_by_pairs(scene: Scene) -> str:
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:
-    """Name the first part of a scene that Gauss–Radau integration with impacts does not know."""
+    """Name the first part of a scene that Gauss–Radau integration with impacts does not support."""
     return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 

@@ -185,8 +185,8 @@ def path_of(
 ) -> BranchPath:
     """Run a branch to its end.
 
-    Frames come at the first step at or after each multiple, and at the end. The bodies are taken back to the multiple
-    along their velocities, since branches may take other steps.
+    Frames come at the first step at or after each multiple, and at the end. Bodies are moved back along their
+    velocities to the exact multiple, because branches may take other steps.
     """
     interval = interval_of(start)
     space = start.space(threads, shift, ulps)

@@ -38,7 +38,7 @@ class Earlier:
 
 
 def earlier(path: Path, key: str) -> Earlier | None:
-    """Return what is known of a file if it is the result for a key."""
+    """Return the earlier result in a file; None if it is the result of another reduction."""
     try:
         with path.open(encoding="utf-8") as file:
             found = _MARK.search(file.read(_HEAD))

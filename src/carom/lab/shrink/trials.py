@@ -66,7 +66,7 @@ class Budget:
         return "the budget was spent" if self.spent > self._seconds else ""
 
     def check(self) -> None:
-        """Raise `OutOfTime` when it is over."""
+        """Raise `OutOfTime` when the time is used up."""
         if reason := self.reason:
             raise OutOfTime(reason)
 

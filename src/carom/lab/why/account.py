@@ -69,7 +69,7 @@ class Account:
     start_velocity: FloatArray  # (3,) m/s, at the beginning of the window
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
     by_forces: FloatArray  # (3,) m/s
-    fastest: float  # m/s, the largest speed, or change of velocity, on the way
+    fastest: float  # m/s, the largest speed or change of velocity in the account
     start_share: float = 1.0  # of the velocity, that it had at the beginning
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
@@ -85,7 +85,7 @@ class Account:
 
     @property
     def unexplained(self) -> float:
-        """What the sum leaves over, relative to the largest speed or change of velocity on the way."""
+        """The unexplained remainder, relative to the largest speed or change of velocity in the account."""
         rest = self.velocity - self.start_velocity - self.by_contacts - self.by_forces
         return float(np.linalg.norm(rest)) / self.fastest if self.fastest > 0.0 else 0.0
 

@@ -167,7 +167,7 @@ class MomentumAccount:
     def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
         """Return the momenta at a time since the start, in seconds.
 
-        ``judged`` says whether they are those of a check, whose scales later ones keep.
+        ``judged`` marks the sums of a check, whose scales later checks keep.
         """
         linear, angular, linear_scale, angular_scale, *_ = motion
         linear_scale, angular_scale = max(self._linear_scale, linear_scale), max(self._angular_scale, angular_scale)

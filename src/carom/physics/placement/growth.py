@@ -100,7 +100,7 @@ def grown(
     Raises
     ------
     SceneError
-        If they jam before they have their size.
+        If the spheres jam before they reach their size.
     """
     n, centre = len(radius), np.array(region.centre)
     box = np.zeros(3) if around.box is None else around.box

@@ -206,7 +206,7 @@ def _screen(to_eye: FloatArray) -> FloatArray:
 
 
 def _largest(values: FloatArray, radius: FloatArray) -> float:
-    """Return the largest value of a body that must be inside the view; of points without a radius, the largest of all.
+    """Return the largest value of the bodies that must be inside the view, or of all if the bodies are points.
 
     The bodies that may be outside are weighted by number and by area, so that a planet among 1000 moons is inside.
     """

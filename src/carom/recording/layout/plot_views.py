@@ -202,7 +202,7 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     Parameters
     ----------
     header
-        Of the recording; it says which series there are.
+        Of the recording; it determines the series.
     curves
         The outlines of the recorded series, None during the run. Plots whose curves all stay at 0, or at energies that
         are rounding errors, are left out.

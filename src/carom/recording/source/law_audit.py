@@ -110,7 +110,7 @@ class AuditFinding:
     """Results of the audit of one frame."""
 
     faults: list[Fault] = field(default_factory=list)
-    taken: float = 0.0  # J, by contacts; negative where they gave some back
+    taken: float = 0.0  # J, dissipated by contacts; negative where contacts returned energy
     unjudged: float = 0.0  # J, that clusters with a body that is not judged lost, to whatever
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
     impacts: int = 0  # how many did
@@ -199,7 +199,7 @@ class LawAudit:
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
         """Yield the first fault of each law and how many frames broke it, under the dotted keys of `outcome`.
 
-        Before them comes the number of judged bodies, unless it is all.
+        The number of judged bodies comes first, unless all were judged.
         """
         if not self._setup.judged.all():
             yield "audit.judged", int(np.count_nonzero(self._setup.judged))

@@ -236,7 +236,7 @@ class ContactEncoder:
         return [*columns, any_column("impact_count", counts)], size + counts.nbytes
 
     def rows(self, index: Index) -> Iterable[Rows]:
-        """Return arrows and impacts of the batch whose columns were asked for last."""
+        """Return arrows and impacts of the last encoded batch."""
         header, kept, impacts = self._header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
         # also where none is drawn, which clears the contacts of the frame before

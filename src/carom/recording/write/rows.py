@@ -160,5 +160,5 @@ def joined(batches: Sequence[Rows]) -> Rows:
 
 
 def array_bytes(*arrays: NDArray[np.generic] | None) -> int:
-    """Return the bytes of arrays, as far as there are any."""
+    """Return the total bytes of arrays; None counts as 0."""
     return sum(array.nbytes for array in arrays if array is not None)

@@ -131,7 +131,7 @@ def write_whole(path: Path, text: str) -> None:
 class Writer:
     """Writes an .rrd from the chunks of other files under a temporary name, and renames it once it is complete.
 
-    Leaving the context closes the file and gives it its name; leaving it with an exception removes what there is.
+    Leaving the context closes the file and gives it its name; leaving it with an exception removes the unfinished file.
     """
 
     def __init__(self, path: Path, application_id: str, recording_id: str) -> None:

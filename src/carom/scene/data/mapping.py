@@ -185,7 +185,7 @@ def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
 
 
 def _plain(name: str) -> str:
-    """Return a name as it is compared: without case, and of a path in HDF5 the last part."""
+    """Return a name for comparisons: in lower case, and only the last part of a path in HDF5."""
     return name.rsplit("/", 1)[-1].strip().casefold()
 
 

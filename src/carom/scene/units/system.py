@@ -113,7 +113,7 @@ class UnitSystem:
         Raises
         ------
         UnitError
-            If it is none of that dimension.
+            If the text is no quantity of that dimension.
         """
         if self.dimensionless:
             raise UnitError(f'units = "{WITHOUT}": expected a plain number')

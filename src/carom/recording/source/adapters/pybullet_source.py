@@ -104,7 +104,7 @@ def pybullet(
 
 
 def calls_per_frame(bodies: int) -> int:
-    """Return how many steps to take for a frame, so that handing over the states stays a small part of the time."""
+    """Return how many steps to take for a frame, so that copying the states takes a small fraction of the time."""
     return min(SELDOM, 1 + bodies // SLOW)
 
 
