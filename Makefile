@@ -25,7 +25,7 @@ test: ## the default tests, on all cores
 	pytest -q
 
 slow: ## the longer tests; those of pictures, pages and engines need more (CONTRIBUTING.md)
-	pytest -q -m "slow or needs"
+	CAROM_EXAMPLES=all pytest -q -m "slow or needs or drawn"
 
 docs: ## the site, with its links
 	NO_MKDOCS_2_WARNING=1 mkdocs build --quiet --strict --site-dir "$${TMPDIR:-/tmp}/carom-site"

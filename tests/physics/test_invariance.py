@@ -23,6 +23,7 @@ from carom.lab.shrink.whole_run import Image
 from carom.physics.frame import Frame
 from carom.physics.space import Space
 from scene_strategies import EPS, directions, documents, impact_documents, scene_from, smooth_documents, vectors
+from seeds import examples
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +52,7 @@ def changed(document: Document, **sections: dict[str, Any]) -> Document:
 powers = st.integers(-20, 20).map(lambda k: 2.0**k)  # far from underflow: the smallest square is some 10⁻⁵⁰ of a unit
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=documents(), length=powers, mass=powers, time=powers)
 def test_units_that_are_powers_of_two_change_no_bit(
     document: Document, length: float, mass: float, time: float
@@ -85,7 +86,7 @@ def same(a: NDArray[Any] | None, b: NDArray[Any] | None, factor: float = 1.0) ->
         assert np.array_equal(a * factor, b)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=documents(periodic=False), axis=st.sampled_from([1, 2]))
 def test_a_mirror_image_has_the_same_bits(document: Document, axis: int) -> None:
     # A change of sign commutes with every operation: nothing in a step knows left from right. Not mirrored in x, since
@@ -110,7 +111,7 @@ def test_a_mirror_image_has_the_same_bits(document: Document, axis: int) -> None
             same(a.orientation * np.append(axial, 1.0), b.orientation)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=documents(fixed_step=True), first=st.integers(0, STEPS))
 def test_a_run_in_two_parts_is_one_run(document: Document, first: int) -> None:
     # The step is a power of two, so that times are exact, the step that ends at `until` is a whole one, and nothing but
@@ -126,7 +127,7 @@ def test_a_run_in_two_parts_is_one_run(document: Document, first: int) -> None:
     assert [frame.energy for frame in one] == [frame.energy for frame in two]
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=impact_documents(), order=st.permutations(range(4)))
 def test_isolated_collisions_have_the_same_bits_in_any_order(document: Document, order: list[int]) -> None:
     # Pairs far from each other share nothing, so their order cannot matter as long as i < j within each is kept.
@@ -141,7 +142,7 @@ def test_isolated_collisions_have_the_same_bits_in_any_order(document: Document,
         same(a[bodies] if len(a) else a, b)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=documents(gravity=False, fixed_step=True, periodic=False, most_bodies=8))
 def test_a_far_body_that_meets_nobody_changes_no_bit(document: Document) -> None:
     radius = document["body"][0]["radius"]
@@ -195,7 +196,7 @@ def assert_close(space: Space, position: FloatArray, velocity: FloatArray, toler
 smooth = smooth_documents(steps=STEPS, integrators=ALL)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=smooth, shift=vectors)
 def test_a_translation_moves_a_smooth_run(document: Document, shift: FloatArray) -> None:
     offset = shift * 1000.0 * document["gravity"]["softening"]
@@ -206,7 +207,7 @@ def test_a_translation_moves_a_smooth_run(document: Document, shift: FloatArray)
     same(here.state.orientation, there.state.orientation)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=smooth, R=rotations)
 def test_a_rotation_turns_a_smooth_run(document: Document, R: FloatArray) -> None:
     (upright, frames), (turned, others) = run(document), run(Image(matrix=R).of(document))
@@ -218,7 +219,7 @@ def test_a_rotation_turns_a_smooth_run(document: Document, R: FloatArray) -> Non
         assert np.abs(turned_Q - R @ Q @ R.T).max() <= tolerance.angle
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=smooth, direction=vectors)
 def test_a_boost_changes_nothing_but_the_frame_of_reference_of_a_smooth_run(
     document: Document, direction: FloatArray
@@ -231,7 +232,7 @@ def test_a_boost_changes_nothing_but_the_frame_of_reference_of_a_smooth_run(
     same(still.state.orientation, passing.state.orientation)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=smooth, data=st.data())
 def test_numbering_does_not_matter_to_a_smooth_run(document: Document, data: st.DataObject) -> None:
     # To round-off only: each body sums the pulls of the others in the order of their numbers.
@@ -242,7 +243,7 @@ def test_numbering_does_not_matter_to_a_smooth_run(document: Document, data: st.
     assert_close(other, first.state.position[order], first.state.velocity[order], tolerance)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=smooth_documents(steps=2 * STEPS, integrators=REVERSIBLE))
 def test_a_smooth_run_goes_back_to_where_it_came_from(document: Document) -> None:
     # Leapfrog and Yoshida's are symmetric: a step of -dt undoes a step of dt. Semi-implicit Euler is not.
@@ -302,7 +303,7 @@ def assert_close_after_impact(
         assert surface.max() <= tolerance.velocity
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=impact_documents(), R=rotations)
 def test_a_rotation_turns_an_impact(document: Document, R: FloatArray) -> None:
     (upright, frames), (turned, others) = run(document, 12), run(Image(matrix=R).of(document), 12)
@@ -312,7 +313,7 @@ def test_a_rotation_turns_an_impact(document: Document, R: FloatArray) -> None:
     )
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=impact_documents(), shift=vectors, boost=vectors)
 def test_a_translation_and_a_boost_change_nothing_in_an_impact(
     document: Document, shift: FloatArray, boost: FloatArray
@@ -326,7 +327,7 @@ def test_a_translation_and_a_boost_change_nothing_in_an_impact(
     )
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=impact_documents(), direction=vectors)
 def test_a_uniform_field_changes_nothing_but_the_frame_of_reference_of_an_impact(
     document: Document, direction: FloatArray
@@ -346,7 +347,7 @@ def test_a_uniform_field_changes_nothing_but_the_frame_of_reference_of_an_impact
     assert_close_after_impact(falling, position, velocity, state.angular_velocity, tolerance)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(document=impact_documents(), data=st.data())
 def test_numbering_does_not_matter_to_an_impact(document: Document, data: st.DataObject) -> None:
     # To round-off: where i and j change places, 1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j is added up in another order.
@@ -359,7 +360,7 @@ def test_numbering_does_not_matter_to_an_impact(document: Document, data: st.Dat
     assert_close_after_impact(other, state.position[order], state.velocity[order], spin, tolerance)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     document=documents(gravity=False, fixed_step=False, periodic=False, velocity_limit="every-body"),
     boost=directions,

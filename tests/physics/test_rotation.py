@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from carom.physics.rotation import BLOCK, rotate, rotate_one, sine_cosine
+from seeds import examples
 
 
-@settings(max_examples=500, deadline=None)
+@examples(500)
 @given(theta=st.floats(0, 1e5))
 def test_sine_and_cosine_are_right_to_the_last_bits(theta: float) -> None:
     sine, cosine = sine_cosine(theta)
@@ -22,7 +23,7 @@ def test_sine_and_cosine_are_right_to_the_last_bits(theta: float) -> None:
     assert abs(cosine - math.cos(theta)) <= 2.3e-16
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     omega=st.tuples(*[st.floats(-50, 50)] * 3),
     start=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1),
@@ -38,7 +39,7 @@ def test_a_step_is_the_rotation_that_scipy_computes(
     assert np.linalg.norm(q[0]) == pytest.approx(1.0, abs=3e-16)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(theta=st.floats(1e5, 1e300))
 def test_however_far_a_body_turns_its_orientation_is_a_rotation(theta: float) -> None:
     sine, cosine = sine_cosine(theta)

@@ -6,7 +6,7 @@ import gc
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -278,6 +278,7 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
 
 
 LONG = ("asteroid-belt", "cloud-collapse", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # seconds each
+SHORT = [name for name in bundled_scenes() if name not in LONG]
 
 
 @pytest.mark.parametrize(
@@ -288,8 +289,13 @@ def test_every_bundled_scene_meets_its_expectations_and_warns_of_nothing(name: s
     assert outcome.status == "completed", outcome.reason
     assert outcome.moments.energy_error is not None and outcome.moments.energy_error.value <= 1e-3
     assert "WARN" not in Recording.open(outcome.path).events()["level"].to_pylist()
+
+
+@pytest.mark.parametrize("names", [SHORT, pytest.param(LONG, marks=pytest.mark.slow)], ids=["short", "long"])
+def test_the_recordings_of_bundled_scenes_are_what_rerun_calls_valid(names: Sequence[str], bundled: Bundled) -> None:
+    files = [str(bundled(name).path) for name in names]
     verified = subprocess.run(
-        [sys.executable, "-m", "rerun", "rrd", "verify", str(outcome.path)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "rerun", "rrd", "verify", *files], capture_output=True, text=True, check=False
     )
     assert verified.returncode == 0, verified.stderr
 

@@ -21,6 +21,7 @@ from carom.physics.contact.graph import (
     solve_order_of,
 )
 from carom.physics.jit.thread_team import Team
+from seeds import examples
 from small_scenes import random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]
@@ -73,7 +74,7 @@ def test_pieces_cover_all_contacts_and_none_is_of_two_colours(sizes: list[int]) 
     assert order.independent <= OVERFLOW
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(graphs())
 def test_no_two_contacts_of_a_colour_share_a_body(graph: tuple[IntArray, int]) -> None:
     pairs, n = graph
@@ -83,7 +84,7 @@ def test_no_two_contacts_of_a_colour_share_a_body(graph: tuple[IntArray, int]) -
         assert len(np.unique(bodies)) == len(bodies)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(graphs())
 def test_touching_bodies_differ_in_the_seeds_colouring(graph: tuple[IntArray, int]) -> None:
     pairs, n = graph
@@ -95,7 +96,7 @@ def test_touching_bodies_differ_in_the_seeds_colouring(graph: tuple[IntArray, in
     assert np.array_equal(body_colours == -1, ~touching)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(
     seed=st.integers(0, 10**6),
     count=st.integers(1, 80),

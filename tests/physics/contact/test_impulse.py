@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -14,6 +14,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.reference_api import BodyProxy, CollisionContext
 from carom.physics.space import Space
+from seeds import examples
 from small_scenes import angular_momentum_of, kinetic_energy_of, momentum_of, random_bodies, scene_of, solver_of
 
 FloatArray = NDArray[np.float64]
@@ -55,7 +56,7 @@ def closing(bodies: Bodies) -> bool:
 coefficients = st.tuples(st.floats(0, 1), st.floats(0, 2), st.floats(0, 1)).map(lambda c: (c[0], c[1], c[1] * c[2]))
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(seed=st.integers(0, 10**6), e_mu=coefficients, bias=st.floats(0, 2))
 def test_the_kernel_does_what_the_readable_form_says(seed: int, e_mu: tuple[float, float, float], bias: float) -> None:
     e, mu_s, mu_k = e_mu
@@ -70,7 +71,7 @@ def test_the_kernel_does_what_the_readable_form_says(seed: int, e_mu: tuple[floa
     assert np.allclose(fast.angular_velocity, readable.angular_velocity, rtol=0, atol=1e-13)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(seed=st.integers(0, 10**6), e_mu=coefficients, overlap=st.floats(0, 1))
 def test_momentum_and_angular_momentum_are_kept_however_deep_the_overlap(
     seed: int, e_mu: tuple[float, float, float], overlap: float
@@ -82,7 +83,7 @@ def test_momentum_and_angular_momentum_are_kept_however_deep_the_overlap(
     assert np.allclose(angular_momentum_of(bodies), L, rtol=0, atol=1e-13)
 
 
-@settings(max_examples=200, deadline=None)
+@examples(200)
 @given(seed=st.integers(0, 10**6), e_mu=coefficients, bias=st.floats(0, 5))
 def test_the_ledger_is_the_change_of_the_energy(seed: int, e_mu: tuple[float, float, float], bias: float) -> None:
     bodies = touching_pair(seed)
@@ -96,7 +97,7 @@ def test_the_ledger_is_the_change_of_the_energy(seed: int, e_mu: tuple[float, fl
         assert kinetic_energy_of(bodies) <= before * (1 + 1e-14)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(seed=st.integers(0, 10**6), e=st.floats(0, 1))
 def test_the_rebound_is_the_approach_times_the_restitution(seed: int, e: float) -> None:
     bodies = touching_pair(seed, spins=False)
@@ -135,7 +136,7 @@ def test_an_approach_slower_than_the_rest_speed_does_not_bounce() -> None:
     assert bodies.velocity[1, 0] == pytest.approx(bodies.velocity[0, 0], abs=1e-16)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(seed=st.integers(0, 10**6))
 def test_enough_static_friction_stops_the_slip_at_the_contact_point(seed: int) -> None:
     bodies = touching_pair(seed)

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from scene_strategies import EPS, choices, decades, parts, vectors
+from seeds import examples
 from small_scenes import scene_of
 
 FloatArray = NDArray[np.float64]
@@ -63,7 +64,7 @@ def boxes(draw: st.DrawFn) -> Scene:
     return Scene.model_validate(document)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(boxes())
 def test_no_body_ends_a_step_behind_a_wall_at_any_speed(scene: Scene) -> None:
     space = Space(scene, threads=1)

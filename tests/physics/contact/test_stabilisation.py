@@ -15,6 +15,7 @@ from carom.physics.contact.constraints import RECORDED
 from carom.physics.diagnostics.ledger import STABILISATION
 from carom.physics.space import Space
 from carom.scene.schema import Scene
+from seeds import examples
 from small_scenes import angular_momentum_of, cloud, kinetic_energy_of, momentum_of, random_bodies, solver_of
 
 FloatArray = NDArray[np.float64]
@@ -32,7 +33,7 @@ def push(
     return solver.ledger, solver.overlaps
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(seed=st.integers(0, 10**6), count=st.integers(2, 20))
 def test_pushes_keep_momentum_angular_momentum_and_the_centre_of_mass(seed: int, count: int) -> None:
     bodies = random_bodies(count, seed)
@@ -44,7 +45,7 @@ def test_pushes_keep_momentum_angular_momentum_and_the_centre_of_mass(seed: int,
     assert np.allclose(bodies.mass @ bodies.position, centre, rtol=0, atol=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
+@examples(100)
 @given(seed=st.integers(0, 10**6), count=st.integers(2, 20))
 def test_the_kinetic_energy_that_pushes_move_is_in_the_ledger(seed: int, count: int) -> None:
     bodies = random_bodies(count, seed)

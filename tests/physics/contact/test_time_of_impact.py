@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -19,6 +19,7 @@ from carom.physics.schedule import every
 from carom.physics.space import Space
 from carom.scene.load import scene_from_text
 from carom.scene.schema import Scene
+from seeds import examples
 from small_scenes import cloud, scene_of
 
 FloatArray = NDArray[np.float64]
@@ -179,7 +180,7 @@ def test_a_ball_that_falls_on_a_plane_bounces_as_high_as_the_law_says_to_round_o
 
 
 @pytest.mark.parametrize("integrator", ["leapfrog", "euler"])
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_a_step_is_that_of_the_oracle(integrator: str, seed: int) -> None:
     # A few impacts in one step. An error grows by the path between impacts over the radius, about ten times for each.

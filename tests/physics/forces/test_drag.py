@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
@@ -20,6 +20,7 @@ from carom.plan.auto import integrator
 from carom.plan.checks import refuse_impossible
 from carom.plan.features import require
 from carom.scene.schema import Scene
+from seeds import examples
 from small_scenes import scene_of
 
 Sections = dict[str, Any]
@@ -55,7 +56,7 @@ coordinates = st.floats(-10.0, 10.0).map(lambda value: round(value, 6))
 vectors = st.tuples(coordinates, coordinates, coordinates)
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(
     dt=st.floats(0.01, 10.0),
     tau=st.floats(0.01, 100.0),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from carom.errors import SceneError
@@ -16,6 +16,7 @@ from carom.scene.load import scene_from_text
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
+from seeds import examples
 
 WRONG_STARTS = {
     "bodies that overlap": ("[[body]]\nradius = 1\n[[body]]\nradius = 1\n", 1, "body.0 and body.1 overlap"),
@@ -53,7 +54,7 @@ def placed(**group: Any) -> Any:
     return place(Scene.from_dict({"seed": 1, "group": [group]}))
 
 
-@settings(max_examples=60, deadline=None)
+@examples(60)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(2, 120), decades=st.floats(0, 2), periodic=st.booleans())
 def test_few_and_many_bodies_overlap_where_testing_every_pair_finds_it(
     seed: int, count: int, decades: float, periodic: bool
