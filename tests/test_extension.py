@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -40,6 +41,37 @@ radius = 0.1
 mass = 2.0
 """
 SCENE = f'title = "Two bodies bounce in a trap"\ntime.duration = 3.0\nrecord.series = ["fastest"]\n{FORCES}{BODIES}'
+HEAP = """
+title = "Unequal balls fall into a heap that resists rolling"
+seed = 3
+time.duration = 1.0
+time.fixed_dt = 0.005
+record.every = 0.25
+expect.contact_audit = 1e-12
+[gravity]
+constant = 0
+uniform = [0, 0, -10]
+[contact]
+law = "rolling"
+[contact.rolling]
+rolling_friction = 0.1
+[[material]]
+name = "rough"
+[material.rolling]
+rolling_friction = 0.3
+[[plane]]
+[[group]]
+count = 20
+material = "rough"
+radius = { min = 0.08, max = 0.12 }
+density = 1000.0
+region = { shape = "ball", radius = 0.5, centre = [0, 0, 0.6] }
+[[body]]
+position = [0, 0, 0.05]
+radius = 0.05
+mass = 1.0
+velocity = [0, 0, -2]
+"""
 PERIODIC = ("domain.boundary=periodic", "domain.size=[4,4,4]", "time.fixed_dt=0.002")
 
 
@@ -61,12 +93,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.CompletedProcess[str]:
+def environment(site: Path | None) -> dict[str, str]:
     paths = [str(site)] if site else []
     paths += [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+    return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
+
+
+def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "carom", *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return subprocess.run(command, cwd=folder, env=environment(site), capture_output=True, text=True, check=False)
 
 
 def said(folder: Path, site: Path, *arguments: str) -> str:
@@ -149,6 +184,88 @@ def test_formats_and_commands_of_a_package_work_like_those_of_carom(folder: Path
     said(folder, site, "export", "xyz.rrd", "-o", "xyz.positions", "--force")
     assert len((folder / "xyz.positions").read_text().splitlines()) == 4
     assert "centre" in said(folder, site, "--help")
+
+
+ROLLING = """
+title = "A ball rolls and spins until it stops"
+time.duration = 2.0
+time.fixed_dt = 0.01
+record.every = "step"
+expect.contact_audit = 1e-12
+[gravity]
+constant = 0
+uniform = [0, 0, -10]
+[contact]
+law = "rolling"
+[contact.rolling]
+rolling_friction = 0.1
+twisting_friction = 0.05
+[[plane]]
+[[body]]
+position = [0, 0, 0.5]
+radius = 0.5
+mass = 2.0
+velocity = [1, 0, 0]
+angular_velocity = [0, 2, 3]
+"""
+
+
+@pytest.fixture(scope="module")
+def rolling(folder: Path) -> Path:
+    (folder / "rolling.toml").write_text(ROLLING, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("timing", ["time-of-impact", "end-of-step"])
+def test_a_ball_that_rolls_and_spins_slows_down_as_in_closed_form_and_stops(
+    rolling: Path, site: Path, timing: str
+) -> None:
+    """With torques τ = μ_r m g r and τ_t = μ_t m g r, and I = 2/5 m r²: m a = F and I a/r = τ - F r, so a = 5/7 μ_r g;
+    and dω/dt = 5/2 μ_t g/r. The impulses are those of whole steps, so both hold to rounding until the ball stops.
+    """
+    said(rolling, site, "run", "rolling.toml", "-o", "ball.rrd", "--force", "--set", f"contact.timing={timing}")
+    summary = json.loads(said(rolling, site, "inspect", "ball.rrd", "--json"))
+    assert summary["energy"]["max_error"] < 1e-13
+    assert "same bits" in said(rolling, site, "replay", "ball.rrd")
+    script = (
+        "import json, carom; "
+        f"space = carom.Space(carom.Scene.load('rolling.toml', ['contact.timing={timing}']), threads=1); "
+        "moments = [(f.time, f.velocity[0, 0], *f.angular_velocity[0, 1:], *f.torque[0, 1:]) for f in space.run()]; "
+        "print(json.dumps([*zip(*moments), space.energy().ledger.friction]))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=rolling, env=environment(site), capture_output=True, text=True, check=True
+    )
+    *moments, lost = json.loads(done.stdout)
+    time, velocity, spin, twist, torque, twisting = map(np.array, moments)
+    a, rate = 5 / 7 * 0.1 * 10.0, 5 / 2 * 0.05 * 10.0 / 0.5
+    np.testing.assert_allclose(velocity, np.maximum(0.0, 1.0 - a * time), atol=1e-12)
+    np.testing.assert_allclose(spin, np.maximum(0.0, 1.0 - a * time) / 0.5, atol=1e-12)
+    np.testing.assert_allclose(twist, np.maximum(0.0, 3.0 - rate * time), atol=1e-12)
+    np.testing.assert_allclose(torque[1:100], -0.4 * 2.0 * 0.5 * a, rtol=1e-9)  # I a/r, from differences of spins
+    np.testing.assert_allclose(twisting[1:100], -0.05 * 2.0 * 10.0 * 0.5, rtol=1e-9)
+    assert lost == pytest.approx(0.5 * 2.0 + 0.5 * 0.2 * (2.0**2 + 3.0**2), rel=1e-12)  # all: ½ m v² + ½ I ω²
+
+
+def test_a_heap_under_a_law_of_a_package_rests_and_resumes_with_the_same_bits(rolling: Path, site: Path) -> None:
+    (rolling / "heap.toml").write_text(HEAP, encoding="utf-8")
+    said(rolling, site, "run", "heap.toml", "-o", "whole.rrd", "--force")
+    summary = json.loads(said(rolling, site, "inspect", "whole.rrd", "--json"))
+    assert summary["energy"]["max_error"] < 1e-3  # what the correction of positions leaves
+    said(rolling, site, "run", "heap.toml", "-o", "half-heap.rrd", "--force", "--set", "time.duration=0.5")
+    said(rolling, site, "resume", "half-heap.rrd", "--until", "1", "-o", "heap.rrd", "--force")
+    assert "same bits" in said(rolling, site, "replay", "heap.rrd")
+
+
+def test_what_knows_coulombs_law_only_refuses_another(rolling: Path, site: Path) -> None:
+    wrong = carom(rolling, site, "explain", "rolling.toml", "--set", "contact.law=roling")
+    assert wrong.returncode == 2 and 'no contact law "roling"; did you mean "rolling"?' in wrong.stderr
+    wrong = carom(rolling, site, "explain", "rolling.toml", "--set", "contact.law=coulomb")
+    assert wrong.returncode == 2 and 'needs contact.law = "rolling"' in wrong.stderr
+    wrong = carom(rolling, None, "explain", "rolling.toml")
+    assert wrong.returncode == 2 and 'no contact law "rolling"' in wrong.stderr
+    wrong = carom(rolling, site, "crosscheck", "rolling.toml", "--engine", "mujoco", "-o", "crosscheck")
+    assert wrong.returncode == 2 and 'contact.law = "rolling"' in wrong.stderr
 
 
 def test_misspelt_keys_and_wrong_units_have_the_usual_messages(folder: Path, site: Path) -> None:

@@ -152,6 +152,8 @@ if TYPE_CHECKING:
     from carom.runs.workers import TaskDroppedError as TaskDroppedError
     from carom.runs.workers import WorkerDiedError as WorkerDiedError
     from carom.runs.workers import Workers as Workers
+    from carom.scene.contact_laws import DEFAULT_LAW as DEFAULT_LAW
+    from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.conversion import converted as converted
     from carom.scene.conversion import rescaled as rescaled
     from carom.scene.data.body_sources import DataFiles as DataFiles
@@ -180,6 +182,7 @@ if TYPE_CHECKING:
     from carom.scene.schema.contact import DEFAULT as DEFAULT
     from carom.scene.schema.promise import Expect as Expect
     from carom.scene.schema.quantity import Count as Count
+    from carom.scene.schema.quantity import Friction as Friction
     from carom.scene.schema.quantity import NonNegative as NonNegative
     from carom.scene.schema.quantity import Positive as Positive
     from carom.scene.schema.quantity import Real as Real
@@ -242,6 +245,7 @@ _HOMES = {
     "carom.scene.integrators": "INTEGRATORS Integrator Substep integrator_called",
     "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
     "carom.recording.export.export": "Snapshot",
+    "carom.scene.contact_laws": "DEFAULT_LAW ContactLaw",
     "carom.scene.data.formats": "Arrays DataFormat DataTable",
     "carom.scene.forces": "BodyForce PairForce",
     "carom.scene.load": "load_scene scene_from_dict scene_from_text",
@@ -251,7 +255,7 @@ _HOMES = {
     "carom.scene.schema": "Coefficients",
     "carom.scene.schema.contact": "DEFAULT",
     "carom.scene.schema.promise": "Expect",
-    "carom.scene.schema.quantity": "Count NonNegative Positive Real Section",
+    "carom.scene.schema.quantity": "Count Friction NonNegative Positive Real Section",
     "carom.scene.start": "HalfSpaces InitialBodies half_spaces",
     "carom.scene.toml_text": "toml_for toml_text",
     "carom.scene.units.dimension": (

@@ -49,6 +49,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
     },
+    "contact_laws": {"coulomb": "carom.scene.contact_laws:COULOMB"},
     "placements": {  # arrangements of groups, and the shape of a region that brings its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",
         "compressed": "carom.physics.placement.growth:COMPRESSED",

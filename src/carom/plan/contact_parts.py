@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from carom.plan.pulls import differing, pushing
+from carom.scene.contact_laws import law_of
 from carom.scene.matter import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
@@ -103,6 +104,8 @@ def restitution(scene: Scene, contact: Part) -> Part:
 def friction(scene: Scene, contact: Part) -> Part:
     """Decide whether contacts resist sliding."""
     name, kinds = "friction", kinds_of_contacts(scene)
+    if contact.modelled and law_of(scene).exerts_torque:
+        return Part(name, True, f'contact.law = "{scene.contact.law}" resists rolling')
     if contact.modelled and all(kind.coefficients.static_friction == 0 for kind in kinds):
         return Part(name, False, "both coefficients are 0")
     why = f"μs = {_range(kinds, 'static_friction')}, μk = {_range(kinds, 'kinetic_friction')}"

@@ -40,6 +40,7 @@ _UNITS = {  # of the components of checkpoints and of impacts
     "contact_rest_speed": "m/s",
     "contact_dt": "s",
     "held_impulse": "N s",
+    "held_angular": "N m s",
     "held_kick": "s",
     "integrator_last_dt": "s",
     "integrator_position_rest": "m",

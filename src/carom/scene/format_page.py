@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 
 from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
-from carom.scene.schema.force_settings import know_installed_forces
+from carom.scene.schema.scene import know_installed_parts
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
 
@@ -32,7 +32,7 @@ def schema_text() -> str:
 
 def schema() -> dict[str, Any]:
     """Return the schema, with forces of installed packages; a quantity is a plain number or a text with a unit."""
-    know_installed_forces(Scene)
+    know_installed_parts()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
 
 

@@ -38,7 +38,7 @@ from carom.scene.scene_file import LARGEST_FILE, read_text, scene_path
 from carom.scene.schema import Scene
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.schema.force_settings import know_installed_forces
+from carom.scene.schema.scene import know_installed_parts
 from carom.scene.toml_text import toml_text
 from carom.scene.units.system import UnitSystem
 
@@ -199,7 +199,7 @@ def _written(data: dict[str, Any]) -> str:
 
 
 def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySource | None) -> Scene:
-    know_installed_forces(Scene)
+    know_installed_parts()
     numbers, units, wrong = converted(data)
     more = max(0, len(wrong) - _MOST_DETAILS)
     messages: dict[KeyPath, Callable[[], str]] = {

@@ -14,10 +14,11 @@ from typing import TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
+from carom.scene.contact_laws import DEFAULT_LAW, Numbers, law_of
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
-from carom.scene.schema.body import Matter
-from carom.scene.schema.contact import DEFAULT, combined
+from carom.scene.schema.body import Matter, StaticPlane
+from carom.scene.schema.contact import DEFAULT, Surface, combined
 from carom.scene.start import WALLS
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
@@ -88,6 +89,9 @@ class PairCoefficients:
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
     bodies: int  # n
     places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # (n + p, 2); else no rows
+    law: str = DEFAULT_LAW
+    names: tuple[str, ...] = ()  # of the coefficients that the law has besides
+    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (as many, k), their values
 
     def of(self, i: int, j: int) -> Coefficients:
         """Return the coefficients of the contact of body i with body j > i, or with plane j - n."""
@@ -123,28 +127,30 @@ def body_materials(scene: Scene) -> BodyMaterials:
 
 def pair_coefficients(scene: Scene) -> PairCoefficients:
     """Return the coefficients of all pairs of ends."""
-    names = _names(scene)
-    table = _table(scene, names)
+    names, further = _names(scene), tuple(_of_law(scene, DEFAULT, DEFAULT))
+    table, own = _table(scene, names), len(Coefficients._fields)
     bodies, planes = scene.count, table.shape[1] - len(names)
+    law, no_places = (scene.contact.law, further), np.zeros((0, 2), dtype=np.int64)
     if (table[:, : len(names)] == table[0, 0]).all() and (table[:, len(names) :] == table[:1, len(names) :]).all():
         one = np.concatenate((table[0, :1], table[0, len(names) :]))
-        return PairCoefficients(one, bodies)
+        return PairCoefficients(one[:, :own], bodies, no_places, *law, one[:, own:])
     places = np.zeros((bodies + planes, 2), dtype=np.int64)
     places[:bodies, 1] = body_materials(scene).index
     places[bodies:, 1] = len(names) + np.arange(planes)
     places[:bodies, 0] = places[:bodies, 1] * table.shape[1]
-    return PairCoefficients(table.reshape(-1, len(Coefficients._fields)), bodies, places)
+    rows = table.reshape(-1, table.shape[2])
+    return PairCoefficients(rows[:, :own], bodies, places, *law, rows[:, own:])
 
 
 def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
     """List the kinds of contacts that the materials and planes of a scene make possible, each once."""
-    names = _names(scene)
+    names, own = _names(scene), len(Coefficients._fields)
     table = _table(scene, names)
     planes = [_called(plane.name or f"plane {index}", plane.material) for index, plane in enumerate(scene.plane)]
     walls = [_called("walls", scene.domain.material)] if table.shape[1] > len(names) + len(planes) else []
     ends = [*names, *planes, *walls]
     return [
-        KindOfContact((name, ends[other]), Coefficients(*table[index, other].tolist()))
+        KindOfContact((name, ends[other]), Coefficients(*table[index, other, :own].tolist()))
         for index, name in enumerate(names)
         for other in range(index, len(ends))
     ]
@@ -196,14 +202,42 @@ def _names(scene: Scene) -> list[str]:
     return list(dict.fromkeys(name for name, _ in _given(scene))) if scene.material else [DEFAULT]
 
 
+def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
+    """Return the coefficients that the contact law has besides, of a contact of two materials.
+
+    ``plane`` may have some of its own. What a section of a material, a pair or a plane leaves out is as without it.
+    """
+    law, default = law_of(scene), scene.contact.law_section
+    if default is None:
+        return {}
+
+    def completed(numbers: Numbers, given: Surface | None) -> dict[str, float]:
+        own = None if given is None else getattr(given, scene.contact.law)
+        if own is None:
+            return dict(numbers)
+        implied = type(own).model_fields.keys() - own.model_fields_set
+        return {**numbers, **{key: value for key, value in law.coefficients(own).items() if key not in implied}}
+
+    common = law.coefficients(default)
+    mine, others = (completed(common, material_called(scene, name)) for name in (one, other))
+    pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
+    return completed(completed(law.combined(mine, others), pair), plane)
+
+
 def _table(scene: Scene, names: list[str]) -> FloatArray:
-    """Return the coefficients of each material with each material, each plane and each wall, (a, a + p, 3)."""
+    """Return the coefficients of each material with each material, each plane and each wall, (a, a + p, 3 + k)."""
     walls = len(WALLS) if scene.domain.boundary == "walls" else 0
+
+    def row(name: str, other: str, plane: StaticPlane | None = None) -> tuple[float, ...]:
+        meeting = between(scene, name, other)
+        own = meeting if plane is None else plane.completed(meeting)
+        return (*own, *_of_law(scene, name, other, plane).values())
+
     rows = [
         [
-            *(between(scene, name, other) for other in names),
-            *(plane.completed(between(scene, name, plane.material or DEFAULT)) for plane in scene.plane),
-            *([between(scene, name, scene.domain.material or DEFAULT)] * walls),
+            *(row(name, other) for other in names),
+            *(row(name, plane.material or DEFAULT, plane) for plane in scene.plane),
+            *([row(name, scene.domain.material or DEFAULT)] * walls),
         ]
         for name in names
     ]

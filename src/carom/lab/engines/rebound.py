@@ -19,6 +19,7 @@ from carom import Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError
 from carom.extend import (
+    DEFAULT_LAW,
     DOMINANT,
     TIME,
     Source,
@@ -182,6 +183,7 @@ def _refuse(scene: Scene) -> None:
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
         f"the force {force}": force != "",
+        f'contact.law = "{scene.contact.law}"': parts.contact.modelled and scene.contact.law != DEFAULT_LAW,
         "fixed bodies": bool(np.any(start.fixed)),
         "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
     }

@@ -1,6 +1,7 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-`CONTACT` has the fields that iterations need, in two cache lines; `CONTACT_STATE` has those that only the phases before
+`CONTACT` has the fields that iterations need, in two cache lines, and `ROLLING_CONTACT` those of a law that resists
+rolling in two more; `CONTACT_STATE` has those that only the phases before
 and after need. `BODY_STATE` has the velocities of a body, in two cache lines, and `PUSHED_BODY` its position and
 velocity, in one.
 """
@@ -13,6 +14,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.aligned import CACHE_LINE, record
+from carom.physics.contact.rolling import ANGULAR_IMPULSE, FIELDS
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.index import from_front
@@ -24,14 +26,15 @@ SHARED_FROM = 2048  # contacts; with fewer, sharing them takes as long as it sav
 MIN_PER_TASK = SHARED_FROM // 2
 LEDGER_TERMS = " ".join(TERMS)
 
-CONTACT = record(
+_CONTACT = (
     "nx ny nz arm_i arm_j"  # normal from i to j; m, from each centre to the contact point
     " normal_mass tangent_mass"  # kg, effective masses of normal and tangential impulses
     " velocity_bias"  # m/s, c: the contact may close at up to c; it has to separate if c is negative
     " normal_impulse friction_x friction_y friction_z"  # N s, λ_n and λ_t
-    " delta_normal delta_x delta_y delta_z",  # N s, s: their change in the last iteration
-    size=2 * CACHE_LINE,
+    " delta_normal delta_x delta_y delta_z"  # N s, s: their change in the last iteration
 )
+CONTACT = record(_CONTACT, size=2 * CACHE_LINE)
+ROLLING_CONTACT = record(" ".join((_CONTACT, *FIELDS)), size=4 * CACHE_LINE)  # where the law resists rolling
 
 CONTACT_STATE = record(
     "overlap found_overlap"  # m: now (negative for a gap); before the position correction (0 for a gap)
@@ -65,11 +68,12 @@ SEARCH = record(  # of the conjugate gradients
     size=2 * CACHE_LINE,
 )
 
-RECORDED = record(  # only for recorded contacts
+_RECORDED = (  # only for recorded contacts
     "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses by `solver.impacts`
-    " correction_x correction_y correction_z",  # N s, Σ of the changes of momentum by `solver.position_correction`
-    size=CACHE_LINE,
+    " correction_x correction_y correction_z"  # N s, Σ of the changes of momentum by `solver.position_correction`
 )
+RECORDED = record(_RECORDED, size=CACHE_LINE)
+ROLLING_RECORDED = record(" ".join((_RECORDED, *ANGULAR_IMPULSE)), size=2 * CACHE_LINE)
 
 PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
     "residual"  # m/s, the largest change or violation; of position corrections 1 if another iteration is needed
@@ -139,13 +143,13 @@ class ConstraintSystem(NamedTuple):
     pairs: IntArray  # (m, 2)
     pieces: IntArray  # (k, 2) first contact, and the one after the last
     edges: IntArray  # (s + 1,) first piece of each colour, and k
-    contacts: Records  # (m,) CONTACT
+    contacts: Records  # (m,) CONTACT, or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
     small_change: FloatArray  # (m,) m/s, a smaller change of a contact's velocities needs no further iteration
     states: Records  # (m,) CONTACT_STATE
     search: Records  # (m,) SEARCH
     measured: Records  # (m,) MEASURED
-    recorded: Records  # (m,) RECORDED; no rows unless contacts are recorded
+    recorded: Records  # (m,) RECORDED, or ROLLING_RECORDED; no rows unless contacts are recorded
     velocity: FloatArray  # (n + p, 3) m/s
     spin: FloatArray  # (n + p, 3) rad/s; no rows without friction
     acceleration: FloatArray  # (n + p, 3) m/s²

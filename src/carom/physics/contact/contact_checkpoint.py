@@ -28,7 +28,7 @@ class ContactCheckpoint:
     rest_speed: FloatArray  # (m,) m/s, up to which a contact is at rest
     dt: float  # s, the step that the speeds are for
     held_pairs: IntArray  # (k, 2), sorted; mostly the same as ``pairs``
-    impulse: FloatArray  # (k, 4) N s: λ_n, λ_t
+    impulse: FloatArray  # (k, 4) N s: λ_n, λ_t; (k, 7) where the law resists rolling, with Λ in N m s
     kick: float  # s, length of that kick
     sleep: SleepCheckpoint | None = None  # None where no body can sleep
 

@@ -23,7 +23,8 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import comes_before, empty_graph
-from carom.physics.contact.law import IMPULSES, LAW, Materials, material_index
+from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
+from carom.physics.contact.rolling import angular_impulses_of
 from carom.physics.contact.sleep.sleepers import NO_SLEEPERS, SleepingContacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
@@ -64,6 +65,9 @@ class ImpactStore:
         self._parts, self._count = [picked(rows, kept)], len(kept)
 
 
+NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
+
+
 class Impulses(NamedTuple):
     """The impulses of contacts at one moment of a step; a pair may occur more than once."""
 
@@ -75,6 +79,7 @@ class Impulses(NamedTuple):
     turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
     impact: BoolArray | None = None  # (k,) whether the contact closed faster than its rest speed;
     # None: they hold contacts at rest
+    angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ, if the law resists rolling
 
 
 class ContactTap:
@@ -119,7 +124,7 @@ class ContactTap:
 
     def see_waking(self) -> None:
         """Copy the records of the held contacts, which the solver will overwrite."""
-        self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(CONTACT))
+        self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(self._held.contacts.dtype))
 
     def see_drift(self, impacts: Impacts) -> None:
         """Note the impacts during the drift."""
@@ -178,11 +183,13 @@ class ContactTap:
             pairs = np.empty_like(self._held.pairs)
             pairs[self._held.place] = self._held.pairs
             began = np.full(len(pairs), self._began)
-            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES), began)
+            angular = angular_impulses_of(contacts)
+            yield Impulses(pairs, *_geometry(contacts), columns(contacts, IMPULSES), began, angular=angular)
         if len(self._drift):
             time, log = np.minimum(self._began + self._drift.time, self._ended), self._drift.log
             impact = self._drift.approach > self._drift.rest_speed
-            yield Impulses(self._drift.pairs, *_geometry(log), columns(log, IMPULSES), time, impact=impact)
+            given, angular = columns(log, IMPULSES), angular_impulses_of(log)
+            yield Impulses(self._drift.pairs, *_geometry(log), given, time, impact=impact, angular=angular)
         if len(solver.order.pairs):
             pairs, recorded = solver.order.pairs, solver.recorded
             corrections = np.zeros((len(pairs), 4))
@@ -190,8 +197,9 @@ class ContactTap:
             geometry, ended = _geometry(solver.contacts), np.full(len(pairs), self._ended)
             impact = solver.states["approach_speed"] > solver.states["rest_speed"]
             yield Impulses(pairs, *geometry, corrections, ended, turns=False)
-            yield Impulses(pairs, *geometry, columns(recorded, IMPULSES), ended, impact=impact)
-            yield Impulses(pairs, *geometry, solver.impulses, ended)
+            given, angular = columns(recorded, IMPULSES), angular_impulses_of(recorded)
+            yield Impulses(pairs, *geometry, given, ended, impact=impact, angular=angular)
+            yield Impulses(pairs, *geometry, solver.impulses, ended, angular=angular_impulses_of(solver.contacts))
 
     def work(self, solver: ContactSolver) -> FloatArray:
         """Return the ledger of each contact of the step, (k, 3) J."""
@@ -372,8 +380,8 @@ def _mode(given: Any, material: Any, friction: bool) -> int:
         return OPEN
     if not friction:
         return RESTING
-    slides = LAW.slides(material, given.normal_impulse, given.friction_x, given.friction_y, given.friction_z)
-    return SLIDING if slides else STICKING
+    tx, ty, tz = given.friction_x, given.friction_y, given.friction_z
+    return SLIDING if slides(material, given.normal_impulse, tx, ty, tz) else STICKING
 
 
 @inline

@@ -1,4 +1,4 @@
-"""Newton's restitution and Coulomb's friction, as a `carom.physics.contact.law.ContactLaw`.
+"""Newton's restitution and Coulomb's friction, the contact law of scenes that choose none; see `contact.law`.
 
 An impact rebounds by the coefficient e, a contact at rest does not; friction is bounded:
 
@@ -73,3 +73,15 @@ def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> boo
     static: float = material.static_friction * normal
     holds = (1.0 + REACHED) * kinetic < tangential <= (1.0 + REACHED) * static
     return tangential >= (1.0 - REACHED) * kinetic and not holds
+
+
+@inline
+def rolling(material: Any, normal: float, radius: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return 0: nothing resists rolling."""
+    return 0.0, 0.0, 0.0
+
+
+@inline
+def twisting(material: Any, normal: float, radius: float, stopping: float) -> float:
+    """Return 0: nothing resists twisting."""
+    return 0.0

@@ -1,128 +1,203 @@
-"""The contact law: the impulses that a contact may exert, and the functions that all laws share.
+"""The contact law in kernels: the impulses that a contact may exert, and what all laws share.
 
-`ContactLaw` lists the functions of a law; `LAW` is the law in use, a module that defines them. Kernels call only these
-functions. Numba inlines them when it compiles a kernel, so a call costs nothing. If each scene chose its law at run
-time, each call would cost a branch, or each law a compilation.
-
-To change the law:
-
-1. Write a module like `coulomb` with these functions, each decorated by ``inline``.
-2. Name it in `LAW`, below.
-3. If it needs coefficients of its own, add them to ``Coefficients`` of `carom.scene.schema`, and as keys of ``Surface``
-   and ``[contact]``. They become fields of `MATERIAL`. mypy names the places that make ``Coefficients``, such as
-   ``combined``, which combines those of two materials.
-
-docs/extending.md has an example.
+The functions below are those of a `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the
+record of a contact's coefficients, whose type names the law: without a name it is Coulomb's (`coulomb`). Numba chooses
+the functions by that type when it compiles a kernel, so a call costs nothing, and what a law does not have is not
+compiled. Each law has kernels of its own, which `KernelCache` keeps under these types.
 
 All laws share three things:
 
 - Contacts push and never pull: λ_n ≥ 0, the condition of the solver. A law with adhesion changes where the solver lets
-  go of a contact: `solver.solve`, `solver.solve_block`, `solver.conjugate_gradients`, `solver.phases` and `statistics`.
-- The warm start keeps one normal and one tangential impulse, `IMPULSES`. A law that resists rolling adds a third: to
-  ``CONTACT`` in `constraints`, to `IMPULSES`, and to the phases of `solver` that handle ``friction_x``; to `IMPACT` of
-  `events.event_loop`, `contact_rows` and `contact_table`; and to checkpoints, which store four numbers a contact
-  (`carom.recording.schema.checkpoint_columns`).
-- The ledger books what the normal impulse takes out as restitution, and what the tangential one takes out as friction.
+  go of a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
+- The warm start keeps one normal and one tangential impulse, `IMPULSES`, and one angular impulse (`rolling`).
+- The ledger books what the normal impulse takes out as restitution, and what the others take out as friction.
 
-`carom.physics.reference_api.CollisionContext` states the law in use once more, with vectors, for tests to compare.
+`carom.physics.reference_api.CollisionContext` states Coulomb's law once more, with vectors, for tests to compare.
 """
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.physics.contact import coulomb
 from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.foreign import chosen_by_type, identity_of
+from carom.scene.contact_laws import ContactLaw, law_called
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 MATERIAL = np.dtype([(name, np.float64) for name in Coefficients._fields], align=True)
 IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
 NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # columns of arrays of them
+LAW = coulomb  # for plain Python, which knows this law only
 
-
-class ContactLaw(Protocol):
-    """The functions of a contact law; ``material`` is a record of `MATERIAL`, the coefficients of the pair.
-
-    Impulses are in N s, speeds in m/s.
-    """
-
-    def restitution(self, material: Any, approach: float, rest_speed: float) -> float:
-        """Return the coefficient of restitution of an impact.
-
-        Parameters
-        ----------
-        material
-            Of the contact.
-        approach
-            Closing speed.
-        rest_speed
-            Closing speed up to which the contact is at rest.
-        """
-
-    def dissipates(self, material: Any) -> bool:
-        """Tell whether an impact may rebound more slowly than it closed."""
-
-    def impact_friction(self, material: Any, normal: float, stopping: float) -> float:
-        """Return the tangential impulse of an impact, against the slip.
-
-        Parameters
-        ----------
-        material
-            Of the contact.
-        normal
-            The normal impulse of the impact.
-        stopping
-            The tangential impulse that would end the slip.
-        """
-
-    def lasting_friction(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, ...]:
-        """Return the tangential impulse that a lasting contact exerts, (3,).
-
-        Parameters
-        ----------
-        material
-            Of the contact.
-        normal
-            Total of the normal impulse since the kick, not the increment of an iteration.
-        tx, ty, tz
-            Total of the tangential impulse that would end the slip.
-        """
-
-    def sliding_friction(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, ...]:
-        """Return the tangential impulse of a lasting contact that has slid and does not stick again, (3,).
-
-        It must be continuous in its arguments, see `solver.phases`; they are those of `lasting_friction`.
-        """
-
-    def sticks(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-        """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
-
-    def slides(self, material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-        """Tell whether a contact that exerted these totals slid, for reports of the step."""
-
-
-LAW: ContactLaw = coulomb
+_MARK = "contact_law_"  # how the first field of a material begins whose law is not Coulomb's
+_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and their own
 
 
 class Materials(NamedTuple):
     """The coefficients of each pair of ends that may touch; see `carom.scene.matter.PairCoefficients`."""
 
-    rows: Records  # (k,) MATERIAL
+    rows: Records  # (k,) MATERIAL, with further fields if the law is not Coulomb's
     places: IntArray  # (n + p, 2) for `material_index`; no rows where all bodies have one material
 
 
 def materials_of(pairs: PairCoefficients) -> Materials:
     """Return the coefficients of each pair as records."""
-    rows = np.ascontiguousarray(pairs.rows, dtype=np.float64).view(MATERIAL)[:, 0]
+    own = np.ascontiguousarray(pairs.rows, dtype=np.float64).view(MATERIAL)[:, 0]
+    mark = _mark_of(pairs.law, law_called(pairs.law))
+    if not mark:
+        return Materials(own, pairs.places)
+    fields = [mark, *Coefficients._fields, *pairs.names]
+    rows = np.zeros(len(own), np.dtype([(name, np.float64) for name in fields], align=True))
+    for name in Coefficients._fields:
+        rows[name] = own[name]
+    for name, values in zip(pairs.names, pairs.further.T, strict=True):
+        rows[name] = values
     return Materials(rows, pairs.places)
+
+
+def _mark_of(name: str, law: ContactLaw) -> str:
+    """Return the name of the field that stands for a law; empty for Coulomb's. Prepare its functions for kernels."""
+    own = {key: getattr(law, key) for key in _FUNCTIONS if getattr(law, key) is not None}
+    if not own:
+        return ""
+    mark = f"{_MARK}{name}_{identity_of(*own.values())}_{'_'.join(own)}"
+    if mark not in _laws:
+        _laws[mark] = own
+    return mark
+
+
+def has_torque(kind: Any) -> bool:
+    """Tell whether contacts whose materials are of this type (of NumPy or of Numba) resist rolling or twisting."""
+    functions = _laws.get(next(iter(kind.fields)), {})
+    return "rolling" in functions or "twisting" in functions
+
+
+def restitution(material: Any, approach: float, rest_speed: float) -> float:
+    """Return the coefficient of restitution of an impact.
+
+    Parameters
+    ----------
+    material
+        Of the contact.
+    approach
+        m/s, closing speed.
+    rest_speed
+        m/s, closing speed up to which the contact is at rest.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def dissipates(material: Any) -> bool:
+    """Tell whether an impact may rebound more slowly than it closed."""
+    raise NotImplementedError("only kernels call it")
+
+
+def impact_friction(material: Any, normal: float, stopping: float) -> float:
+    """Return the tangential impulse of an impact, against the slip.
+
+    Parameters
+    ----------
+    material
+        Of the contact.
+    normal
+        N s, the normal impulse of the impact.
+    stopping
+        N s, the tangential impulse that would end the slip.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return the tangential impulse that a lasting contact exerts.
+
+    Parameters
+    ----------
+    material
+        Of the contact.
+    normal
+        N s, total of the normal impulse since the kick, not the increment of an iteration.
+    tx, ty, tz
+        N s, total of the tangential impulse that would end the slip.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+    """Return the tangential impulse of a lasting contact that has slid and does not stick again.
+
+    It must be continuous in its arguments, see `solver.phases`; they are those of `lasting_friction`.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+    """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
+    raise NotImplementedError("only kernels call it")
+
+
+def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+    """Tell whether a contact that exerted these totals slid, for reports of the step."""
+    raise NotImplementedError("only kernels call it")
+
+
+def rolling(material: Any, normal: float, radius: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the angular impulse against rolling.
+
+    Parameters
+    ----------
+    material
+        Of the contact.
+    normal
+        N s, the normal impulse: of an impact, or the total of a lasting contact.
+    radius
+        m, r_i r_j / (r_i + r_j), or the radius of the body at a plane.
+    x, y, z
+        N m s, the angular impulse that would end the rolling; it has no normal part.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def twisting(material: Any, normal: float, radius: float, stopping: float) -> float:
+    """Return the angular impulse about the normal; ``stopping`` would end the twisting. Arguments as for `rolling`."""
+    raise NotImplementedError("only kernels call it")
+
+
+def exerts_torque(material: Any) -> bool:
+    """Tell whether the law resists rolling or twisting, a constant of the compiled kernel."""
+    raise NotImplementedError("only kernels call it")
+
+
+_STUBS = (
+    *(restitution, dissipates, impact_friction, lasting_friction, sliding_friction, sticks, slides),
+    *(rolling, twisting),
+)
+_FUNCTIONS = tuple(stub.__name__ for stub in _STUBS)
+
+
+def _offer(stub: Callable[..., Any]) -> None:
+    """Let kernels that call a function of the law compile that of the law which the type of the material names."""
+
+    @chosen_by_type(stub)
+    def of_law(material: Any, *arguments: Any) -> Any:
+        own = _laws.get(next(iter(material.fields)), {}).get(stub.__name__)
+        coulombs: Any = getattr(coulomb, stub.__name__)
+        return own or coulombs.py_func
+
+
+for _stub in _STUBS:
+    _offer(_stub)
+
+
+@chosen_by_type(exerts_torque)
+def _exerts_torque(material: Any) -> Any:
+    exerts = has_torque(material)
+    return lambda material: exerts
 
 
 @unowned

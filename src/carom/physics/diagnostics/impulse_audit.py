@@ -2,7 +2,7 @@
 
 In each step, for every body,
 
-    Δv = Σ J/m + Σ a h,    Δω = Σ ρ λ_t × n / I,    J = λ_n n + λ_t, which acts on j, and -J on i
+    Δv = Σ J/m + Σ a h,    Δω = Σ (ρ λ_t × n ± Λ) / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
 with the impulses that the contact tap reports and the kicks of the integrator, and for the ledger of contacts,
 Δledger = Σ over the contacts. A kick is a h. Drag multiplies velocities, so its effect is measured.
@@ -128,6 +128,8 @@ class _Given:
                 if some.turns and len(spin):
                     turn = some.arms[:, end] * ends.inverse_inertia[body]
                     np.add.at(spin, body, turn[:, np.newaxis] * moment)
+                if some.angular.shape[1]:
+                    np.add.at(spin, body, sign * ends.inverse_inertia[body][:, np.newaxis] * some.angular)
         return cls(velocity[:n], spin[: len(bodies.angular_velocity)], speed[:n])
 
 

@@ -163,7 +163,8 @@ def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
         "contact_rest_speed": memory.rest_speed,
         "contact_dt": np.array([memory.dt]),
         "held_pairs": (memory.held_pairs[:0] if own else memory.held_pairs).ravel().astype(np.uint32),
-        "held_impulse": memory.impulse.ravel(),
+        "held_impulse": memory.impulse[:, :4].ravel(),
+        **({"held_angular": memory.impulse[:, 4:].ravel()} if memory.impulse.shape[1] > 4 else {}),
         "held_kick": np.array([memory.kick]),
         **({} if memory.sleep is None else _sleep_of(memory.sleep)),
     }
@@ -277,12 +278,15 @@ class _Row:
         held = held if len(held) else pairs[: len(impulse) // 4]
         if impulse.size != 4 * len(held):
             raise ValueError(f"{impulse.size // 4} impulses of {len(held)} contacts")
+        angular = np.empty((len(held), 0))
+        if "held_angular" in self._stored:
+            angular = self._finite("held_angular", 3 * len(held)).reshape(-1, 3)
         return ContactCheckpoint(
             pairs=pairs,
             rest_speed=self._finite("contact_rest_speed", len(pairs)),
             dt=self.number("contact_dt"),
             held_pairs=held,
-            impulse=impulse.reshape(-1, 4),
+            impulse=np.concatenate((impulse.reshape(-1, 4), angular), axis=1),
             kick=self.number("held_kick"),
             sleep=self.sleep() if "sleep_calm" in self._stored else None,
         )

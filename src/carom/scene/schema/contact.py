@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 import re
+from functools import cache
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, ValidationError, model_validator
+from pydantic.fields import FieldInfo
 
-from carom.scene.schema.quantity import AnyReal, Count, Friction, Positive, Section
+from carom import registry
+from carom.scene.contact_laws import DEFAULT_LAW
+from carom.scene.schema.force_settings import section_of
+from carom.scene.schema.quantity import AnyReal, Count, Friction, Positive, Section, SectionError
 from carom.scene.units.dimension import DENSITY, TIME, VELOCITY
 from carom.scene.wording import suggestion
 
@@ -66,8 +71,8 @@ class Surface(Section):
 
     @property
     def given(self) -> list[str]:
-        """The coefficients that are given."""
-        return [name for name in Coefficients._fields if getattr(self, name) is not None]
+        """The coefficients, and the sections of a contact law, that are given."""
+        return [name for name in (*Coefficients._fields, *_known_laws) if getattr(self, name, None) is not None]
 
     def completed(self, default: Coefficients) -> Coefficients:
         """Return all coefficients; a missing coefficient of friction adapts to the one that is given."""
@@ -125,6 +130,13 @@ class MaterialPair(Surface):
 Sweeps = Literal["auto", "as-needed", "quick"]
 
 
+def _known_law(name: str) -> str:
+    known = registry.names("contact_laws")
+    if name not in known:
+        raise ValueError(f'no contact law "{name}"; {suggestion(name, known)}')
+    return name
+
+
 class Sleep(Section):
     """[contact.sleep]: islands at rest are not computed until something disturbs them."""
 
@@ -138,6 +150,10 @@ class ContactSettings(Section):
     """[contact]: how contacts are modelled."""
 
     enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
+    law: Annotated[str, AfterValidator(_known_law)] = Field(
+        DEFAULT_LAW,
+        description="contact law: coulomb, or one of an installed package, with its coefficients in [contact.NAME]",
+    )
     restitution: AnyReal = Field(
         0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
     )
@@ -210,7 +226,58 @@ class ContactSettings(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _has_the_coefficients_of_its_law(self) -> Self:
+        """Refuse the coefficients of other laws; a law whose coefficients all have defaults needs no section."""
+        for name in law_sections(self):
+            if name != self.law:
+                raise SectionError((name,), f'needs contact.law = "{name}"; set it, or leave this out')
+        try:
+            _ = self.law_section
+        except ValidationError as error:
+            needed = ", ".join(str(detail["loc"][-1]) if detail["loc"] else detail["msg"] for detail in error.errors())
+            raise SectionError(("law",), f"needs the section [contact.{self.law}]: {needed}") from None
+        return self
+
+    @property
+    def law_section(self) -> Any:
+        """The coefficients of the contact law of bodies and planes without a material; None if it has none."""
+        kind = None if self.law == DEFAULT_LAW else section_of("contact_laws", self.law)
+        given = None if kind is None else getattr(self, self.law, None)
+        return kind() if kind is not None and given is None else given
+
     @property
     def coefficients(self) -> Coefficients:
         """Those of bodies and planes without a material."""
         return Coefficients(self.restitution, self.static_friction, self.kinetic_friction)
+
+
+_known_laws: list[str] = []  # that have a section
+
+
+def law_sections(holder: Surface | ContactSettings) -> list[str]:
+    """Return the names of the contact laws of which a section is given."""
+    return [name for name in _known_laws if getattr(holder, name, None) is not None]
+
+
+@cache
+def know_contact_laws(*holders: type[Section]) -> None:
+    """Let the models that hold coefficients have a section for each contact law; see `know_installed_forces`.
+
+    Parameters
+    ----------
+    holders
+        Models with coefficients, and the models that these are in.
+    """
+    for name in registry.names("contact_laws"):
+        section = None if name == DEFAULT_LAW else section_of("contact_laws", name)
+        if section is None:
+            continue
+        _known_laws.append(name)
+        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
+        for model in holders:
+            if issubclass(model, Surface | ContactSettings):
+                model.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
+    if _known_laws:
+        for model in holders:
+            model.model_rebuild(force=True)

@@ -68,7 +68,7 @@ class InstalledForces(Section):
 
 
 class _NotLoaded(Section):
-    """A section of a force that cannot be loaded."""
+    """A section of a force or a contact law that cannot be loaded."""
 
     @model_validator(mode="before")
     @classmethod
@@ -84,6 +84,14 @@ class Forces(Section):
     forces: InstalledForces = Field(InstalledForces(), description="forces of installed packages, a section each")
 
 
+def section_of(kind: str, name: str) -> Any:
+    """Return the section of the scene of a part of an installed package; that of one that cannot be loaded says why."""
+    try:
+        return registry.load(kind, name).section
+    except registry.ExtensionError as error:
+        return type("NotLoaded", (_NotLoaded,), {"__doc__": str(error), "__module__": __name__})
+
+
 @cache
 def know_installed_forces(*holders: type[Section]) -> None:
     """Let `InstalledForces`, and the models that hold it, have a field for each force of an installed package.
@@ -93,11 +101,7 @@ def know_installed_forces(*holders: type[Section]) -> None:
     """
     names = registry.installed("forces")
     for name in names:
-        section: Any
-        try:
-            section = registry.load("forces", name).section
-        except registry.ExtensionError as error:
-            section = type("NotLoaded", (_NotLoaded,), {"__doc__": str(error), "__module__": __name__})
+        section = section_of("forces", name)
         meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
         InstalledForces.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
     if names:

@@ -10,8 +10,15 @@ from typing import TYPE_CHECKING, Any, Self
 from pydantic import Field, PrivateAttr, model_validator
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, StaticPlane
-from carom.scene.schema.contact import DEFAULT, ContactSettings, Material, MaterialPair
-from carom.scene.schema.force_settings import Forces
+from carom.scene.schema.contact import (
+    DEFAULT,
+    ContactSettings,
+    Material,
+    MaterialPair,
+    know_contact_laws,
+    law_sections,
+)
+from carom.scene.schema.force_settings import Forces, know_installed_forces
 from carom.scene.schema.promise import Expect, Promise, Sweep
 from carom.scene.schema.quantity import SectionError
 from carom.scene.schema.settings import Domain, ForcedParts, Heading, Record
@@ -337,5 +344,18 @@ def check_materials(scene: Scene) -> None:
                     ("plane", index, plane.given[0]),
                     f'given, and material = "{plane.material}" has one; leave one of the two out',
                 )
+    for section, surfaces in (("material", scene.material), ("pair", scene.pair), ("plane", scene.plane)):
+        for index, surface in enumerate(surfaces):
+            for name in law_sections(surface):
+                if name != scene.contact.law:
+                    raise SectionError(
+                        (section, index, name), f'needs contact.law = "{name}"; set it, or leave this out'
+                    )
     if scene.domain.material is not None:
         check_name(("domain", "material"), scene.domain.material)
+
+
+def know_installed_parts() -> None:
+    """Let scenes have the sections of forces and contact laws of installed packages."""
+    know_installed_forces(Scene)
+    know_contact_laws(ContactSettings, Material, MaterialPair, StaticPlane, Scene)

@@ -19,7 +19,7 @@ from carom.arrays import BoolArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.pairs import Search
-from carom.physics.contact.events.event_loop import IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
+from carom.physics.contact.events.event_loop import IMPACT, ROLLING_IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
 from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.simultaneous import resolve_touching
 from carom.physics.contact.events.trajectories import (
@@ -34,7 +34,7 @@ from carom.physics.contact.events.trajectories import (
     write_reaches,
 )
 from carom.physics.contact.islands import island_rest_speeds
-from carom.physics.contact.law import Materials
+from carom.physics.contact.law import Materials, has_torque
 from carom.physics.contact.solver.warm_start import ImpulseCache
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
@@ -158,7 +158,7 @@ class EventDrivenDrift:
         self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
         self._bending = bending if not box.any() else np.zeros(3)
-        self._log = np.empty(LOG_ROWS, dtype=IMPACT)
+        self._log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self._trajectories = Trajectories(
             body=np.zeros(n, dtype=TRAJECTORY),

@@ -41,7 +41,17 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
-from carom.physics.contact.law import LAW, inverse_tangent_mass, material_index, normal_loss, tangential_loss
+from carom.physics.contact.law import (
+    dissipates,
+    exerts_torque,
+    impact_friction,
+    inverse_tangent_mass,
+    material_index,
+    normal_loss,
+    restitution,
+    tangential_loss,
+)
+from carom.physics.contact.rolling import ANGULAR_IMPULSE, angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.velocity import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.exponential import exponentials
@@ -92,6 +102,7 @@ IMPACT = np.dtype(
         ("z", np.float64),
     ]
 )
+ROLLING_IMPACT = np.dtype([*IMPACT.descr, *((name, np.float64) for name in ANGULAR_IMPULSE)])  # N m s, with torques
 
 
 @long_kernel
@@ -111,7 +122,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
             return row
         partner = T.body[known].partner
         i, j = min(known, partner), max(known, partner)
-        lossy = LAW.dissipates(T.materials[material_index(i, j, n, T.places)])
+        lossy = dissipates(T.materials[material_index(i, j, n, T.places)])
         if T.body[i].exhausted or (j < n and T.body[j].exhausted):
             held, row = hold_group(i, j, neighbours, T, log, row)
             for k in range(len(held)):
@@ -335,7 +346,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     material = T.materials[material_index(i, j, n, T.places)]
     Kn = mi + mj
     slow = max(rest_speed(i, T), rest_speed(j, T) if j < n else 0.0)
-    e = LAW.restitution(material, -vn, slow)
+    e = restitution(material, -vn, slow)
     Jn = max(0.0, -(1.0 + e) * vn) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
     if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:
@@ -349,6 +360,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
     entry.approach, entry.rest_speed, entry.friction_loss = max(0.0, -vn), slow, 0.0
     entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
     entry.friction_x = entry.friction_y = entry.friction_z = 0.0
+    set_angular_impulse(entry, 0.0, 0.0, 0.0)
     x, y, z = centre(i, T)
     entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
     if len(omega) > 0:
@@ -359,7 +371,7 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         slip = np.sqrt(ux * ux + uy * uy + uz * uz)
         if slip > 0.0:
             Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
-            Jt = LAW.impact_friction(material, Jn, slip / Kt)
+            Jt = impact_friction(material, Jn, slip / Kt)
             if Jt > 0.0:
                 entry.friction_loss = tangential_loss(Jt, slip, Kt)
                 fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
@@ -369,6 +381,15 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
                 _spin_up(i, ri, tx, ty, tz, T)
                 if j < n:
                     _spin_up(j, rj, tx, ty, tz, T)
+        K = T.inverse_inertia[i] + T.inverse_inertia[j]
+        if exerts_torque(material) and K > 0.0:
+            wx, wy, wz = between(omega, i, j)
+            lx, ly, lz = limited(entry, material, Jn, -wx / K, -wy / K, -wz / K)
+            entry.friction_loss += angular_loss(lx, ly, lz, wx, wy, wz, K)
+            set_angular_impulse(entry, lx, ly, lz)
+            _spin_up(i, -1.0, lx, ly, lz, T)
+            if j < n:
+                _spin_up(j, 1.0, lx, ly, lz, T)
     add(v, i, -mi / f, Jx, Jy, Jz)
     if mj > 0.0:
         add(v, j, mj / f, Jx, Jy, Jz)
@@ -398,7 +419,7 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
 
 @inner
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
-    """Change a body's spin by an impulse, and its orientation at the end of the drift accordingly.
+    """Change a body's spin by an impulse times a lever arm, and its orientation at the end of the drift accordingly.
 
     All orientations have already been turned for the whole step, so the rest of that turn is undone and made with the
     new spin.

@@ -39,6 +39,7 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
+from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
 
@@ -378,6 +379,7 @@ def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -
         entry.friction_loss = entry.stabilisation_gain = 0.0
         entry.normal_impulse, entry.arm_i, entry.arm_j = Jn, ri, rj
         entry.friction_x = entry.friction_y = entry.friction_z = 0.0
+        set_angular_impulse(entry, 0.0, 0.0, 0.0)
         x, y, z = centre(i, T)
         entry.x, entry.y, entry.z = x + ri * nx, y + ri * ny, z + ri * nz
         entry.vix, entry.viy, entry.viz = velocity(i, T)

@@ -16,7 +16,7 @@ from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.events.event_loop import MAX_ELASTIC, MAX_IN_COLLAPSE, collide
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.trajectories import MOST_HOLDS, ROUNDING, Trajectories, arrive
-from carom.physics.contact.law import LAW, material_index
+from carom.physics.contact.law import dissipates, material_index
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.vector import between, vector
 
@@ -51,7 +51,7 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
             speed, speeds = _closing(i, j, T)
             if not (speed > ROUNDING * speeds or (sweep == 0 and c == 0)):
                 continue
-            lossy = LAW.dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
+            lossy = dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
             if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // 2:
                 collide(i, j, log[row], T)
                 row += 1

@@ -28,7 +28,7 @@ from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, 
 from carom.physics.contact.contact_checkpoint import SleepCheckpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.islands import join_islands, root_of
-from carom.physics.contact.law import NORMAL
+from carom.physics.contact.law import IMPULSES, NORMAL
 from carom.physics.contact.snapshot import late_contacts
 from carom.physics.contact.solver.begin_contacts import begin_contacts
 from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
@@ -218,7 +218,9 @@ class Sleepers:
         self._keep(slept.pairs[~awake], slept.force[~awake])
         length = cache.kick if cache.kick > 0.0 else dt
         joined = np.concatenate((cache.pairs, slept.pairs[awake]))
-        impulse = np.concatenate((cache.impulse, length * slept.force[awake]))
+        given = cache.impulse
+        impulse = np.zeros((len(joined), given.shape[1]))  # what resists rolling begins at 0
+        impulse[: len(given)], impulse[len(given) :, : len(IMPULSES)] = given, length * slept.force[awake]
         order = np.lexsort((joined[:, 1], joined[:, 0]))
         lost = np.zeros((1, len(TERMS)))
         lost[0, RESTITUTION] = -_kick_energy(woken, ends.acceleration, ends.inverse_mass, kick)
@@ -239,7 +241,7 @@ class Sleepers:
         tired = _count_calm(*seen, self._sleep.speed, dt, self._sleep.after, self._calm)
         if not tired or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
             return NOTHING_LOST
-        impulse = cache.impulse
+        impulse = cache.impulse[:, : len(IMPULSES)]
         slept = np.zeros(len(self._calm), dtype=np.bool_)
         energy = _fall_asleep(
             pairs,

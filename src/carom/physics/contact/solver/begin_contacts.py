@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.physics.contact.geometry import update_geometry
+from carom.physics.contact.rolling import set_angular_impulse, set_change_of_angular_impulse, set_spin_before
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import inline, long_kernel
 
@@ -55,6 +56,9 @@ def _clear(contact: Any, state: Any) -> None:
     contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
     contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
     contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+    set_angular_impulse(contact, 0.0, 0.0, 0.0)
+    set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
+    set_spin_before(contact, 0.0, 0.0, 0.0)
     state.rest_speed = state.approach_speed = 0.0
     state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
     clear_terms(state)

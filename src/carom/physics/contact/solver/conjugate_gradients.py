@@ -17,7 +17,8 @@ from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
-from carom.physics.contact.law import LAW, material_index
+from carom.physics.contact.law import material_index, sticks
+from carom.physics.contact.rolling import set_change_of_angular_impulse
 from carom.physics.contact.solver.body_state import accumulate_impulse
 from carom.physics.contact.solver.velocity import bias_of, change_of_velocity, relative_velocity, slip
 from carom.physics.jit.decorators import inline, kernel, unowned
@@ -147,7 +148,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
         if spins:
             tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
             material = system.materials[material_index(i, j, count, places)]
-            if LAW.sticks(material, contact.normal_impulse, tx, ty, tz):
+            if sticks(material, contact.normal_impulse, tx, ty, tz):
                 ux, uy, uz = slip(contact, body_i, body_j, ux, uy, uz)
                 search.free_tangent = True
                 search.residual_x, search.residual_y, search.residual_z = -ux, -uy, -uz
@@ -191,6 +192,7 @@ def _project(piece: int, system: ConstraintSystem) -> None:
         else:
             contact.delta_normal, contact.delta_x = search.step_normal, search.step_x
             contact.delta_y, contact.delta_z = search.step_y, search.step_z
+        set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)  # the search leaves angular impulses as they are
         if system.held[c]:
             normal = contact.delta_normal
             slope += normal * search.velocity_bias

@@ -9,7 +9,7 @@ from numba.core import cgutils
 
 from carom.physics.contact.constraints import CONTACT_STATE, PUSHED_BODY, RECORDED
 from carom.physics.contact.geometry import normal_and_distance
-from carom.physics.contact.law import LAW
+from carom.physics.contact.law import restitution
 from carom.physics.contact.solver.block import Block
 from carom.physics.contact.solver.overlap_push import (
     ENOUGH,
@@ -140,4 +140,4 @@ class _Correction:
 
 def _restitution_of_one(material: Any, approach: float, rest_speed: float) -> float:
     """Call the law: ``compile_internal`` takes a plain function of Python, not a kernel."""
-    return LAW.restitution(material, approach, rest_speed)
+    return restitution(material, approach, rest_speed)

@@ -14,6 +14,8 @@ If the iterations did not converge, the audit also measures what the energy boun
 from __future__ import annotations
 
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.law import exerts_torque
+from carom.physics.contact.rolling import angular_impulse, relative_spin, spin_before
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.energy_bound import friction_energies, normal_energies
 from carom.physics.contact.solver.velocity import relative_velocity, slip
@@ -75,5 +77,17 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             slope, curvature = friction_energies(contact, state, ux, uy, uz)
             measured.slope += slope
             measured.curvature += curvature
+        if exerts_torque(system.materials[0]):  # forces do no work on spins, so there is no second term
+            lx, ly, lz = angular_impulse(contact)
+            before_x, before_y, before_z = spin_before(contact)
+            wx, wy, wz = relative_spin(body_i, body_j)
+            slope = lx * before_x + ly * before_y + lz * before_z
+            curvature = lx * (wx - before_x) + ly * (wy - before_y) + lz * (wz - before_z)
+            lost = -(slope + 0.5 * curvature)
+            state.friction_loss += lost
+            friction += lost
+            if measures:
+                measured.slope += slope
+                measured.curvature += curvature
     found = system.found[piece]
     found.restitution_loss, found.friction_loss, found.stabilisation_gain = restitution, friction, stabilisation

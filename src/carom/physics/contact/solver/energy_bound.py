@@ -20,6 +20,7 @@ from typing import Any
 
 from carom.physics.contact.constraints import ConstraintSystem, ends_of
 from carom.physics.contact.islands import join_islands
+from carom.physics.contact.rolling import angular_impulse, set_angular_impulse
 from carom.physics.diagnostics.ledger import copy_terms
 from carom.physics.jit.decorators import inline, unowned
 
@@ -113,6 +114,8 @@ def _scale_impulses(system: ConstraintSystem) -> None:
             contact.friction_x *= scale
             contact.friction_y *= scale
             contact.friction_z *= scale
+            lx, ly, lz = angular_impulse(contact)
+            set_angular_impulse(contact, scale * lx, scale * ly, scale * lz)
 
 
 @inline

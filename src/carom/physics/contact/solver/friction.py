@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from carom.physics.contact.law import LAW
+from carom.physics.contact.law import lasting_friction, sliding_friction, sticks
 from carom.physics.jit.decorators import inline
 
 
@@ -25,7 +25,7 @@ def friction(
     tx, ty, tz
         N s, total of the tangential impulse that would end the slip.
     """
-    if keeps_sliding and (state.slides or not LAW.sticks(material, normal, tx, ty, tz)):
+    if keeps_sliding and (state.slides or not sticks(material, normal, tx, ty, tz)):
         state.slides = True
-        return LAW.sliding_friction(material, normal, tx, ty, tz)
-    return LAW.lasting_friction(material, normal, tx, ty, tz)
+        return sliding_friction(material, normal, tx, ty, tz)
+    return lasting_friction(material, normal, tx, ty, tz)

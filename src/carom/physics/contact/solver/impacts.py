@@ -27,12 +27,22 @@ from carom.physics.contact.constraints import ConstraintSystem, body_count, cont
 from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import (
-    LAW,
+    exerts_torque,
+    impact_friction,
     inverse_tangent_mass,
     material_index,
     normal_loss,
+    restitution,
     restitution_at_depth,
     tangential_loss,
+)
+from carom.physics.contact.rolling import (
+    angular_impulse,
+    angular_loss,
+    apply_angular_impulse,
+    limited,
+    relative_spin,
+    set_angular_impulse,
 )
 from carom.physics.contact.solver.body_state import prefetch_ends, push, turn
 from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE, tolerated
@@ -81,7 +91,7 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
             continue  # `hold` takes resting contacts; an open gap may close in the next step
         material = system.materials[material_index(i, j, count, places)]
-        e = LAW.restitution(material, -vn, state.rest_speed)
+        e = restitution(material, -vn, state.rest_speed)
         overlap = state.found_overlap
         if first and e > 0.0 and overlap > 0.0:
             ax, ay, az = between(a, j, i)
@@ -111,13 +121,23 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
                 Kt = inverse_tangent_mass(
                     Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
                 )
-                Jt = LAW.impact_friction(material, Jn, speed / Kt)
+                Jt = impact_friction(material, Jn, speed / Kt)
                 state.friction_loss += tangential_loss(Jt, speed, Kt)
                 tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)
                 if records:
                     _record_friction(system.recorded[c], tx, ty, tz)
+            K = body_i.inverse_inertia + body_j.inverse_inertia
+            if exerts_torque(material) and K > 0.0:
+                wx, wy, wz = relative_spin(body_i, body_j)
+                lx, ly, lz = limited(contact, material, Jn, -wx / K, -wy / K, -wz / K)
+                state.friction_loss += angular_loss(lx, ly, lz, wx, wy, wz, K)
+                apply_angular_impulse(body_i, body_j, lx, ly, lz)
+                if records:
+                    given = system.recorded[c]
+                    sx, sy, sz = angular_impulse(given)
+                    set_angular_impulse(given, sx + lx, sy + ly, sz + lz)
         push(body_i, body_j, Jx, Jy, Jz)
     found = system.found[piece]
     found.residual = largest_change

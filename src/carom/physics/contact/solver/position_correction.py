@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import normal_and_distance
-from carom.physics.contact.law import LAW, material_index
+from carom.physics.contact.law import material_index, restitution
 from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.correct_block import correct_block
@@ -126,7 +126,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         return 0.0
     vn, tx, ty, tz = velocity_along(nx, ny, nz, a, b)
     material = system.materials[material_index(i, j, n, system.places)]
-    if separates(vn, state.rest_speed, LAW.restitution(material, -vn, state.rest_speed)):
+    if separates(vn, state.rest_speed, restitution(material, -vn, state.rest_speed)):
         return 0.0
     delta, mi, mj, reduced = push_of(state.push_fraction, overlap, a, b)
     if mi > 0.0:

@@ -7,6 +7,12 @@ import numpy as np
 from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import inverse_tangent_mass
+from carom.physics.contact.rolling import (
+    relative_spin,
+    set_angular_impulse,
+    set_change_of_angular_impulse,
+    set_spin_before,
+)
 from carom.physics.contact.solver.begin_contacts import TOUCHING
 from carom.physics.contact.solver.body_state import prefetch_ends
 from carom.physics.contact.solver.velocity import relative_velocity, slip
@@ -49,6 +55,8 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             Kt = inverse_tangent_mass(Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia)
             contact.tangent_mass = 1.0 / Kt
             state.slip_x, state.slip_y, state.slip_z = slip(contact, body_i, body_j, tx, ty, tz)
+            wx, wy, wz = relative_spin(body_i, body_j)
+            set_spin_before(contact, wx, wy, wz)
         gap, rest_speed = -state.overlap, state.rest_speed
         if drift > 0.0:
             bias = max(0.0, gap) / drift
@@ -68,5 +76,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)
         else:
             contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
+            set_angular_impulse(contact, 0.0, 0.0, 0.0)
         contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+        set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
     return largest

@@ -28,10 +28,22 @@ at the end of the step only (a body falls a dt²/2 into the ground in every step
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from carom.physics.contact.constraints import ConstraintSystem, body_count, ends_of
-from carom.physics.contact.law import material_index
+from carom.physics.contact.law import exerts_torque, material_index
+from carom.physics.contact.rolling import (
+    accumulate_angular_impulse,
+    angular_impulse,
+    apply_angular_impulse,
+    change_of_angular_impulse,
+    limited,
+    relative_spin,
+    set_angular_impulse,
+    set_change_of_angular_impulse,
+)
 from carom.physics.contact.solver.block import whole_blocks
 from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
 from carom.physics.contact.solver.friction import friction
@@ -69,7 +81,7 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # by `contacts_of`, blocks take 3 % longer
-    blocks = whole_blocks(piece, system)
+    blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
     found = 0.0, np.inf, 0.0
     for block in range(blocks):
         found = solve_block(system, lo + block * WIDTH, found, turning)
@@ -125,8 +137,33 @@ def _solve_each(
             turn(contact, body_i, body_j, dx, dy, dz)
             accumulate_turn(contact, body_i, body_j, dx, dy, dz)
         largest *= body_i.inverse_mass + body_j.inverse_mass
+        if spins and exerts_torque(system.materials[0]):
+            material = system.materials[material_index(i, j, count, places)]
+            largest = max(largest, _resist_rotation(contact, material, body_i, body_j, normal, alpha))
         if largest > system.small_change[c]:
             change = max(change, largest)
         push(body_i, body_j, Jx, Jy, Jz)
         accumulate_push(body_i, body_j, Jx, Jy, Jz)
     return change, step_limit, slope
+
+
+@inline
+def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float, alpha: float) -> float:
+    """Change the angular impulse by that which ends Ω, as far as the law allows; return the change of a speed, in m/s.
+
+    The speed is that of a surface, a lever arm away from the centre.
+    """
+    wx, wy, wz = relative_spin(a, b)
+    x, y, z = angular_impulse(contact)
+    dx, dy, dz = change_of_angular_impulse(contact)
+    ox, oy, oz = x + alpha * dx, y + alpha * dy, z + alpha * dz
+    K = a.inverse_inertia + b.inverse_inertia
+    if K == 0.0:
+        return 0.0
+    x, y, z = limited(contact, material, normal, ox - wx / K, oy - wy / K, oz - wz / K)
+    dx, dy, dz = x - ox, y - oy, z - oz
+    set_angular_impulse(contact, x, y, z)
+    set_change_of_angular_impulse(contact, dx, dy, dz)
+    apply_angular_impulse(a, b, dx, dy, dz)
+    accumulate_angular_impulse(a, b, dx, dy, dz)
+    return float(max(abs(dx), abs(dy), abs(dz)) * K * max(contact.arm_i, contact.arm_j))

@@ -14,9 +14,22 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray
 from carom.physics.aligned import columns
-from carom.physics.contact.constraints import CONTACT, MIN_PER_TASK, ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.constraints import (
+    CONTACT,
+    MIN_PER_TASK,
+    ROLLING_CONTACT,
+    ConstraintSystem,
+    contacts_of,
+    ends_of,
+)
 from carom.physics.contact.graph import comes_before, first_of
-from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL
+from carom.physics.contact.law import FRICTION_X, FRICTION_Y, FRICTION_Z, IMPULSES, NORMAL, exerts_torque
+from carom.physics.contact.rolling import (
+    angular_impulse,
+    angular_impulses_of,
+    apply_angular_impulse,
+    set_angular_impulse,
+)
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.prefetch import AHEAD, prefetch_record
@@ -48,17 +61,20 @@ class ImpulseCache:
 
     @classmethod
     def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> ImpulseCache:
-        """Rebuild the cache from an earlier `impulse`, (m, 4) N s."""
-        contacts = np.zeros(len(pairs), CONTACT)
-        impulses_of(contacts)[:] = impulse
+        """Rebuild the cache from an earlier `impulse`."""
+        rolls = impulse.shape[1] > len(IMPULSES)
+        contacts = np.zeros(len(pairs), ROLLING_CONTACT if rolls else CONTACT)
+        impulses_of(contacts)[:] = impulse[:, : len(IMPULSES)]
+        angular_impulses_of(contacts)[:] = impulse[:, len(IMPULSES) :]
         return cls(pairs, np.arange(len(pairs)), contacts, kick)
 
     @property
     def impulse(self) -> FloatArray:
-        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs."""
+        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; of a law that resists rolling also Λ, (m, 7)."""
         found = np.empty((len(self.place), len(IMPULSES)))
         _gather_impulses(self.place, self.contacts, found)
-        return found
+        angular = angular_impulses_of(self.contacts)
+        return np.concatenate((found, angular[self.place]), axis=1) if angular.shape[1] else found
 
     def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
         """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
@@ -76,6 +92,7 @@ class ImpulseCache:
         """
         if not (self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0):
             impulses_of(contacts)[:] = 0.0
+            angular_impulses_of(contacts)[:] = 0.0
         elif place is self.place:  # the contacts are the same, and so is the order of their records
             team.divide(len(pairs), MIN_PER_TASK, _carry_each, self.contacts, kick / self.kick, contacts)
         else:
@@ -110,6 +127,8 @@ def _carry_each(lo: int, hi: int, old_contacts: Records, ratio: float, contacts:
     for c in range(lo, hi):
         old = old_contacts[c]
         _set_impulse(contacts[c], ratio, old.normal_impulse, old.friction_x, old.friction_y, old.friction_z)
+        lx, ly, lz = angular_impulse(old)
+        set_angular_impulse(contacts[c], ratio * lx, ratio * ly, ratio * lz)
 
 
 @long_kernel
@@ -140,6 +159,9 @@ def _carry(
         normal = old.normal_impulse if known else 0.0
         x, y, z = (old.friction_x, old.friction_y, old.friction_z) if known else (0.0, 0.0, 0.0)
         _set_impulse(contact, ratio, normal, x, y, z)
+        lx, ly, lz = angular_impulse(old)
+        scale = ratio if known else 0.0
+        set_angular_impulse(contact, scale * lx, scale * ly, scale * lz)
 
 
 @inline
@@ -161,3 +183,6 @@ def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
         contact, body_i, body_j = system.contacts[c], bodies[i], bodies[j]
         tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
         apply_impulse(contact, body_i, body_j, spins, contact.normal_impulse, tx, ty, tz)
+        if exerts_torque(system.materials[0]):
+            lx, ly, lz = angular_impulse(contact)
+            apply_angular_impulse(body_i, body_j, lx, ly, lz)

@@ -18,11 +18,13 @@ from carom.physics.contact.constraints import (
     PIECE_FINDINGS,
     PUSHED_BODY,
     RECORDED,
+    ROLLING_CONTACT,
+    ROLLING_RECORDED,
     SEARCH,
     ConstraintSystem,
 )
 from carom.physics.contact.graph import SolveOrder
-from carom.physics.contact.law import Materials
+from carom.physics.contact.law import Materials, has_torque
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]
@@ -59,13 +61,15 @@ class Workspace:
         count = len(bodies.ends.velocity)
         self._ends, self._planes = bodies.ends, planes
         self._materials, self._box, self._spin, self._records = materials, box, spin, records
-        self._contacts = Buffer(CONTACT), Buffer(CONTACT)
+        rolls = has_torque(materials.rows.dtype)
+        contact = ROLLING_CONTACT if rolls else CONTACT
+        self._contacts = Buffer(contact), Buffer(contact)
         self._held = Buffer(np.bool_)
         self._small_change = Buffer(np.float64)
         self._states = Buffer(CONTACT_STATE)
         self._search = Buffer(SEARCH)
         self._measured = Buffer(MEASURED)
-        self._recorded = Buffer(RECORDED)
+        self._recorded = Buffer(ROLLING_RECORDED if rolls else RECORDED)
         self.pressed = np.ones(count, dtype=np.bool_)
         self._bodies = aligned_empty(count, BODY_STATE)
         self._pushed = aligned_empty(count, PUSHED_BODY)

@@ -1,0 +1,186 @@
+"""Angular impulses of contacts, where the law resists rolling or twisting.
+
+A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation, and takes out
+
+    ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
+
+The law limits Λ, given the one that would end Ω: the part in the tangential plane resists rolling, the part along the
+normal twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Without them the functions below read 0
+and write nothing, by the type of the record, when Numba compiles a kernel.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carom.arrays import FloatArray, Records
+from carom.physics.aligned import columns
+from carom.physics.contact import law
+from carom.physics.jit.decorators import inline
+from carom.physics.jit.foreign import chosen_by_type
+
+ANGULAR_IMPULSE = ("angular_x", "angular_y", "angular_z")  # N m s, Λ
+FIELDS = (
+    *ANGULAR_IMPULSE,
+    *("change_x", "change_y", "change_z"),  # N m s, the change of Λ in the last iteration
+    *("spin_x", "spin_y", "spin_z"),  # rad/s, Ω before `hold`
+)  # of a contact
+
+
+def has_angular_impulse(records: Records) -> bool:
+    """Tell whether records have an angular impulse."""
+    return ANGULAR_IMPULSE[0] in (records.dtype.names or ())
+
+
+def angular_impulses_of(records: Records) -> FloatArray:
+    """Return Λ, (m, 3) N m s, as a view; (m, 0) of records that have none."""
+    return columns(records, ANGULAR_IMPULSE) if has_angular_impulse(records) else np.empty((len(records), 0))
+
+
+def angular_impulse(record: Any) -> tuple[float, float, float]:
+    """Return Λ in N m s; 0 in records that have none."""
+    raise NotImplementedError("only kernels call it")
+
+
+def set_angular_impulse(record: Any, x: float, y: float, z: float) -> None:
+    """Set Λ in N m s, if the record has it."""
+    raise NotImplementedError("only kernels call it")
+
+
+def change_of_angular_impulse(record: Any) -> tuple[float, float, float]:
+    """Return the change of Λ in the last iteration in N m s; 0 in records that have none."""
+    raise NotImplementedError("only kernels call it")
+
+
+def set_change_of_angular_impulse(record: Any, x: float, y: float, z: float) -> None:
+    """Set the change of Λ in the last iteration in N m s, if the record has it."""
+    raise NotImplementedError("only kernels call it")
+
+
+def spin_before(record: Any) -> tuple[float, float, float]:
+    """Return Ω before `hold` in rad/s; 0 in records that have none."""
+    raise NotImplementedError("only kernels call it")
+
+
+def set_spin_before(record: Any, x: float, y: float, z: float) -> None:
+    """Set Ω before `hold` in rad/s, if the record has it."""
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(angular_impulse)
+def _angular_impulse(record: Any) -> Any:
+    if "angular_x" not in record.fields:
+        return lambda record: (0.0, 0.0, 0.0)
+    return lambda record: (record.angular_x, record.angular_y, record.angular_z)
+
+
+@chosen_by_type(set_angular_impulse)
+def _set_angular_impulse(record: Any, x: Any, y: Any, z: Any) -> Any:
+    if "angular_x" not in record.fields:
+        return lambda record, x, y, z: None
+
+    def put(record: Any, x: float, y: float, z: float) -> None:
+        record.angular_x, record.angular_y, record.angular_z = x, y, z
+
+    return put
+
+
+@chosen_by_type(change_of_angular_impulse)
+def _change_of_angular_impulse(record: Any) -> Any:
+    if "change_x" not in record.fields:
+        return lambda record: (0.0, 0.0, 0.0)
+    return lambda record: (record.change_x, record.change_y, record.change_z)
+
+
+@chosen_by_type(set_change_of_angular_impulse)
+def _set_change_of_angular_impulse(record: Any, x: Any, y: Any, z: Any) -> Any:
+    if "change_x" not in record.fields:
+        return lambda record, x, y, z: None
+
+    def put(record: Any, x: float, y: float, z: float) -> None:
+        record.change_x, record.change_y, record.change_z = x, y, z
+
+    return put
+
+
+@chosen_by_type(spin_before)
+def _spin_before(record: Any) -> Any:
+    if "spin_x" not in record.fields:
+        return lambda record: (0.0, 0.0, 0.0)
+    return lambda record: (record.spin_x, record.spin_y, record.spin_z)
+
+
+@chosen_by_type(set_spin_before)
+def _set_spin_before(record: Any, x: Any, y: Any, z: Any) -> Any:
+    if "spin_x" not in record.fields:
+        return lambda record, x, y, z: None
+
+    def put(record: Any, x: float, y: float, z: float) -> None:
+        record.spin_x, record.spin_y, record.spin_z = x, y, z
+
+    return put
+
+
+@inline
+def relative_spin(a: Any, b: Any) -> tuple[float, float, float]:
+    """Return Ω of two bodies in rad/s."""
+    return b.wx - a.wx, b.wy - a.wy, b.wz - a.wz
+
+
+@inline
+def limited(contact: Any, material: Any, normal: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Return the angular impulse that the law allows in place of the one that ends Ω, in N m s.
+
+    Parameters
+    ----------
+    contact
+        A record with the normal and the lever arms.
+    material
+        Of the contact.
+    normal
+        N s, the normal impulse that bounds it.
+    x, y, z
+        N m s, the angular impulse that ends Ω.
+    """
+    nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
+    radius = ri * rj / (ri + rj) if rj > 0.0 else ri
+    along = x * nx + y * ny + z * nz
+    rx, ry, rz = law.rolling(material, normal, radius, x - along * nx, y - along * ny, z - along * nz)
+    twist = law.twisting(material, normal, radius, along)
+    return rx + twist * nx, ry + twist * ny, rz + twist * nz
+
+
+@inline
+def angular_loss(x: float, y: float, z: float, wx: float, wy: float, wz: float, K: float) -> float:
+    """Return the energy in J that an angular impulse in N m s takes out, given Ω before it and K in 1/(kg m²)."""
+    return -(x * (wx + 0.5 * K * x) + y * (wy + 0.5 * K * y) + z * (wz + 0.5 * K * z))
+
+
+@inline
+def apply_angular_impulse(a: Any, b: Any, x: float, y: float, z: float) -> None:
+    """Change the angular velocities of two bodies; fixed bodies are not written to."""
+    si, sj = a.inverse_inertia, b.inverse_inertia
+    if si > 0.0:
+        a.wx -= si * x
+        a.wy -= si * y
+        a.wz -= si * z
+    if sj > 0.0:
+        b.wx += sj * x
+        b.wy += sj * y
+        b.wz += sj * z
+
+
+@inline
+def accumulate_angular_impulse(a: Any, b: Any, x: float, y: float, z: float) -> None:
+    """Add the changes by `apply_angular_impulse` to those of the iteration."""
+    si, sj = a.inverse_inertia, b.inverse_inertia
+    if si > 0.0:
+        a.dwx -= si * x
+        a.dwy -= si * y
+        a.dwz -= si * z
+    if sj > 0.0:
+        b.dwx += sj * x
+        b.dwy += sj * y
+        b.dwz += sj * z

@@ -1,0 +1,78 @@
+"""Contact laws: how a contact rebounds, slides, rolls and twists.
+
+`COULOMB` is the law of scenes that choose none. A scene chooses another one by ``contact.law``; its coefficients are in
+the section ``[contact.NAME]``, and those of a material, a pair of materials or a plane in a section of that name there.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from carom import registry
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
+
+Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
+
+
+def numbers_of(section: Any) -> Numbers:
+    """Return the numbers of a section, which are the coefficients of a law by default."""
+    return {name: float(value) for name, value in dict(section).items() if type(value) in (int, float)}
+
+
+def geometric_means(one: Numbers, other: Numbers) -> Numbers:
+    """Return the geometric mean of each coefficient, as for friction: 0 where one of the two is 0."""
+    return {name: a if a == other[name] else math.sqrt(a) * math.sqrt(other[name]) for name, a in one.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLaw:
+    """A contact law: the impulses that a contact exerts.
+
+    carom compiles its functions with Numba, as those of a `carom.extend.BodyForce`. Each has a record of the
+    coefficients of the two materials as its first argument: those of Coulomb's law (``restitution``,
+    ``static_friction``, ``kinetic_friction``) and those of the law's section. A function that is None is Coulomb's.
+
+    An angular impulse acts on body j, and its opposite on body i. The law is given the one that would end the relative
+    rotation of the two, and returns the one that the contact exerts. It may be smaller but not larger: a contact only
+    dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m, at a plane the radius of the body.
+    """
+
+    section: type[Any] | None  # of the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it
+    # is"; None if the law has no coefficients but those of Coulomb's
+    rolling: Callable[..., tuple[float, float, float]] | None = None  # (p, normal, radius, x, y, z) → N m s, (3,),
+    # about axes in the tangential plane; ``normal`` is the normal impulse in N s
+    twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
+    restitution: Callable[..., float] | None = None  # these and the next as in `carom.physics.contact.law`
+    dissipates: Callable[..., bool] | None = None
+    impact_friction: Callable[..., float] | None = None
+    lasting_friction: Callable[..., tuple[float, float, float]] | None = None
+    sliding_friction: Callable[..., tuple[float, float, float]] | None = None
+    sticks: Callable[..., bool] | None = None
+    slides: Callable[..., bool] | None = None
+    coefficients: Callable[[Any], Numbers] = numbers_of  # of a section, in SI units
+    combined: Callable[[Numbers, Numbers], Numbers] = geometric_means  # of two materials
+
+    @property
+    def exerts_torque(self) -> bool:
+        """Whether contacts resist rolling or twisting."""
+        return self.rolling is not None or self.twisting is not None
+
+
+COULOMB = ContactLaw(None)
+DEFAULT_LAW = "coulomb"
+
+
+def law_called(name: str) -> ContactLaw:
+    """Return a contact law by its name; raises `ExtensionError` if it cannot be loaded."""
+    law: ContactLaw = registry.load("contact_laws", name)
+    return law
+
+
+def law_of(scene: Scene) -> ContactLaw:
+    """Return the contact law that a scene chooses."""
+    return law_called(scene.contact.law)
