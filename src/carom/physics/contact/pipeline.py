@@ -143,7 +143,8 @@ class ContactPipeline:
         if not self._lasts:
             return None
         hold, sleepers = self._impulses, self._sleepers
-        pairs, rest_speed, impulse = self._found.pairs, self._solver.rest_speeds_by_pair(), hold.impulse
+        pairs, rest_speed = self._found.pairs, self._solver.rest_speeds_by_pair()
+        impulse = hold.impulse_of(self._solver.contacts)
         if sleepers is None:
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)

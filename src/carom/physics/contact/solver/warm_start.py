@@ -76,6 +76,12 @@ class ImpulseCache:
         angular = angular_impulses_of(self.contacts)
         return np.concatenate((found, angular[self.place]), axis=1) if angular.shape[1] else found
 
+    def impulse_of(self, contacts: Records) -> FloatArray:
+        """Return `impulse`, with angular impulses if these contacts have them: 0 where none were found yet."""
+        found = self.impulse
+        missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - found.shape[1]
+        return np.pad(found, ((0, 0), (0, missing))) if missing else found
+
     def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
         """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
 
