@@ -20,7 +20,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.contact.reactions import NOTHING_BORNE
-from carom.physics.contact.solver.begin_contacts import TOUCHING
+from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, sum_few

@@ -23,7 +23,7 @@ from carom.physics.contact.contact_tap import ContactTap
 from carom.physics.contact.islands import Islands, largest_values
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK

@@ -14,7 +14,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.islands import largest_values
-from carom.physics.contact.solver.begin_contacts import TOUCHING
+from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.jit.thread_team import Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces

@@ -34,8 +34,8 @@ from carom.physics.contact.seen_contacts import SeenContacts
 from carom.physics.contact.sleep.sleepers import NO_SLEEPERS, NOTHING_LOST, Sleepers
 from carom.physics.contact.snapshot import ContactSnapshot
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.contact.solver.position_correction import BAUMGARTE
-from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.contact.solver.positions import BAUMGARTE
+from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.thread_team import Team

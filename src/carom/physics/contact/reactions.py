@@ -6,7 +6,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import Team
 

@@ -35,7 +35,7 @@ from carom.physics.contact.events.trajectories import (
 )
 from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.contact.law import Materials, has_torque
-from carom.physics.contact.solver.warm_start import ImpulseCache
+from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, kernel

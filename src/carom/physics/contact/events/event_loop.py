@@ -52,7 +52,7 @@ from carom.physics.contact.law import (
     tangential_loss,
 )
 from carom.physics.contact.rolling import ANGULAR_IMPULSE, angular_loss, limited, set_angular_impulse
-from carom.physics.contact.solver.velocity import slip_velocity
+from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inner, long_kernel

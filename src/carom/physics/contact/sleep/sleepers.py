@@ -30,8 +30,7 @@ from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.islands import join_islands, root_of
 from carom.physics.contact.law import IMPULSES, NORMAL
 from carom.physics.contact.snapshot import late_contacts
-from carom.physics.contact.solver.begin_contacts import begin_contacts
-from carom.physics.contact.solver.warm_start import ImpulseCache, impulses_of
+from carom.physics.contact.solver.prepare import ImpulseCache, begin_contacts, impulses_of
 from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.jit.decorators import kernel

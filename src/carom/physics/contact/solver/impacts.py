@@ -21,8 +21,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
@@ -44,15 +44,10 @@ from carom.physics.contact.rolling import (
     relative_spin,
     set_angular_impulse,
 )
-from carom.physics.contact.solver.body_state import prefetch_ends, push, turn
-from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE, tolerated
-from carom.physics.contact.solver.velocity import relative_velocity, slip
+from carom.physics.contact.solver.body_state import prefetch_ends, push, relative_velocity, slip, turn
+from carom.physics.contact.solver.refine import INTOLERABLE, tolerated
 from carom.physics.jit.decorators import inline, long_kernel, unowned
 from carom.physics.vector import between
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 CONVERGED = 1e-9  # of the first iteration's largest change of a velocity; iterations end when the change is smaller
 
@@ -169,7 +164,7 @@ def look_for_closing(
     v: FloatArray,
     negligible: float,
     dt: float,
-    closing: NDArray[np.bool_],
+    closing: BoolArray,
 ) -> None:
     """Set ``closing`` if one of the contacts [lo, hi) approaches faster than its rest speed and its tolerance.
 

@@ -29,20 +29,19 @@ from carom.physics.contact.constraints import (
     WARM_START,
     ConstraintSystem,
 )
-from carom.physics.contact.solver.conjugate_gradients import (
+from carom.physics.contact.solver.audit import audit, scale_back
+from carom.physics.contact.solver.impacts import resolve_impacts
+from carom.physics.contact.solver.positions import correct_positions
+from carom.physics.contact.solver.prepare import prepare, warm_start
+from carom.physics.contact.solver.refine import (
     conjugate_direction,
     conjugate_step,
+    extrapolate,
+    line_search,
     measure_violation,
     project,
 )
-from carom.physics.contact.solver.energy_audit import audit
-from carom.physics.contact.solver.energy_bound import scale_back
-from carom.physics.contact.solver.impacts import resolve_impacts
-from carom.physics.contact.solver.line_search import extrapolate, line_search
-from carom.physics.contact.solver.position_correction import correct_positions
-from carom.physics.contact.solver.prepare import prepare
 from carom.physics.contact.solver.solve import solve_straight, solve_turning
-from carom.physics.contact.solver.warm_start import warm_start
 from carom.physics.jit.decorators import layout_of
 from carom.physics.jit.task import code_for, kind_for
 

@@ -14,8 +14,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.physics.contact.constraints import (
     AUDIT,
     CONJUGATE_DIRECTION,
@@ -32,17 +32,13 @@ from carom.physics.contact.constraints import (
     WARM_START,
     ConstraintSystem,
 )
-from carom.physics.contact.solver.conjugate_gradients import INTOLERABLE
 from carom.physics.contact.solver.impacts import CONVERGED
-from carom.physics.contact.solver.line_search import step_length
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
+from carom.physics.contact.solver.refine import INTOLERABLE, step_length
 from carom.physics.contact.solver.solve import HOLD_CONVERGED
 from carom.physics.jit.decorators import borrowing, inline, inner
 from carom.physics.jit.task import assign, do, kind_of, lay_out, raise_fault
 from carom.physics.jit.thread_team import lead_phase
-
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round

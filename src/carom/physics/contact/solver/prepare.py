@@ -1,30 +1,112 @@
-"""Preparation of resting contacts: effective masses, velocity biases, and which contacts are held."""
+"""Preparation of contacts: their records at the start of a step, and what stays constant while they are solved.
+
+`begin_contacts` clears the records and finds the geometry. `prepare` finds effective masses and velocity biases, and
+which contacts are held.
+
+**Warm start.** The impulses of resting contacts carry over from kick to kick (`ImpulseCache`). A contact that existed
+in the previous kick starts with its impulse of that kick, scaled by the ratio of the lengths of the kicks and projected
+onto its new tangential plane.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 
-from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
-from carom.physics.contact.geometry import smaller_arm
-from carom.physics.contact.law import inverse_tangent_mass
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.physics.aligned import columns
+from carom.physics.contact.constraints import (
+    CONTACT,
+    MIN_PER_TASK,
+    ROLLING_CONTACT,
+    ConstraintSystem,
+    contacts_of,
+    ends_of,
+)
+from carom.physics.contact.geometry import smaller_arm, update_geometry
+from carom.physics.contact.graph import comes_before, first_of
+from carom.physics.contact.law import (
+    FRICTION_X,
+    FRICTION_Y,
+    FRICTION_Z,
+    IMPULSES,
+    NORMAL,
+    exerts_torque,
+    inverse_tangent_mass,
+)
 from carom.physics.contact.rolling import (
+    angular_impulse,
+    angular_impulses_of,
+    apply_angular_impulse,
     relative_spin,
     set_angular_impulse,
     set_change_of_angular_impulse,
     set_spin_before,
 )
-from carom.physics.contact.solver.begin_contacts import TOUCHING
-from carom.physics.contact.solver.body_state import prefetch_ends
-from carom.physics.contact.solver.velocity import relative_velocity, slip
-from carom.physics.jit.decorators import inline, unowned
+from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends, relative_velocity, slip
+from carom.physics.diagnostics.ledger import clear_terms
+from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
+from carom.physics.jit.prefetch import AHEAD, prefetch_record
+from carom.physics.jit.thread_team import Team
+
+TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
+CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
 LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
 # rounding is 1e-16 of that velocity
 
 # A change of a contact's velocities that needs no further iteration. What is left of it stays in the impulses, from
 # which the next kick starts, so a pile at rest converges from step to step.
-PART_OF_REST = 1e-4  # of the rest speed
-PART_OF_RADIUS = 3e-6  # of the smaller radius, per step
+SMALL_OF_REST = 1e-4  # of the rest speed
+SMALL_OF_RADIUS = 3e-6  # of the smaller radius, per step
+
+
+@long_kernel
+def begin_contacts(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    x: FloatArray,
+    radius: FloatArray,
+    box: FloatArray,
+    surface: FloatArray,
+    offset: FloatArray,
+    contacts: Records,
+    states: Records,
+    rounding: float,
+    normals: FloatArray,
+) -> None:
+    """Clear the records of the contacts [lo, hi), find their geometry, and note whether they touch."""
+    for first in range(lo, hi, CACHED_CONTACTS):
+        end = min(hi, first + CACHED_CONTACTS)
+        for c in range(first, end):
+            _clear(contacts[c], states[c])
+        update_geometry(first, end, pairs, x, radius, box, surface, offset, contacts, states)
+        for c in range(first, end):
+            contact, state = contacts[c], states[c]
+            normals[c, 0], normals[c, 1], normals[c, 2] = contact.nx, contact.ny, contact.nz
+            overlap = state.overlap
+            state.found_overlap = max(0.0, overlap)
+            reach = contact.arm_i + contact.arm_j + overlap
+            state.apart = overlap < -(TOUCHING * reach + rounding)
+
+
+@inline
+def _clear(contact: Any, state: Any) -> None:
+    """Clear the fields that `update_geometry` does not write."""
+    contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
+    contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
+    contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
+    set_angular_impulse(contact, 0.0, 0.0, 0.0)
+    set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
+    set_spin_before(contact, 0.0, 0.0, 0.0)
+    state.rest_speed = state.approach_speed = 0.0
+    state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
+    clear_terms(state)
+    state.push_x = state.push_y = state.push_z = state.push_fraction = 0.0
+    state.biased = False
 
 
 @unowned
@@ -70,7 +152,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
         meets = is_open and not (system.pressed[i] or system.pressed[j])  # in an impact, if at all
         system.held[c] = not (meets or -vn > fastest)
-        negligible = min(PART_OF_REST * rest_speed, PART_OF_RADIUS * smaller_arm(contact) / dt)
+        negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
         if system.held[c]:
             largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)
@@ -80,3 +162,157 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         contact.delta_normal = contact.delta_x = contact.delta_y = contact.delta_z = 0.0
         set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
     return largest
+
+
+def impulses_of(contacts: Records) -> FloatArray:
+    """Return λ_n and λ_t, (m, 4) N s, as a view."""
+    return columns(contacts, IMPULSES)
+
+
+@dataclass(slots=True)
+class ImpulseCache:
+    """The impulses of all contacts in the last kick, from which the next one starts."""
+
+    pairs: IntArray  # (m, 2), sorted
+    place: IntArray  # (m,) index of each one's record
+    contacts: Records  # (m,) CONTACT
+    kick: float  # s, length of that kick
+
+    @classmethod
+    def empty(cls) -> ImpulseCache:
+        """Return the cache of a run that begins."""
+        return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, CONTACT), 0.0)
+
+    @classmethod
+    def of(cls, pairs: IntArray, impulse: FloatArray, kick: float) -> ImpulseCache:
+        """Rebuild the cache from an earlier `impulse`."""
+        rolls = impulse.shape[1] > len(IMPULSES)
+        contacts = np.zeros(len(pairs), ROLLING_CONTACT if rolls else CONTACT)
+        impulses_of(contacts)[:] = impulse[:, : len(IMPULSES)]
+        angular_impulses_of(contacts)[:] = impulse[:, len(IMPULSES) :]
+        return cls(pairs, np.arange(len(pairs)), contacts, kick)
+
+    @property
+    def impulse(self) -> FloatArray:
+        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; of a law that resists rolling also Λ, (m, 7)."""
+        found = np.empty((len(self.place), len(IMPULSES)))
+        _gather_impulses(self.place, self.contacts, found)
+        angular = angular_impulses_of(self.contacts)
+        return np.concatenate((found, angular[self.place]), axis=1) if angular.shape[1] else found
+
+    def impulse_of(self, contacts: Records) -> FloatArray:
+        """Return `impulse`, with angular impulses if these contacts have them: 0 where none were found yet."""
+        found = self.impulse
+        missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - found.shape[1]
+        return np.pad(found, ((0, 0), (0, missing))) if missing else found
+
+    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
+        """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
+
+        Parameters
+        ----------
+        pairs, place
+            (m, 2), sorted, and (m,), the index of each one's record.
+        kick
+            s
+        contacts
+            (m,) `CONTACT`; may be the array of this cache if the contacts are the same.
+        team
+            Threads that share the work.
+        """
+        if not (self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0):
+            impulses_of(contacts)[:] = 0.0
+            angular_impulses_of(contacts)[:] = 0.0
+        elif place is self.place:  # the contacts are the same, and so is the order of their records
+            team.divide(len(pairs), MIN_PER_TASK, _carry_each, self.contacts, kick / self.kick, contacts)
+        else:
+            before = (self.pairs, self.place, self.contacts, kick / self.kick)
+            team.divide(len(pairs), MIN_PER_TASK, _carry, *before, pairs, place, contacts)
+
+
+@long_kernel
+def mark_pressed(
+    lo: int, hi: int, pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, pressed: BoolArray
+) -> None:
+    """Mark the moving ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
+    for c in range(lo, hi):
+        if contacts[place[c]].normal_impulse > 0.0:
+            for end in range(2):
+                if inverse_mass[pairs[c, end]] > 0.0:
+                    pressed[pairs[c, end]] = True
+
+
+@kernel
+def _gather_impulses(place: IntArray, contacts: Records, found: FloatArray) -> None:
+    for c in range(len(place)):
+        contact = contacts[place[c]]
+        found[c, NORMAL] = contact.normal_impulse
+        found[c, FRICTION_X], found[c, FRICTION_Y] = contact.friction_x, contact.friction_y
+        found[c, FRICTION_Z] = contact.friction_z
+
+
+@long_kernel
+def _carry_each(lo: int, hi: int, old_contacts: Records, ratio: float, contacts: Records) -> None:
+    """Carry the impulses of the contacts [lo, hi) over, in the order of their records: no search, half the time."""
+    for c in range(lo, hi):
+        old = old_contacts[c]
+        _set_impulse(contacts[c], ratio, old.normal_impulse, old.friction_x, old.friction_y, old.friction_z)
+        lx, ly, lz = angular_impulse(old)
+        set_angular_impulse(contacts[c], ratio * lx, ratio * ly, ratio * lz)
+
+
+@long_kernel
+def _carry(
+    lo: int,
+    hi: int,
+    old_pairs: IntArray,
+    old_place: IntArray,
+    old_contacts: Records,
+    ratio: float,
+    pairs: IntArray,
+    place: IntArray,
+    contacts: Records,
+) -> None:
+    """Find each pair among the old ones, both sorted, and carry its impulse over."""
+    k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
+    last, old_last = len(pairs) - 1, len(old_pairs) - 1
+    for c in range(lo, hi):
+        p, q = place[min(last, c + AHEAD)], old_place[min(old_last, k + AHEAD)]
+        prefetch_record(contacts, p, 0)
+        prefetch_record(contacts, p, 1)
+        prefetch_record(old_contacts, q, 1)
+        i, j = ends_of(pairs, c)
+        while k < len(old_pairs) and comes_before(old_pairs[k, 0], old_pairs[k, 1], i, j):
+            k += 1
+        known = k < len(old_pairs) and old_pairs[k, 0] == i and old_pairs[k, 1] == j
+        contact, old = contacts[place[c]], old_contacts[old_place[k] if known else 0]
+        normal = old.normal_impulse if known else 0.0
+        x, y, z = (old.friction_x, old.friction_y, old.friction_z) if known else (0.0, 0.0, 0.0)
+        _set_impulse(contact, ratio, normal, x, y, z)
+        lx, ly, lz = angular_impulse(old)
+        scale = ratio if known else 0.0
+        set_angular_impulse(contact, scale * lx, scale * ly, scale * lz)
+
+
+@inline
+def _set_impulse(contact: Any, ratio: float, normal: float, x: float, y: float, z: float) -> None:
+    """Start from an earlier impulse, N s: scale it, and project its tangential part onto the tangential plane."""
+    along = x * contact.nx + y * contact.ny + z * contact.nz
+    contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)
+    contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
+
+
+@unowned
+def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
+    """Apply the impulses from which the contacts of some pieces start."""
+    lo, hi = contacts_of(first, end, system)
+    pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
+    for c in range(lo, hi):
+        prefetch_ends(bodies, pairs, c)
+        i, j = ends_of(pairs, c)
+        contact, body_i, body_j = system.contacts[c], bodies[i], bodies[j]
+        tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
+        apply_impulse(contact, body_i, body_j, spins, contact.normal_impulse, tx, ty, tz)
+        if exerts_torque(system.materials[0]):
+            lx, ly, lz = angular_impulse(contact)
+            apply_angular_impulse(body_i, body_j, lx, ly, lz)

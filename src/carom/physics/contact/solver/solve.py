@@ -20,6 +20,9 @@ of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of th
 Without the root, two spheres that roll about each other would separate along the tangent, and their contact would be
 lost in every other step. The scheme is RATTLE (Andersen 1983) for contacts.
 
+Contacts of a colour are solved eight at a time (`solve_block`), with the same bits. Both forms call the same formulas,
+and the law for each contact by itself, so a law needs no second form.
+
 Impacts are resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this phase.
 
 Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed); impulses
@@ -28,12 +31,15 @@ at the end of the step only (a body falls a dt²/2 into the ground in every step
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import reduce
 from typing import Any
 
 import numpy as np
+from numba import types
 
-from carom.physics.contact.constraints import ConstraintSystem, body_count, ends_of
-from carom.physics.contact.law import exerts_torque, material_index
+from carom.physics.contact.constraints import BODY_STATE, CONTACT, ConstraintSystem, body_count, ends_of
+from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
@@ -44,15 +50,37 @@ from carom.physics.contact.rolling import (
     set_angular_impulse,
     set_change_of_angular_impulse,
 )
-from carom.physics.contact.solver.block import whole_blocks
-from carom.physics.contact.solver.body_state import accumulate_push, accumulate_turn, prefetch_records, push, turn
-from carom.physics.contact.solver.friction import friction
-from carom.physics.contact.solver.solve_block import solve_block
-from carom.physics.contact.solver.velocity import bias_of, relative_velocity, slip
+from carom.physics.contact.solver.block import CHANGE, VELOCITY, Block, whole_blocks
+from carom.physics.contact.solver.body_state import (
+    accumulate_push,
+    accumulate_turn,
+    bias_along_arc,
+    bias_of,
+    prefetch_records,
+    push,
+    relative_velocity,
+    slip,
+    torque_of,
+    turn,
+)
 from carom.physics.jit.decorators import inline, unowned
-from carom.physics.jit.lanes import WIDTH
+from carom.physics.jit.intrinsics import instruction
+from carom.physics.jit.lanes import (
+    WIDTH,
+    Lanes,
+    added_in_order,
+    either,
+    gathered,
+    greater,
+    in_lanes,
+    read_doubles,
+    spread,
+)
+from carom.physics.jit.record_lanes import RecordLanes
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
+DOUBLES: Any = types.UniTuple(types.float64, 3)  # type: ignore[no-untyped-call]
+Vector = Sequence[Lanes]
 
 
 @unowned
@@ -148,6 +176,29 @@ def _solve_each(
 
 
 @inline
+def friction(
+    state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, ...]:
+    """Return the tangential impulse that a contact exerts, (3,) N s.
+
+    Parameters
+    ----------
+    state, material
+        `CONTACT_STATE` and `MATERIAL` of the contact; ``slides`` is noted in ``state``.
+    keeps_sliding
+        Whether a contact that has slid once keeps sliding, see `solver.phases`.
+    normal
+        N s, total of the normal impulse since the kick.
+    tx, ty, tz
+        N s, total of the tangential impulse that would end the slip.
+    """
+    if keeps_sliding and (state.slides or not sticks(material, normal, tx, ty, tz)):
+        state.slides = True
+        return sliding_friction(material, normal, tx, ty, tz)
+    return lasting_friction(material, normal, tx, ty, tz)
+
+
+@inline
 def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float, alpha: float) -> float:
     """Change the angular impulse by that which ends Ω, as far as the law allows; return the change of a speed, in m/s.
 
@@ -167,3 +218,103 @@ def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float,
     apply_angular_impulse(a, b, dx, dy, dz)
     accumulate_angular_impulse(a, b, dx, dy, dz)
     return float(max(abs(dx), abs(dy), abs(dz)) * K * max(contact.arm_i, contact.arm_j))
+
+
+@instruction
+def solve_block(typing: Any, system: Any, first: Any, found: Any, turning: Any) -> Any:
+    """Solve the contacts of a block; return what `solve` ``found`` with theirs. ``turning`` is as in `solve`."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        solution = _Solution(Block(context, builder, system, *args[:2]))
+        solution.solve(turns=len(turning) > 0)
+        before = [builder.extract_value(args[2], k) for k in range(3)]
+        return context.make_tuple(builder, signature.return_type, solution.found(*before))
+
+    return DOUBLES(system, first, found, turning), generate
+
+
+class _Solution:
+    """Generates the code that solves a block."""
+
+    def __init__(self, block: Block) -> None:
+        self._block, self._builder, self._held = block, block.builder, block.held
+
+    def solve(self, *, turns: bool) -> None:
+        """Change the impulses of the contacts that are held, and the velocities of their bodies."""
+        block = self._block
+        block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
+        contact = block.records("contacts", CONTACT, (0, 1))
+        bodies = a, b = block.bodies("bodies", BODY_STATE, (VELOCITY,))
+        alpha = block.setting("alpha")
+        vn, *u = in_lanes(relative_velocity)(contact, a, b)
+        bias = self._bias(contact, u)
+        old = contact.normal_impulse + alpha * contact.delta_normal
+        normal = greater(0.0, old - (vn + bias) * contact.normal_mass)
+        more = normal - old
+        contact.change(normal_impulse=normal, delta_normal=more)
+        J, torque, largest = [more * contact.nx, more * contact.ny, more * contact.nz], None, abs(more)
+        if turns:
+            d = self._rub(contact, in_lanes(slip)(contact, a, b, *u), alpha)
+            largest = reduce(greater, map(abs, d), largest)
+            J = [along + rubbing for along, rubbing in zip(J, d, strict=True)]
+            torque = in_lanes(torque_of)(contact, *d)
+        self._change = largest * (a.inverse_mass + b.inverse_mass)
+        self._normal, self._more, self._slope = normal, more, more * bias
+        block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
+        contact.write(1, self._held)
+
+    def found(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
+        """Return the largest change, the limit of the step, and the slope, given those before."""
+        largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
+        small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
+        matters = self._held & (self._change > small) & (self._change > largest)
+        largest = self._change.where(matters, largest)
+        pulling = -self._normal / self._more
+        nearer = self._held & (self._more < 0.0) & (pulling < limit)
+        limit = pulling.where(nearer, limit)
+        slope = added_in_order(self._builder, slope, self._slope.where(self._held, self._block.nothing))
+        return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
+
+    def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
+        """Return the biases c, see `bias_along_arc`; they are those along the normal at planes, and without a drift."""
+        builder, block, bias = self._builder, self._block, contact.velocity_bias
+        between = block.between_bodies
+
+        def along_arc() -> list[Lanes]:
+            arc = in_lanes(bias_along_arc)(bias, contact.arm_i + contact.arm_j, *u, block.setting("drift"))
+            return [arc.where(between, bias)]
+
+        return either(builder, block.drifts, along_arc, lambda: [bias])[0]
+
+    def _rub(self, contact: RecordLanes, u: Vector, alpha: Lanes) -> list[Lanes]:
+        """Change the friction by that which ends the slip u, as far as the law allows; return its change."""
+        axes = ("x", "y", "z")
+        old = [getattr(contact, f"friction_{axis}") + alpha * getattr(contact, f"delta_{axis}") for axis in axes]
+        ending = [before - along * contact.tangent_mass for before, along in zip(old, u, strict=True)]
+        friction = self._by_law(contact.normal_impulse, ending)
+        d = [after - before for after, before in zip(friction, old, strict=True)]
+        for axis, after, change in zip(axes, friction, d, strict=True):
+            contact.change(**{f"friction_{axis}": after, f"delta_{axis}": change})
+        return d
+
+    def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
+        """Return the friction that the law allows in place of the one that ends the slip, contact by contact."""
+        builder, block, context = self._builder, self._block, self._block.context
+        records = [block.kind_of(name).dtype for name in ("states", "materials")]
+        signature = DOUBLES(*records, types.boolean, *[types.float64] * 4)
+        keeps_sliding = block.flag("keeps_sliding")
+        found = []
+        for k, material in enumerate(block.materials()):
+            slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
+            given = [block.address("states", block.places[k]), material, slides]
+            numbers = [value.lane(k) for value in (normal, *ending)]
+            allowed = context.compile_internal(builder, _friction_of_one, signature, [*given, *numbers])
+            found.append([builder.extract_value(allowed, axis) for axis in range(3)])
+        return [gathered(builder, [allowed[axis] for allowed in found]) for axis in range(3)]
+
+
+def _friction_of_one(
+    state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, ...]:
+    """Call `friction`: ``compile_internal`` takes a plain function of Python, not a kernel."""
+    return friction(state, material, keeps_sliding, normal, tx, ty, tz)
