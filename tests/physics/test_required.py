@@ -174,7 +174,7 @@ MEETING = {
     "contact.solver.phases.work",
 }
 RESTING = {"contact.islands._write_speeds", "contact.islands.look_for_largest"}
-PUSHING = {"contact.solver.position_correction.audit_corrections"}  # corrections are a phase of solver.phases.work
+PUSHING = {"contact.solver.positions.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.field.add"}, {"step_rule.target"}
 TREE = ("forces.gravity.boxes.", "forces.gravity.tree.")
 FAST_MULTIPOLE = ("forces.gravity.fast_multipole.",)

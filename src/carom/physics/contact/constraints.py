@@ -70,7 +70,7 @@ SEARCH = record(  # of the conjugate gradients
 
 _RECORDED = (  # only for recorded contacts
     "normal_impulse friction_x friction_y friction_z"  # N s, Σ of the impulses by `solver.impacts`
-    " correction_x correction_y correction_z"  # N s, Σ of the changes of momentum by `solver.position_correction`
+    " correction_x correction_y correction_z"  # N s, Σ of the changes of momentum by `solver.positions`
 )
 RECORDED = record(_RECORDED, size=CACHE_LINE)
 ROLLING_RECORDED = record(" ".join((_RECORDED, *ANGULAR_IMPULSE)), size=2 * CACHE_LINE)
