@@ -210,8 +210,9 @@ def test_an_integrator_a_gravity_method_or_a_force_can_be_removed(part: str, wit
     short = ["--set", "time.duration=0.05", "--set", "gravity.constant=1e-9"]
     ended = run("run", "two-spheres", *short, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr
-    keeps = run("run", "two-spheres", *short[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
-    assert keeps.returncode == 0, keeps.stderr  # runs ahead need no other part
+    if "integrators" in part:  # runs ahead by the others go on
+        keeps = run("run", "two-spheres", *short[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
+        assert keeps.returncode == 0, keeps.stderr
     overrides, called = PHYSICS[part]
     given = [word for override in overrides for word in ("--set", override)]
     said = refusal(run("run", "two-spheres", *short, *given, "-o", "needs.rrd"))
