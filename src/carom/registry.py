@@ -93,6 +93,10 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
     },
 }
 
+MODEL: Mapping[str, str] = {  # optional parts of the physics: the key of a scene that needs it → module:attribute
+    "contact.sleep": "carom.physics.contact.sleep.sleepers:Sleepers",
+}
+
 
 class ExtensionError(SceneError):
     """A part that is not installed, cannot be imported, or is defined twice."""
@@ -168,6 +172,19 @@ def load(kind: str, name: str) -> Any:
             f'the {KINDS[kind]} "{name}" of the package {found.package} {found.version} cannot be loaded: '
             f"{type(error).__name__}: {reason}"
         ) from error
+
+
+def part_of_model(key: str) -> Any:
+    """Return the optional part of the physics that a key of a scene needs.
+
+    Raises
+    ------
+    ExtensionError
+        If this installation lacks it.
+    """
+    if key not in MODEL:
+        raise ExtensionError(f"{key}: this installation of carom has no module for it; remove the key from the scene")
+    return _imported(MODEL[key])
 
 
 def _imported(target: str) -> Any:

@@ -167,13 +167,13 @@ WHOLE: Sections = {
     "time": {"max_dt": 0.02},
 }
 DIRECT = {"forces.gravity.direct.sum_few"}
-TURNING = {"rotation.rotate_rows", "contact.reactions._turn"}
+TURNING = {"rotation.rotate_rows", "contact.reactions._write_torques"}
 MEETING = {
     "contact.geometry.update_geometry",
     "contact.graph._colour_contacts",
     "contact.solver.phases.work",
 }
-RESTING = {"contact.islands._write_speeds", "contact.islands.look_for_largest"}
+RESTING = {"contact.islands._write_speeds", "contact.near_pairs._update_largest"}
 PUSHING = {"contact.solver.positions.audit_corrections"}  # corrections are a phase of solver.phases.work
 FIELD, STEP = {"forces.field.add"}, {"step_rule.target"}
 TREE = ("forces.gravity.boxes.", "forces.gravity.tree.")

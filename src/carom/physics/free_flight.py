@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, Records
-from carom.physics.contact.reactions import NOTHING_BORNE
+from carom.physics.contact.geometry import height_above
+from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.contact.solver.prepare import TOUCHING
 from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
@@ -30,7 +31,7 @@ from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target
 from carom.physics.time_step import Timestep
-from carom.physics.vector import minimum_image, square, write
+from carom.physics.vector import is_periodic, minimum_image, square, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
@@ -149,7 +150,7 @@ class FreeFlight:
             _Laws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others),
             _Moved(bodies.position, bodies.velocity, bodies.acceleration, *turning),
             _Kept(
-                *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NOTHING_BORNE, timestep.field),
+                *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NO_SUPPORT, timestep.field),
                 *(world.box, planes.normal, planes.offset),
             ),
             _Buffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
@@ -217,7 +218,7 @@ def _fly(
                         break
                 gone += fastest * abs(drift) + grain
             advance(0, n, position, velocity, drift)
-            if box[0] > 0.0:
+            if is_periodic(box):
                 wrap_rows(0, n, position, box)
             if P.accelerates and (s < last or P.ends_with_forces):
                 _accelerate(laws, moved, kept, buffers)
@@ -297,7 +298,7 @@ def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: fl
         size = max(size, radius[i], abs(x[i, 0]), abs(x[i, 1]), abs(x[i, 2]))
     for p in range(len(offset)):
         size = max(size, abs(offset[p]))
-    smallest = BOX_FRACTION * min(box[0], box[1], box[2]) if box[0] > 0.0 else FAR
+    smallest = BOX_FRACTION * min(box[0], box[1], box[2]) if is_periodic(box) else FAR
     for i in range(len(x)):
         for j in range(i + 1, len(x)):
             if inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0:
@@ -316,10 +317,10 @@ def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: fl
         for p in range(len(offset)):
             if inverse_mass[i] == 0.0:
                 continue
-            height, rise = -offset[p], 0.0
+            rise = 0.0
             for k in range(3):
-                height += normal[p, k] * x[i, k]
                 rise += normal[p, k] * v[i, k]
+            height = height_above(normal, offset, p, x[i, 0], x[i, 1], x[i, 2])
             gap = height - radius[i] * (1.0 + NEAR) - ROUNDING * size
             if not gap > abs(rise) * dt + skin:
                 return 0.0, 0.0

@@ -175,7 +175,7 @@ class Simulation:
     @property
     def contacts(self) -> CollisionGraph:
         """The contacts of the last step, for the stepping thread; built at the first access."""
-        return self._contact.seen.graph if self._contact else empty_graph()
+        return self._contact.snapshot.graph if self._contact else empty_graph()
 
     @property
     def status(self) -> StepStatus:
@@ -346,7 +346,7 @@ class Simulation:
             return None, 0, None
         if self._contact is None or self._contact.tap is None:
             return NO_ROWS, 0, NO_ROWS
-        return *self._contact.tap.take_impacts(), self._contact.rows(room)
+        return *self._contact.tap.pop_impacts(), self._contact.rows(room)
 
     def _publish(self) -> None:
         """Replace the status that other threads read; they see either the previous or the new one."""

@@ -9,7 +9,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
-from carom.physics.contact.reactions import NOTHING_BORNE
+from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.bookkeeper import Bookkeeper
 from carom.physics.diagnostics.run_monitor import refuse_infinities, refuse_many_crossings
 from carom.physics.forces.force import DampedStep, Damping, Exchange, Potentials
@@ -65,7 +65,7 @@ class KickDriftStepper:
     def borne(self) -> FloatArray:
         """Return the part of each acceleration that contacts bear, (n + p,) m/s²; empty if no step depends on it."""
         contact = self._world.contact
-        return contact.borne if contact and self.timestep.spares_held else NOTHING_BORNE
+        return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
 
     def warm_up(self, dt: float) -> None:
         """Take a few steps of dt seconds, which also find the accelerations that a step begins with."""
@@ -113,7 +113,7 @@ class KickDriftStepper:
         clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
         due, judged = goal.is_reached(clock), goal.is_check(clock)
         if world.contact:
-            world.contact.rest()
+            world.contact.add_quiet_steps()
             books.activity.impact_energy = taken.impact_energy
             if judged:
                 books.suspect_contacts(clock.step - 1)
@@ -280,7 +280,7 @@ class KickDriftStepper:
         world = self._world
         contact.resolve(dt, last_kick, world.profile)
         if world.needs.torque.modelled:
-            contact.turn(dt)
+            contact.write_torques(dt)
             world.profile.mark("torque")
         if contact.sleeps:
             audit, bodies = self._books.impulse_audit, world.bodies

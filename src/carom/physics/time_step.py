@@ -24,7 +24,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.contact.reactions import NOTHING_BORNE
+from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.step_rule import (
@@ -127,7 +127,7 @@ class Timestep:
             held_part=limits.held_part,
         )
 
-    def choose(self, bodies: Bodies, remaining: float, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
+    def choose(self, bodies: Bodies, remaining: float, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Choose the next step.
 
         Parameters
@@ -150,11 +150,11 @@ class Timestep:
             dt, limit, self.previous = smooth_and_cut(allowed, limit, self._smoothing, self.previous, remaining)
         return dt, LIMIT_NAMES[limit]
 
-    def first(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> float:
+    def first(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> float:
         """Return the first step of a run that begins with the present state, in s."""
         return self.fixed_dt or self.target(bodies, borne)[0]
 
-    def target(self, bodies: Bodies, borne: FloatArray = NOTHING_BORNE) -> tuple[float, str]:
+    def target(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
         dt, limit = self._target(bodies, borne)
         return dt, LIMIT_NAMES[limit]

@@ -51,6 +51,12 @@ def add(v: FloatArray, i: int, s: float, x: float, y: float, z: float) -> None:
 
 
 @inline
+def is_periodic(box: FloatArray | Vector) -> bool:
+    """Return whether a box is periodic; open space has a box of zeros."""
+    return bool(box[0] > 0.0)
+
+
+@inline
 def sizes(box: FloatArray) -> Vector:
     """Return the size of a box, (3,) m, as numbers; zeros in open space."""
     return box[0], box[1], box[2]
@@ -64,11 +70,13 @@ def minimum_image(d: float, L: float) -> float:
 
 
 @inline
-def nearest_image(dx: float, dy: float, dz: float, Lx: float, Ly: float, Lz: float) -> tuple[float, float, float]:
-    """Return a separation to the nearest image in a box of (Lx, Ly, Lz) m; see `minimum_image`."""
-    return minimum_image(dx, Lx), minimum_image(dy, Ly), minimum_image(dz, Lz)
+def nearest_image(dx: float, dy: float, dz: float, box: FloatArray | Vector) -> Vector:
+    """Return a separation in m to the nearest image in a box; unchanged in open space."""
+    if box[0] > 0.0:
+        dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+    return dx, dy, dz
 
 
 def minimum_images(d: FloatArray, box: FloatArray) -> FloatArray:
-    """Return separations, (..., 3) m, to the nearest images in a box, (3,) m."""
-    return d - box * np.floor(d / box + 0.5)
+    """Return separations, (..., 3) m, to the nearest images in a box, (3,) m; unchanged in open space."""
+    return d - box * np.floor(d / box + 0.5) if box[0] > 0.0 else d

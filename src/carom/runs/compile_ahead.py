@@ -20,8 +20,9 @@ from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.constraints import CONTACT, CONTACT_STATE
 from carom.physics.contact.contact_tap import ContactTap
-from carom.physics.contact.islands import Islands, largest_values
+from carom.physics.contact.islands import Islands
 from carom.physics.contact.law import materials_of
+from carom.physics.contact.near_pairs import largest_values
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.diagnostics.ledger import Ledger
@@ -64,7 +65,7 @@ def compile_ahead() -> None:
     solver = ContactSolver(bodies, half_spaces(scene), frictionless, open_space, friction=True, team=SOLO)
     solver.lay(solver.order)
     tap = ContactTap(bodies, frictionless, open_space, friction=True)
-    tap.see_impacts(solver.order.pairs, solver)
+    tap.add_impacts(solver.order.pairs, solver)
     tap.rows(solver.order.pairs, solver)
     solver.rest_speeds_by_pair()
     solver.statistics()

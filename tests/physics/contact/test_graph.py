@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from carom.errors import PhysicsError
-from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _room_for
+from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid, _buffer_for
 from carom.physics.contact.broad_phase.pairs import KdTree, PairList
 from carom.physics.contact.graph import (
     CONTACTS_PER_PIECE,
@@ -198,4 +198,4 @@ def test_in_a_periodic_box_the_nearest_image_is_touched() -> None:
 
 def test_more_pairs_than_there_is_memory_for_are_reported_with_a_remedy() -> None:
     with pytest.raises(PhysicsError, match=r"1e\+15 pairs of bodies may touch .* lower time.max_dt"):
-        _room_for(10**15)
+        _buffer_for(10**15)

@@ -1,4 +1,4 @@
-"""Contact geometry: normals, lever arms and overlaps.
+"""Contact geometry: distances, normals, lever arms and overlaps.
 
 Both bodies share one contact point on the line of centres, at d r_i/(r_i + r_j) from i and d r_j/(r_i + r_j) from j. At
 a plane the arm of the body is its radius, and the plane has none. A plane absorbs any angular momentum, so the arm need
@@ -16,28 +16,7 @@ from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.lanes import where
-from carom.physics.vector import Vector, nearest_image
-
-
-@inline
-def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: float, skin: float) -> bool:
-    """Tell whether two spheres are no farther apart than ``radii scale + skin``.
-
-    Parameters
-    ----------
-    dx, dy, dz
-        m, from one centre to the other.
-    radii
-        m, the sum of the radii.
-    box
-        Size of the periodic box in m, zeros in open space: numbers, since an array would be read for each pair.
-    scale, skin
-        As in `Search`; skin in m.
-    """
-    if box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
-    reach = radii * scale + skin
-    return dx * dx + dy * dy + dz * dz <= reach * reach
+from carom.physics.vector import Vector, between, nearest_image, vector
 
 
 @inline
@@ -46,6 +25,33 @@ def normal_and_distance(dx: float, dy: float, dz: float) -> tuple[float, float, 
     d = np.sqrt(dx * dx + dy * dy + dz * dz)
     apart = d > 0.0
     return where(apart, dx / d, 1.0), where(apart, dy / d, 0.0), where(apart, dz / d, 0.0), d
+
+
+@inline
+def height_above(normal: FloatArray, offset: FloatArray, plane: int, x: float, y: float, z: float) -> float:
+    """Return the height of a point above a plane, in m; negative behind it."""
+    height: float = -offset[plane] + normal[plane, 0] * x + normal[plane, 1] * y + normal[plane, 2] * z
+    return height
+
+
+@inline
+def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: float, skin: float) -> bool:
+    """Return whether two spheres are no farther apart than ``radii scale + skin``: the test of all searches.
+
+    Parameters
+    ----------
+    dx, dy, dz
+        m, from one centre to the other.
+    radii
+        m, the sum of the radii.
+    box
+        Size of the periodic box in m, as `sizes` returns it; zeros in open space.
+    scale, skin
+        As in `Search`; skin in m.
+    """
+    dx, dy, dz = nearest_image(dx, dy, dz, box)
+    reach = radii * scale + skin
+    return dx * dx + dy * dy + dz * dz <= reach * reach
 
 
 @inline
@@ -73,17 +79,13 @@ def update_geometry(
     for c in range(from_front(lo), hi):
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if j >= n:
-            p = j - n
-            height = -offset[p]
-            for k in range(3):
-                height += surface[p, k] * x[i, k]
+            p, (px, py, pz) = j - n, vector(x, i)
             contact.nx, contact.ny, contact.nz = -surface[p, 0], -surface[p, 1], -surface[p, 2]
             contact.arm_i, contact.arm_j = radius[i], 0.0
-            state.overlap = radius[i] - height
+            state.overlap = radius[i] - height_above(surface, offset, p, px, py, pz)
             continue
-        dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-        if box[0] > 0.0:
-            dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+        dx, dy, dz = between(x, i, j)
+        dx, dy, dz = nearest_image(dx, dy, dz, box)
         contact.nx, contact.ny, contact.nz, d = normal_and_distance(dx, dy, dz)
         share = d / (radius[i] + radius[j])
         contact.arm_i, contact.arm_j = share * radius[i], share * radius[j]

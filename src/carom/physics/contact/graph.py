@@ -25,14 +25,8 @@ from carom.physics.jit.index import from_front
 from carom.physics.jit.intrinsics import lowest_bit
 from carom.physics.jit.lanes import WIDTH
 
-
-@inline
-def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
-    """Tell whether the pair (i, j) comes before another; the numbers may be stored as floats."""
-    return i < other_i or (i == other_i and j < other_j)
-
-
 OVERFLOW = 64  # colour of the contacts that do not fit into 64 stages: resolved last, one by one
+CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +37,8 @@ class CollisionGraph:
     """
 
     pairs: IntArray  # (m, 2) indices; j ≥ n is plane j - n
-    normals: FloatArray  # (m, 3) unit vectors from i to j, as found, before position correction
-    overlaps: FloatArray  # (m,) m, r_i + r_j - distance, likewise
+    normals: FloatArray  # (m, 3) unit vectors from i to j, before position correction
+    overlaps: FloatArray  # (m,) m, r_i + r_j - distance, before position correction
     colours: IntArray  # (m,) stage in which the contact is resolved
     body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes, -1: no contacts
     into_step: FloatArray | None = None  # (m,) s from the start of the step to each first resolution; None: its end
@@ -68,18 +62,30 @@ def empty_graph() -> CollisionGraph:
     )
 
 
-def _adjacency(pairs: IntArray, n: int) -> tuple[IntArray, IntArray]:
-    """Return (m, 2) pairs as CSR offsets, (n + 1,), and neighbours, (2 m,), in rising order for each body."""
-    ends = np.concatenate((pairs, pairs[:, ::-1]))
-    ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
-    offsets = np.concatenate(([0], np.cumsum(np.bincount(ends[:, 0], minlength=n)))).astype(np.int64)
-    return offsets, np.ascontiguousarray(ends[:, 1])
+@inline
+def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
+    """Return whether the pair (i, j) precedes another in the order of pairs; the numbers may be stored as floats."""
+    return i < other_i or (i == other_i and j < other_j)
+
+
+@kernel
+def first_of(body: int, pairs: IntArray) -> int:
+    """Return the position of the first of sorted pairs whose first body is this or a later one."""
+    first, end = 0, len(pairs)
+    while first < end:
+        middle = (first + end) // 2
+        if pairs[middle, 0] < body:
+            first = middle + 1
+        else:
+            end = middle
+    return first
 
 
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
     """Colour contacts greedily, in order, so that no two of a colour share a moving body.
 
-    Equal spheres touch at most 12 others, so 23 colours suffice for them. Beyond 64 colours the rest is `OVERFLOW`.
+    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that do not fit into 64 colours have
+    the colour `OVERFLOW`.
 
     Parameters
     ----------
@@ -102,6 +108,28 @@ def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mas
     return colours
 
 
+@kernel
+def _colour_contacts(
+    pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
+) -> None:
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        used[i] = used[j] = np.uint64(0)
+    given = len(pairs) - len(order)  # contacts that have a colour come first
+    for k in range(-len(pairs) if given > 0 else 0, len(order)):
+        c = from_front(k + len(pairs) if k < 0 else order[k])
+        (i, j), colour = ends_of(pairs, c), colours[c]
+        if k >= 0:
+            colour = lowest_bit(~(used[i] | used[j]))  # 64, `OVERFLOW`, if all are used
+            colours[c] = colour
+        if 0 <= colour < OVERFLOW:
+            bit = np.uint64(1) << np.uint64(colour)
+            if inverse_mass[i] > 0.0:
+                used[i] |= bit
+            if inverse_mass[j] > 0.0:
+                used[j] |= bit
+
+
 def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tuple[IntArray, IntArray]:
     """Colour bodies greedily, in order, so that touching bodies differ: the reference engine's rule.
 
@@ -118,7 +146,11 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
         (n,), -1 for a body without contacts.
     """
     met = pairs[:, 1] < n
-    offsets, neighbours = _adjacency(pairs[met], n)
+    # neighbours of each body in rising order, one body after another, and where each begins
+    ends = np.concatenate((pairs[met], pairs[met, ::-1]))
+    ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
+    offsets = np.concatenate(([0], np.cumsum(np.bincount(ends[:, 0], minlength=n)))).astype(np.int64)
+    neighbours = np.ascontiguousarray(ends[:, 1])
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
@@ -127,41 +159,6 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
     colours = bodies[pairs[:, 0]]
     colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
     return colours, bodies
-
-
-@kernel
-def first_of(body: int, pairs: IntArray) -> int:
-    """Return the position of the first of sorted pairs whose first body is this or a later one."""
-    first, end = 0, len(pairs)
-    while first < end:
-        middle = (first + end) // 2
-        if pairs[middle, 0] < body:
-            first = middle + 1
-        else:
-            end = middle
-    return first
-
-
-@kernel
-def _colour_contacts(
-    pairs: IntArray, order: IntArray, inverse_mass: FloatArray, used: NDArray[np.uint64], colours: IntArray
-) -> None:
-    for c in range(len(pairs)):
-        i, j = ends_of(pairs, c)
-        used[i] = used[j] = np.uint64(0)
-    given = len(pairs) - len(order)  # first those that have a colour, then those without
-    for k in range(-len(pairs) if given > 0 else 0, len(order)):
-        c = from_front(k + len(pairs) if k < 0 else order[k])
-        (i, j), colour = ends_of(pairs, c), colours[c]
-        if k >= 0:
-            colour = lowest_bit(~(used[i] | used[j]))  # 64, `OVERFLOW`, if all are used
-            colours[c] = colour
-        if 0 <= colour < OVERFLOW:
-            bit = np.uint64(1) << np.uint64(colour)
-            if inverse_mass[i] > 0.0:
-                used[i] |= bit
-            if inverse_mass[j] > 0.0:
-                used[j] |= bit
 
 
 @kernel
@@ -180,9 +177,6 @@ def _colour_bodies(offsets: IntArray, neighbours: IntArray, bodies: IntArray) ->
                     colour += 1
                     break
         bodies[i] = colour
-
-
-CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration
 
 
 @dataclass(frozen=True, slots=True)

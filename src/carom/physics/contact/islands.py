@@ -2,9 +2,11 @@
 
 A contact at rest closes no faster than gravity makes it close in a step. The bodies of an island share its load, so the
 largest acceleration in the whole island counts. (In its middle nothing accelerates, but the load is greatest.) An
-island is a connected component of the collision graph without fixed ends; other islands
-have no influence. The uniform field accelerates all bodies alike and is subtracted, unless something is fixed and does
-not fall. Without gravity the speed is 0, and every contact is an impact.
+island is a connected component of the collision graph without fixed ends; other islands have no influence. The uniform
+field accelerates all bodies alike and is subtracted, unless something is fixed and does not fall. Without gravity the
+speed is 0, and every contact is an impact.
+
+Islands are found by union-find: each is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
 
 from __future__ import annotations
@@ -17,67 +19,9 @@ from carom.physics.contact.geometry import are_near
 from carom.physics.jit.atomics import atomic_load, atomic_max, atomic_replace
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.index import from_front
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.thread_team import Team
 from carom.physics.vector import between, sizes
 
-
-@inner
-def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body of the set of a body; halves the path to it."""
-    while parent[i] != i:
-        parent[i] = parent[from_front(parent[i])]
-        i = from_front(parent[i])
-    return i
-
-
-@inner
-def join(parent: IntArray, i: int, j: int) -> None:
-    """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
-    if parent[i] == parent[j]:  # as most are in a heap
-        return
-    i, j = root_of(parent, i), root_of(parent, j)
-    parent[max(i, j)] = min(i, j)
-
-
-@inner
-def join_shared(parent: IntArray, i: int, j: int) -> None:
-    """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
-    i, j = root_of(parent, i), root_of(parent, j)
-    while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
-        i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
-
-
-@inline
-def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
-    """Join the sets of the bodies at the ends of each pair, unless one is fixed."""
-    for c in range(len(pairs)):
-        i, j = ends_of(pairs, c)
-        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
-            join(parent, i, j)
-
-
-@kernel
-def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
-    """Write the number of the set of each body, where pairs join sets; return how many there are.
-
-    Sets are numbered in the order of their lowest bodies.
-    """
-    for i in range(len(label)):
-        label[i] = i
-    for c in range(len(first)):
-        join(label, first[c], second[c])
-    count = 0
-    for i in range(len(label)):
-        if label[i] == i:
-            label[i] = count
-            count += 1
-        else:  # the parent is lower, so it has its number
-            label[i] = label[label[i]]
-    return count
-
-
-MIN_PER_LOOK = 4000  # bodies, about 10 µs of work
-SQUARE, COORDINATE = range(2)  # indices of the largest values
 UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed
 
 
@@ -134,77 +78,17 @@ class Islands:
             Whether any speed is not 0.
         """
         team, parent, largest = self._team, self._parent, self._largest
-        found = np.zeros(2, dtype=np.bool_)
+        flags = np.zeros(2, dtype=np.bool_)
         team.divide(
-            len(active), MIN_PER_TASK, _stand_alone, active, acceleration, inverse_mass, field, parent, largest, found
+            len(active), MIN_PER_TASK, _stand_alone, active, acceleration, inverse_mass, field, parent, largest, flags
         )
-        if found[UNEQUAL]:
+        if flags[UNEQUAL]:
             team.divide(len(pairs), MIN_PER_TASK, _join, pairs, inverse_mass, parent)
             team.divide(len(active), MIN_PER_TASK, _spread_largest, active, parent, largest.view(np.int64))
-        joined = bool(found[UNEQUAL])
+        joined = bool(flags[UNEQUAL])
         islands = (pairs, inverse_mass, parent, largest, joined)
-        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, *islands, dt, states, found)
-        return bool(found[PRESSES])
-
-
-@kernel
-def island_rest_speeds(
-    pairs: IntArray,
-    x: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    scale: float,
-    skin: float,
-    acceleration: FloatArray,
-    inverse_mass: FloatArray,
-    field: FloatArray,
-    dt: float,
-    speeds: FloatArray,
-) -> None:
-    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, given all pairs that may touch.
-
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0.
-    """
-    n = len(x)
-    parent = np.arange(n)
-    for c in range(len(pairs)):
-        i, j = ends_of(pairs, c)
-        if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
-            continue
-        dx, dy, dz = between(x, i, j)
-        if are_near(dx, dy, dz, radius[i] + radius[j], sizes(box), scale, skin):
-            join(parent, i, j)
-    for i in range(n):
-        speeds[i] = 2.0 * np.sqrt(_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
-    for i in range(n):
-        island = root_of(parent, i)
-        speeds[island] = max(speeds[island], speeds[i])
-    for i in range(n):
-        speeds[i] = speeds[root_of(parent, i)]
-
-
-def largest_values(
-    acceleration: FloatArray, field: FloatArray, position: FloatArray, team: Team = SOLO
-) -> tuple[float, float]:
-    """Return the largest |a - field|² of a body, in m²/s⁴, and the largest coordinate by magnitude, in m."""
-    found = np.zeros(2)
-    team.divide(len(position), MIN_PER_LOOK, look_for_largest, acceleration, field, position, found.view(np.int64))
-    return float(found[SQUARE]), float(found[COORDINATE])
-
-
-@long_kernel
-def look_for_largest(
-    lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, found: IntArray
-) -> None:
-    """Update the bits of the largest values by the bodies [lo, hi)."""
-    largest = np.zeros(2)
-    for i in range(lo, hi):
-        largest[SQUARE] = max(largest[SQUARE], _square(acceleration, field, i))
-        for k in range(3):
-            largest[COORDINATE] = max(largest[COORDINATE], abs(position[i, k]))
-    bits = largest.view(np.int64)  # for non-negative numbers, bits sort like values
-    atomic_max(found, SQUARE, bits[SQUARE])
-    atomic_max(found, COORDINATE, bits[COORDINATE])
+        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, *islands, dt, states, flags)
+        return bool(flags[PRESSES])
 
 
 @long_kernel
@@ -217,21 +101,21 @@ def _stand_alone(
     field: FloatArray,
     parent: IntArray,
     largest: FloatArray,
-    found: BoolArray,
+    flags: BoolArray,
 ) -> None:
-    """Make each body an island; note in ``found`` whether accelerations differ. If not, islands need not be joined."""
+    """Make each body an island; note in ``flags`` whether accelerations differ. If not, islands need not be joined."""
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:
-            first = _square(acceleration, field, active[k])
+            first = excess_square(acceleration, field, active[k])
             break
     for k in range(lo, hi):
         i = active[k]
         parent[i], largest[i] = i, 0.0
         if inverse_mass[i] > 0.0:
-            largest[i] = _square(acceleration, field, i)
+            largest[i] = excess_square(acceleration, field, i)
             if largest[i] != first:
-                found[UNEQUAL] = True
+                flags[UNEQUAL] = True
 
 
 @long_kernel
@@ -264,7 +148,7 @@ def _write_speeds(
     joined: bool,
     dt: float,
     states: Records,
-    found: BoolArray,
+    flags: BoolArray,
 ) -> None:
     """Write the rest speed of each contact; the same for all where islands were not ``joined``."""
     presses, rest_speed = False, 0.0
@@ -275,14 +159,105 @@ def _write_speeds(
         states[c].rest_speed = rest_speed
         presses = presses or rest_speed > 0.0
     if presses:
-        found[PRESSES] = True
+        flags[PRESSES] = True
 
 
 @kernel
-def _square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
+def excess_square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
     """Return |a - field|² of a body, in m²/s⁴."""
     a2 = 0.0
     for k in range(3):
         a = acceleration[i, k] - field[k]
         a2 += a * a
     return a2
+
+
+@kernel
+def island_rest_speeds(
+    pairs: IntArray,
+    x: FloatArray,
+    radius: FloatArray,
+    box: FloatArray,
+    scale: float,
+    skin: float,
+    acceleration: FloatArray,
+    inverse_mass: FloatArray,
+    field: FloatArray,
+    dt: float,
+    speeds: FloatArray,
+) -> None:
+    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, given all pairs that may touch.
+
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0.
+    """
+    n = len(x)
+    parent = np.arange(n)
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
+            continue
+        dx, dy, dz = between(x, i, j)
+        if are_near(dx, dy, dz, radius[i] + radius[j], sizes(box), scale, skin):
+            join(parent, i, j)
+    for i in range(n):
+        speeds[i] = 2.0 * np.sqrt(excess_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0
+    for i in range(n):
+        island = root_of(parent, i)
+        speeds[island] = max(speeds[island], speeds[i])
+    for i in range(n):
+        speeds[i] = speeds[root_of(parent, i)]
+
+
+@inner
+def root_of(parent: IntArray, i: int) -> int:
+    """Return the lowest body of the set of a body; halves the path to it."""
+    while parent[i] != i:
+        parent[i] = parent[from_front(parent[i])]
+        i = from_front(parent[i])
+    return i
+
+
+@inner
+def join(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
+    if parent[i] == parent[j]:  # as most are in a heap
+        return
+    i, j = root_of(parent, i), root_of(parent, j)
+    parent[max(i, j)] = min(i, j)
+
+
+@inner
+def join_shared(parent: IntArray, i: int, j: int) -> None:
+    """Join the sets of two bodies while other threads join sets; the roots do not depend on their order."""
+    i, j = root_of(parent, i), root_of(parent, j)
+    while i != j and not atomic_replace(parent, max(i, j), max(i, j), min(i, j)):
+        i, j = root_of(parent, i), root_of(parent, j)  # another thread has moved one of the roots
+
+
+@inline
+def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) -> None:
+    """Join the sets of the bodies at the ends of each pair, unless one is fixed."""
+    for c in range(len(pairs)):
+        i, j = ends_of(pairs, c)
+        if inverse_mass[i] > 0.0 and inverse_mass[j] > 0.0:
+            join(parent, i, j)
+
+
+@kernel
+def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
+    """Write the number of the set of each body, where pairs join sets; return how many there are.
+
+    Sets are numbered in the order of their lowest bodies.
+    """
+    for i in range(len(label)):
+        label[i] = i
+    for c in range(len(first)):
+        join(label, first[c], second[c])
+    count = 0
+    for i in range(len(label)):
+        if label[i] == i:
+            label[i] = count
+            count += 1
+        else:  # the parent is lower, so it has its number
+            label[i] = label[label[i]]
+    return count

@@ -13,14 +13,18 @@ from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
-from carom.physics.contact.islands import largest_values
+from carom.physics.contact.islands import excess_square
 from carom.physics.contact.solver.prepare import TOUCHING
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.atomics import atomic_max
+from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.thread_team import SOLO, Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
 ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
 LARGEST_SKIN = 0.1  # of the smallest radius
+MIN_BODIES_PER_TASK = 4000  # about 10 µs of work
+SQUARE, COORDINATE = range(2)  # indices of the largest values
 
 
 class NearPairs:
@@ -78,3 +82,29 @@ class NearPairs:
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))
         return 1.0 + TOUCHING, self.rounding + min(fall, LARGEST_SKIN * self._smallest)
+
+
+def largest_values(
+    acceleration: FloatArray, field: FloatArray, position: FloatArray, team: Team = SOLO
+) -> tuple[float, float]:
+    """Return the largest |a - field|² of a body, in m²/s⁴, and the largest coordinate by magnitude, in m."""
+    largest = np.zeros(2)
+    team.divide(
+        len(position), MIN_BODIES_PER_TASK, _update_largest, acceleration, field, position, largest.view(np.int64)
+    )
+    return float(largest[SQUARE]), float(largest[COORDINATE])
+
+
+@long_kernel
+def _update_largest(
+    lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, shared: IntArray
+) -> None:
+    """Update the bits of the largest values by the bodies [lo, hi)."""
+    largest = np.zeros(2)
+    for i in range(lo, hi):
+        largest[SQUARE] = max(largest[SQUARE], excess_square(acceleration, field, i))
+        for k in range(3):
+            largest[COORDINATE] = max(largest[COORDINATE], abs(position[i, k]))
+    bits = largest.view(np.int64)  # for non-negative numbers, bits sort like values
+    atomic_max(shared, SQUARE, bits[SQUARE])
+    atomic_max(shared, COORDINATE, bits[COORDINATE])

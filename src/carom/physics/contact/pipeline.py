@@ -6,7 +6,7 @@
 2. `drift`, with `contact.timing = "time-of-impact"`: move the bodies and resolve impacts at their own times
 3. `find`: broad phase, geometry, colouring, and position correction of resting contacts
 4. `resolve`: after the last kick, find the impulses at the final positions
-5. `turn`: torques and angular accelerations of the step
+5. `write_torques`: torques and angular accelerations of the step
 
 An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeting` at each impact, and `end_batch`.
 """
@@ -14,6 +14,7 @@ An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,10 +30,8 @@ from carom.physics.contact.events.next_impact import step_by_impacts
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.law import Materials
 from carom.physics.contact.near_pairs import NearPairs
-from carom.physics.contact.reactions import Torques, borne
-from carom.physics.contact.seen_contacts import SeenContacts
-from carom.physics.contact.sleep.sleepers import NO_SLEEPERS, NOTHING_LOST, Sleepers
-from carom.physics.contact.snapshot import ContactSnapshot
+from carom.physics.contact.reactions import Torques, supported_acceleration
+from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
@@ -40,9 +39,13 @@ from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closi
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.thread_team import Team
 from carom.plan.features import Requirements
+from carom.registry import part_of_model
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
+
+if TYPE_CHECKING:
+    from carom.physics.contact.sleep.sleepers import Sleepers, SleepingContacts
 
 # Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
 # with five and 1.32 with three, which leave four times the overlap after 3 s (benchmarks/heap.py, 1000 spheres).
@@ -88,7 +91,7 @@ class ContactPipeline:
         team: Team,
         records: bool = False,
     ) -> None:
-        self._contact = contact
+        self._settings = contact
         self._bodies = bodies
         self._planes = planes
         self._field = field
@@ -104,8 +107,8 @@ class ContactPipeline:
         friction = requirements.friction.modelled
         self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
         self._torques = Torques(bodies, team)
-        self._found = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
-        self._seen = SeenContacts(self._solver, bodies.ends.inverse_mass)
+        self._contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
+        self._snapshots = SnapshotSource(self._solver, bodies.ends.inverse_mass)
         self._event_drift = None
         if requirements.impact_time.modelled:
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
@@ -114,7 +117,9 @@ class ContactPipeline:
                 bodies, planes, materials, box, *fields, *drift, self._near.search, team
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
-        self._sleepers = Sleepers(contact.sleep, bodies, planes, box) if contact.sleep and self._lasts else None
+        self._sleepers: Sleepers | None = None
+        if contact.sleep and self._lasts:
+            self._sleepers = part_of_model("contact.sleep")(contact.sleep, bodies, planes, box)
         self._compile()
 
     def forget(self) -> None:
@@ -122,8 +127,8 @@ class ContactPipeline:
         self._impulses = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
         self._fell_asleep = False  # whether contacts of this step sleep from the next one on
-        self._slept = NO_SLEEPERS  # contacts that slept in this step
-        self._lost = NOTHING_LOST  # J, the ledger of what woke in this step or fell asleep after it
+        self._slept: SleepingContacts | None = None  # contacts that slept in this step
+        self._lost = NO_ENTRIES  # J, the ledger of what woke in this step or fell asleep after it
         self._first_kick = 0.0  # s, of the step
         if self._sleepers:
             self._sleepers.forget()
@@ -133,7 +138,7 @@ class ContactPipeline:
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the contacts of the step
         self.counts_impacts = True  # whether they include impacts during the drift; a look ahead needs no statistics
-        self._seen.forget()
+        self._snapshots.forget()
         if self.tap:
             self.tap.forget()
 
@@ -143,7 +148,7 @@ class ContactPipeline:
         if not self._lasts:
             return None
         hold, sleepers = self._impulses, self._sleepers
-        pairs, rest_speed = self._found.pairs, self._solver.rest_speeds_by_pair()
+        pairs, rest_speed = self._contacts.pairs, self._solver.rest_speeds_by_pair()
         impulse = hold.impulse_of(self._solver.contacts)
         if sleepers is None:
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
@@ -152,14 +157,14 @@ class ContactPipeline:
         return ContactCheckpoint(*kept, sleepers.memory)
 
     @property
-    def borne(self) -> FloatArray:
-        """(n + p,) m/s², the part of each acceleration that contacts bore in the last kick; empty if none did."""
+    def supported_acceleration(self) -> FloatArray:
+        """(n + p,) m/s², the part of each acceleration that contacts supported in the last kick; empty if none did."""
         inverse_mass = self._bodies.ends.inverse_mass
-        by_awake = borne(self._impulses, inverse_mass)
+        by_awake = supported_acceleration(self._impulses, inverse_mass)
         if not (self._sleepers and self._sleepers.any) or self._fell_asleep:
             return by_awake
         slept = self._sleepers.contacts
-        by_sleepers = borne(ImpulseCache(slept.pairs, slept.place, slept.contacts, 1.0), inverse_mass)
+        by_sleepers = supported_acceleration(ImpulseCache(slept.pairs, slept.place, slept.contacts, 1.0), inverse_mass)
         return by_sleepers + by_awake if len(by_awake) else by_sleepers
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
@@ -202,27 +207,27 @@ class ContactPipeline:
             self._torques.remember()
         self.ledger_apart = NO_ENTRIES
         self._first_kick = kick
-        self._leave_out_sleepers()
+        self._lost = NO_ENTRIES
+        if self._fell_asleep:  # the contacts of what fell asleep after the last step are no longer computed
+            memory = self.memory
+            assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
+            self._recall_contacts(memory)
+            self._fell_asleep, self._slept = False, self._sleepers.contacts
         if self._guard:
             self._guard.remember()
-        self._find_pressed()
+        if self._event_drift and self._lasts:  # mark the bodies that contacts pressed in the last step
+            pressed = self._solver.pressed
+            pressed[:] = False
+            if self._sleepers:
+                pressed[: len(self._bodies)] = self._sleepers.asleep
+            self._solver.mark_pressed(self._impulses)
         if self._is_at_rest():
             if self.tap:  # its step begins; the entries are those of the previous step, which are booked
                 self._solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
             self.ledger_apart = self._solver.audited
             if self.tap:
-                self.tap.see_hold(self._found.pairs, self._solver)
-
-    def _find_pressed(self) -> None:
-        """Mark the bodies that contacts pressed in the last step; all, where no impact is resolved at its time."""
-        pressed = self._solver.pressed
-        if self._event_drift is None or not self._lasts:
-            return
-        pressed[:] = False
-        if self._sleepers:
-            pressed[: len(self._bodies)] = self._sleepers.asleep
-        self._solver.mark_pressed(self._impulses)
+                self.tap.add_hold(self._contacts.pairs, self._solver)
 
     def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
@@ -239,12 +244,12 @@ class ContactPipeline:
             kick, dt, *self._near.margins(dt), held, self._solver.pressed, asleep, damping, strength
         )
         if self.tap:
-            self.tap.see_drift(self.impacts)
+            self.tap.add_drift(self.impacts)
 
     @property
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step and nothing is held as the next one begins."""
-        touches = len(self._found) or self.statistics.contacts or len(self._impulses.pairs)
+        touches = len(self._contacts) or self.statistics.contacts or len(self._impulses.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     @property
@@ -258,10 +263,10 @@ class ContactPipeline:
         moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
         return step_by_impacts(*moving, planes.normal, planes.offset, span)
 
-    def rest(self) -> None:
-        """Note steps in which nothing touched, after a step that was quiet."""
+    def add_quiet_steps(self) -> None:
+        """Account for steps in which nothing touched, after a step that was quiet."""
         self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
-        self._seen.rest(self._found)
+        self._snapshots.set_quiet(self._contacts)
 
     def begin_batch(self) -> None:
         """Begin steps that end at impacts: before the bodies move."""
@@ -280,17 +285,27 @@ class ContactPipeline:
     def end_batch(self, dt: float, profile: Profile) -> None:
         """Gather the effects of the impacts at the end of the last step, of dt s."""
         if self.tap:
-            self.tap.see_drift(self.impacts)
+            self.tap.add_drift(self.impacts)
         self.resolve(dt, 0.0, profile)
         if self._needs.torque.modelled:
-            self.turn(dt)
+            self.write_torques(dt)
 
     def find(self, dt: float, profile: Profile) -> None:
         """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
         self._was_crossed = self._guard is not None and self._guard.stop()
-        pairs = self._near_awake(dt, self._sleepers) if self._sleepers else self._near.find(dt)
+        sleepers = self._sleepers
+        if sleepers and sleepers.all and not sleepers.is_disturbed():
+            pairs = empty_graph().pairs
+        else:
+            pairs = self._near.find(dt)
+            if sleepers:  # wake the islands that are disturbed; pairs of sleepers are not computed
+                self._impulses, self._lost = sleepers.wake(pairs, self._impulses, self._first_kick, dt)
+                if self.tap and len(self._lost):
+                    self.tap.copy_hold()
+                self._slept = sleepers.contacts
+                pairs = sleepers.awake(pairs)
         profile.mark("search")
-        if len(pairs) == 0 and len(self._found) == 0:
+        if len(pairs) == 0 and len(self._contacts) == 0:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
@@ -308,17 +323,17 @@ class ContactPipeline:
         dt, kick
             s, lengths of the step and of the last kick.
         profile
-            Gets the times that the parts take.
+            Records how long each phase takes.
         """
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
-        if len(self._found):
+        if len(self._contacts):
             self._resolve(dt, kick, profile)
         else:
             self._impulses = ImpulseCache.empty()
-        self._seen.begin(self._found, self._slept, self.impacts, dt)
-        self.statistics = self._solver.statistics() if len(self._found) else NO_CONTACTS
-        if len(self._slept.pairs):
+        self._snapshots.set_step(self._contacts, self._slept, self.impacts, dt)
+        self.statistics = self._solver.statistics() if len(self._contacts) else NO_CONTACTS
+        if self._slept:
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
             self._count_impacts()
@@ -336,29 +351,20 @@ class ContactPipeline:
     def fall_asleep(self, dt: float) -> None:
         """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.fall_asleep(self._found.pairs, self._impulses, dt)
+        lost = self._sleepers.fall_asleep(self._contacts.pairs, self._impulses, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
             self.ledger_apart = np.concatenate((self.ledger_apart, self._lost))
 
-    def _leave_out_sleepers(self) -> None:
-        """Begin a step without the contacts of what fell asleep after the last one."""
-        self._lost = NOTHING_LOST
-        if self._fell_asleep:
-            memory = self.memory
-            assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
-            self._recall_contacts(memory)
-            self._fell_asleep, self._slept = False, self._sleepers.contacts
-
-    def turn(self, dt: float) -> None:
+    def write_torques(self, dt: float) -> None:
         """Write the torques of this step, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         self._torques.write(dt)
 
-    def rows(self, room: Buffer | None = None) -> Records:
+    def rows(self, buffer: Buffer | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.rows(self._found.pairs, self._solver, room, self._slept)
+        return self.tap.rows(self._contacts.pairs, self._solver, buffer, self._slept)
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
@@ -374,8 +380,8 @@ class ContactPipeline:
     def limits_reached(self) -> list[tuple[str, str]]:
         """Return the limits of the method that this step met for the first time: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
-            self._contact,
-            serial_stage=self._found.overflows,
+            self._settings,
+            serial_stage=self._contacts.overflows,
             too_few_sweeps=self._too_few_sweeps,
             exhausted=self._event_drift is not None and self._event_drift.is_exhausted,
             crossed=self._was_crossed,
@@ -390,32 +396,21 @@ class ContactPipeline:
 
     def _count_impacts(self) -> None:
         """Add the impacts during the drift to the statistics of the step."""
-        records = (self._found, self._solver.contacts, self._solver.states)
+        records = (self._contacts, self._solver.contacts, self._solver.states)
         self.statistics = self.statistics.with_impacts(self.impacts, *records, self._bodies.ends.inverse_mass)
-
-    def _near_awake(self, dt: float, sleepers: Sleepers) -> IntArray:
-        """Find the pairs with an end that is awake, after waking the islands that are disturbed."""
-        if sleepers.all and not sleepers.is_disturbed():
-            return empty_graph().pairs
-        pairs = self._near.find(dt)
-        self._impulses, self._lost = sleepers.wake(pairs, self._impulses, self._first_kick, dt)
-        if self.tap and len(self._lost):
-            self.tap.see_waking()
-        self._slept = sleepers.contacts
-        return sleepers.awake(pairs)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Begin the contacts of a step of dt s: order them, lay out their records, find their rest speeds."""
-        if not np.array_equal(pairs, self._found.pairs):  # a pile at rest keeps its contacts, and thus their order
-            self._found = OrderedContacts.of(pairs, self._bodies, self._contact.colouring)
-        self._solver.lay(self._found.order, self._impulses.contacts, self._near.rounding)
+        if not np.array_equal(pairs, self._contacts.pairs):  # a pile at rest keeps its contacts, and thus their order
+            self._contacts = OrderedContacts.of(pairs, self._bodies, self._settings.colouring)
+        self._solver.lay(self._contacts.order, self._impulses.contacts, self._near.rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        contact, solver = self._contact, self._solver
+        contact, solver = self._settings, self._solver
         solver.update_geometry()
         if self._pushes:
             solver.audit_corrections()
@@ -423,7 +418,7 @@ class ContactPipeline:
         lasting = self._is_at_rest()
         self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
         if self.tap:
-            self.tap.see_impacts(self._found.pairs, solver)
+            self.tap.add_impacts(self._contacts.pairs, solver)
         profile.mark("response")
         if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate, kick)
@@ -443,7 +438,7 @@ class ContactPipeline:
         self, dt: float, kick: float, drift: float, bias_rate: float, share: float, against: FloatArray | None = None
     ) -> int:
         """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
-        solver, pairs = self._solver, self._found.pairs
+        solver, pairs = self._solver, self._contacts.pairs
         place = solver.order.place
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
@@ -451,13 +446,13 @@ class ContactPipeline:
         return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, against)
 
     @property
-    def seen(self) -> ContactSnapshot:
+    def snapshot(self) -> ContactSnapshot:
         """The contacts of the step that touch or carry an impulse; near pairs are left out."""
-        return self._seen.snapshot
+        return self._snapshots.snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Keep the ledger of this step; the function returns that of each contact seen, (m, 3) J, at any later time."""
-        return self._seen.keep_contributions()
+        """Keep the ledger of this step; the function returns that of each contact, (m, 3) J, at any later time."""
+        return self._snapshots.keep_contributions()
 
     def _compile(self) -> None:
         """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
@@ -473,7 +468,7 @@ class ContactPipeline:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)
         if self._needs.torque.modelled:
-            self.turn(1.0)
+            self.write_torques(1.0)
         if self.tap:
             self.rows()
         self.forget()

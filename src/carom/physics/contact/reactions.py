@@ -1,4 +1,4 @@
-"""What the contacts of a step do to the bodies: the torques, and the part of each acceleration that they bear."""
+"""Reactions of the contacts of a step: the torques on bodies, and the accelerations that contacts support."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.thread_team import Team
 
-MIN_BODIES_PER_TURN, MIN_BODIES_PER_COPY = 1000, 10_000  # per task, about 10 µs of work
+MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # about 10 µs of work
+NO_SUPPORT = np.empty(0)  # m/s², if there are no lasting contacts
 
 
 class Torques:
@@ -36,8 +37,8 @@ class Torques:
     def write(self, dt: float) -> None:
         """Write the torques of a step of dt s, Σ r × J / dt = I Δω / dt, and the angular accelerations τ / I."""
         bodies = self._bodies
-        turned = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
-        self._team.divide(len(self._spin), MIN_BODIES_PER_TURN, _turn, self._spin, *turned)
+        arrays = (bodies.angular_velocity, bodies.inertia, dt, bodies.torque, bodies.angular_acceleration)
+        self._team.divide(len(self._spin), MIN_BODIES_PER_TASK, _write_torques, self._spin, *arrays)
 
 
 @long_kernel
@@ -48,7 +49,7 @@ def _remember(lo: int, hi: int, angular_velocity: FloatArray, before: FloatArray
 
 
 @long_kernel
-def _turn(
+def _write_torques(
     lo: int,
     hi: int,
     before: FloatArray,
@@ -64,16 +65,13 @@ def _turn(
             angular_acceleration[i, k] = torque[i, k] / inertia[i]
 
 
-NOTHING_BORNE = np.empty(0)  # m/s², if there are no lasting contacts
-
-
-def borne(cache: ImpulseCache, inverse_mass: FloatArray) -> FloatArray:
+def supported_acceleration(cache: ImpulseCache, inverse_mass: FloatArray) -> FloatArray:
     """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², with h the kick of the impulses.
 
     Opposing forces add up, so the sum is large for a body that is squeezed between two others.
     """
     if cache.kick == 0.0 or len(cache.pairs) == 0:
-        return NOTHING_BORNE
+        return NO_SUPPORT
     return _sum_normal_impulses(cache.pairs, cache.place, cache.contacts, inverse_mass, cache.kick)
 
 

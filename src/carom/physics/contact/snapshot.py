@@ -1,15 +1,24 @@
-"""The contact snapshot of a step: the contacts found at its end, and the impacts during its drift."""
+"""The contact snapshot of a step: the contacts at its end, and the impacts during its drift; near pairs are left out.
+
+A snapshot copies its contacts, so it is made only when it is needed.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.events.drift import Impacts
-from carom.physics.contact.graph import CollisionGraph, colour_bodies, colour_rest, empty_graph
+from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
+from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
+from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.decorators import kernel
+
+if TYPE_CHECKING:
+    from carom.physics.contact.sleep.sleepers import SleepingContacts
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +34,7 @@ class ContactSnapshot:
 
     @classmethod
     def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> ContactSnapshot:
-        """Describe the contacts found at the end of a step."""
+        """Describe the contacts at the end of a step."""
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
     def joined(self, others: CollisionGraph, inverse_mass: FloatArray) -> tuple[ContactSnapshot, IntArray]:
@@ -35,7 +44,7 @@ class ContactSnapshot:
         order = np.lexsort((pairs[:, 1], pairs[:, 0]))
         fill = np.zeros(len(others))
         colours, body_colours = self._colours(pairs[order], order, order.astype(np.float64), inverse_mass)
-        seen = CollisionGraph(
+        joined = CollisionGraph(
             pairs[order],
             np.concatenate((graph.normals, others.normals))[order],
             np.concatenate((graph.overlaps, others.overlaps))[order],
@@ -44,39 +53,39 @@ class ContactSnapshot:
         )
         approach = np.concatenate((self.approach, fill))[order]
         rest_speed = np.concatenate((self.rest_speed, fill))[order]
-        return ContactSnapshot.of(seen, approach, rest_speed), np.where(order < m, order, -1)
+        return ContactSnapshot.of(joined, approach, rest_speed), np.where(order < m, order, -1)
 
-    def after(self, struck: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
+    def after(self, impacts: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
         """Add the impacts during a step of dt, in s; ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
 
-        A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts found at
-        the end keep the colours in which they were resolved; the others get theirs in the order of time.
+        A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts at the
+        end keep the colours in which they were resolved; the others get theirs in the order of time.
         """
-        if len(struck) == 0:
+        if len(impacts) == 0:
             return self
         graph, late = self.graph, len(self.graph)
-        pairs = np.concatenate((graph.pairs, struck.pairs))
-        approach = np.concatenate((self.approach, struck.approach))
-        # in each pair, the contact found at the end comes first, then the hardest impact
-        softness = -np.concatenate((np.full(late, np.inf), struck.approach))
+        pairs = np.concatenate((graph.pairs, impacts.pairs))
+        approach = np.concatenate((self.approach, impacts.approach))
+        # in each pair, the contact at the end comes first, then the hardest impact
+        softness = -np.concatenate((np.full(late, np.inf), impacts.approach))
         order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
         first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
         shown = order[first]
-        into_step = np.minimum.reduceat(np.concatenate((np.full(late, dt), struck.time))[order], first)
+        into_step = np.minimum.reduceat(np.concatenate((np.full(late, dt), impacts.time))[order], first)
         colours, body_colours = self._colours(pairs[shown], shown, into_step, inverse_mass)
-        seen = CollisionGraph(
+        joined = CollisionGraph(
             pairs[shown],
-            np.concatenate((graph.normals, struck.normal))[shown],
-            np.concatenate((graph.overlaps, np.zeros(len(struck))))[shown],
+            np.concatenate((graph.normals, impacts.normal))[shown],
+            np.concatenate((graph.overlaps, np.zeros(len(impacts))))[shown],
             colours,
             body_colours,
             into_step,
         )
         return ContactSnapshot(
-            seen,
+            joined,
             np.maximum.reduceat(approach[order], first),
-            np.concatenate((self.rest_speed, struck.rest_speed))[shown],
-            self.impacts + int(np.count_nonzero(struck.approach > struck.rest_speed)),
+            np.concatenate((self.rest_speed, impacts.rest_speed))[shown],
+            self.impacts + int(np.count_nonzero(impacts.approach > impacts.rest_speed)),
             order,
             first,
         )
@@ -88,20 +97,71 @@ class ContactSnapshot:
         graph = self.graph
         if graph.body_colours is not None:
             return colour_bodies(pairs, len(graph.body_colours), graph.body_colours)
-        struck = shown >= len(graph)
+        added = shown >= len(graph)
         colours = np.full(len(pairs), -1)
-        colours[~struck] = graph.colours[shown[~struck]]
+        colours[~added] = graph.colours[shown[~added]]
         in_time = np.argsort(into_step, kind="stable")
-        return colour_rest(pairs, colours, in_time[struck[in_time]], inverse_mass), None
+        return colour_rest(pairs, colours, in_time[added[in_time]], inverse_mass), None
 
-    def sums(self, late: FloatArray, struck: FloatArray) -> FloatArray:
-        """Sum rows of the contacts found at the end, and of the impacts, by contact."""
+    def sums(self, late: FloatArray, impacts: FloatArray) -> FloatArray:
+        """Sum rows of the contacts at the end, and of the impacts, by contact."""
         if self._order is None or self._first is None:
             return late
-        return np.add.reduceat(np.concatenate((late, struck))[self._order], self._first)
+        return np.add.reduceat(np.concatenate((late, impacts))[self._order], self._first)
 
 
 EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))
+
+
+class SnapshotSource:
+    """Makes the contact snapshot of the last step when frames, statistics or the audit need it.
+
+    Parameters
+    ----------
+    solver
+        Its records are those of the contacts of the step.
+    inverse_mass
+        (n + p,) 1/kg, of bodies and planes.
+    """
+
+    def __init__(self, solver: ContactSolver, inverse_mass: FloatArray) -> None:
+        self._solver, self._inverse_mass = solver, inverse_mass
+        self.forget()
+
+    def forget(self) -> None:
+        """Return to the state before the first step."""
+        self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not made yet
+        self._place = np.empty(0, dtype=np.int64)  # (m,) places of the records of its contacts, -1 for sleepers
+        self._impacts = NO_IMPACTS
+
+    def set_step(self, contacts: OrderedContacts, slept: SleepingContacts | None, impacts: Impacts, dt: float) -> None:
+        """Set the contacts of a step of dt s: those at its end, those of sleepers, and the impacts during its drift."""
+        self._contacts, self._slept, self._impacts, self._dt = contacts, slept, impacts, dt
+        self._snapshot = None
+
+    def set_quiet(self, contacts: OrderedContacts) -> None:
+        """Set steps in which nothing touched, after a step in which nothing did."""
+        if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # that of an earlier step is empty, too
+            self.set_step(contacts, None, NO_IMPACTS, 0.0)
+
+    @property
+    def snapshot(self) -> ContactSnapshot:
+        """The contacts of the step that touch or carry an impulse."""
+        if self._snapshot is None:
+            solver, contacts = self._solver, self._contacts
+            records = (contacts.order.place, solver.contacts, solver.states, solver.found_normals)
+            late, self._place = late_contacts(contacts.pairs, contacts.colours, contacts.body_colours, *records)
+            if self._slept:
+                late, place = late.joined(self._slept.graph(), self._inverse_mass)
+                self._place = np.append(self._place, -1)[place]
+            self._snapshot = late.after(self._impacts, self._dt, self._inverse_mass)
+        return self._snapshot
+
+    def keep_contributions(self) -> Callable[[], FloatArray]:
+        """Keep the ledger of this step; the function returns that of each contact, (m, 3) J, at any later time."""
+        snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger
+        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is of sleepers
+        return lambda: snapshot.sums(late[place], impacts)
 
 
 def late_contacts(
@@ -113,55 +173,55 @@ def late_contacts(
     states: Records,
     normals: FloatArray,
 ) -> tuple[ContactSnapshot, IntArray]:
-    """Copy the contacts found at the end of a step that touched then or carry an impulse.
+    """Copy the contacts at the end of a step that touched then or carry an impulse.
 
     Parameters
     ----------
     pairs, colours
-        (m, 2), sorted, and (m,), all that were found.
+        (m, 2), sorted, and (m,), of all contacts, near ones included.
     body_colours
         As in `CollisionGraph`.
     place
         (m,) index of each one's record.
     contacts, states, normals
-        (m,) `CONTACT`, (m,) `CONTACT_STATE`, and (m, 3) as found.
+        (m,) `CONTACT`, (m,) `CONTACT_STATE`, and (m, 3) before the position correction.
 
     Returns
     -------
     snapshot
         Without the impacts during the step.
-    seen
+    kept
         (k,) indices of the records of its contacts.
     """
     m = len(pairs)
-    shown_pairs, shown_normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
+    kept_pairs, kept_normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
     overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
-    shown_colours, seen = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    found = (pairs, colours, place, contacts, states, normals)
-    count = _show(*found, shown_pairs, shown_normals, overlaps, shown_colours, approach, rest_speed, seen)
+    kept_colours, kept = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
+    given = (pairs, colours, place, contacts, states, normals)
+    count = _copy_touching(*given, kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept)
     graph = CollisionGraph(
-        shown_pairs[:count], shown_normals[:count], overlaps[:count], shown_colours[:count], body_colours
+        kept_pairs[:count], kept_normals[:count], overlaps[:count], kept_colours[:count], body_colours
     )
-    return ContactSnapshot.of(graph, approach[:count], rest_speed[:count]), seen[:count]
+    return ContactSnapshot.of(graph, approach[:count], rest_speed[:count]), kept[:count]
 
 
 @kernel
-def _show(
+def _copy_touching(
     pairs: IntArray,
     colours: IntArray,
     place: IntArray,
     contacts: Records,
     states: Records,
     normals: FloatArray,
-    shown_pairs: IntArray,
-    shown_normals: FloatArray,
+    kept_pairs: IntArray,
+    kept_normals: FloatArray,
     overlaps: FloatArray,
-    shown_colours: IntArray,
+    kept_colours: IntArray,
     approach: FloatArray,
     rest_speed: FloatArray,
-    shown_place: IntArray,
+    kept_place: IntArray,
 ) -> int:
-    """Copy the contacts that touched when they were found or carry an impulse; return how many.
+    """Copy the contacts that touched or carry an impulse; return how many.
 
     Normals and overlaps are from before the position correction. A contact that the correction opens is still resolved.
     Otherwise the body would fall and be pushed back in every step.
@@ -171,11 +231,11 @@ def _show(
         p = place[c]
         state = states[p]
         if not state.apart or contacts[p].normal_impulse > 0.0:
-            shown_pairs[count, 0], shown_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
+            kept_pairs[count, 0], kept_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
             for k in range(3):
-                shown_normals[count, k] = normals[p, k]
-            overlaps[count], shown_colours[count] = state.found_overlap, colours[c]
+                kept_normals[count, k] = normals[p, k]
+            overlaps[count], kept_colours[count] = state.found_overlap, colours[c]
             approach[count], rest_speed[count] = state.approach_speed, state.rest_speed
-            shown_place[count] = p
+            kept_place[count] = p
             count += 1
     return count

@@ -71,34 +71,34 @@ class ContactStatistics(NamedTuple):
     def plus(self, others: ContactStatistics) -> ContactStatistics:
         """Add contacts of other pairs, none of them an impact."""
         mine, theirs = (self.deepest, self.deepest_pair), (others.deepest, others.deepest_pair)
-        first = max(mine, theirs, key=lambda found: (found[0], -found[1][0], -found[1][1]))
+        first = max(mine, theirs, key=lambda overlap: (overlap[0], -overlap[1][0], -overlap[1][1]))
         return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])
 
     def with_impacts(
-        self, struck: Impacts, found: OrderedContacts, contacts: Records, states: Records, inverse_mass: FloatArray
+        self, impacts: Impacts, ordered: OrderedContacts, contacts: Records, states: Records, inverse_mass: FloatArray
     ) -> ContactStatistics:
         """Add the impacts during the drift of a step; a pair that had several counts as one contact, by its hardest.
 
         Parameters
         ----------
-        found, contacts, states
-            The contacts found at the end of the step, whose statistics these are; see `ConstraintSystem`.
+        ordered, contacts, states
+            The contacts at the end of the step, whose statistics these are; see `ConstraintSystem`.
         inverse_mass
             (n + p,) 1/kg
         """
-        order = np.lexsort((-struck.approach, struck.pairs[:, 1], struck.pairs[:, 0]))
-        impacts = (struck.pairs[order], struck.approach[order], struck.rest_speed[order])
-        place = found.order.place
-        further, energy, hardest, i, j = _add_impacts(*impacts, found.pairs, place, contacts, states, inverse_mass)
+        order = np.lexsort((-impacts.approach, impacts.pairs[:, 1], impacts.pairs[:, 0]))
+        by_pair = (impacts.pairs[order], impacts.approach[order], impacts.rest_speed[order])
+        place = ordered.order.place
+        further, energy, hardest, i, j = _add_impacts(*by_pair, ordered.pairs, place, contacts, states, inverse_mass)
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
-        touching, deepest_pair = [(i, j) for i, j in impacts[0][:1].tolist()], self.deepest_pair  # without an overlap
+        touching, deepest_pair = [(i, j) for i, j in by_pair[0][:1].tolist()], self.deepest_pair  # without an overlap
         if self.deepest == 0.0 and touching and (self.contacts == 0 or touching[0] < deepest_pair):
             deepest_pair = touching[0]
         return self._replace(
-            work=np.concatenate((struck.ledger, self.work)),
+            work=np.concatenate((impacts.ledger, self.work)),
             contacts=self.contacts + further,
-            impacts=self.impacts + int(np.count_nonzero(struck.approach > struck.rest_speed)),
+            impacts=self.impacts + int(np.count_nonzero(impacts.approach > impacts.rest_speed)),
             struck=self.struck + energy,
             hardest=first[0],
             hardest_pair=first[1],
@@ -125,7 +125,7 @@ def _count(
         block = blocks[k]
         _begin(block)
         restitution, friction, stabilisation = 0.0, 0.0, 0.0
-        contacts_seen, impacts, struck = 0, 0, 0.0
+        count, impacts, struck = 0, 0, 0.0
         for c in range(from_front(k * CONTACTS_PER_BLOCK), min(len(pairs), (k + 1) * CONTACTS_PER_BLOCK)):
             state = states[c]
             restitution += state.restitution_loss
@@ -134,7 +134,7 @@ def _count(
             if state.apart and contacts[c].normal_impulse <= 0.0:
                 continue
             (i, j), approach = ends_of(pairs, c), state.approach_speed
-            contacts_seen += 1
+            count += 1
             if approach > state.rest_speed:
                 energy = 0.5 * approach * approach / (inverse_mass[i] + inverse_mass[j])
                 impacts += 1
@@ -142,7 +142,7 @@ def _count(
                 _keep_hardest(block, energy, i, j)
             _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
         block.restitution_loss, block.friction_loss, block.stabilisation_gain = restitution, friction, stabilisation
-        block.contacts, block.impacts, block.struck = contacts_seen, impacts, struck
+        block.contacts, block.impacts, block.struck = count, impacts, struck
 
 
 @kernel
@@ -150,7 +150,7 @@ def _add_impacts(
     pairs: IntArray,
     approach: FloatArray,
     rest_speed: FloatArray,
-    found: IntArray,
+    known: IntArray,
     place: IntArray,
     contacts: Records,
     states: Records,
@@ -161,7 +161,7 @@ def _add_impacts(
     Returns
     -------
     contacts
-        Pairs that were not found at the end.
+        Pairs that have no contact at the end.
     energy
         J, by which the energy of the impacts grows, with the hardest of each pair.
     hardest, i, j
@@ -174,10 +174,10 @@ def _add_impacts(
             continue
         speed, limit, counted = approach[row], rest_speed[row], 0.0
         twice = 2.0 * (inverse_mass[i] + inverse_mass[j])
-        c = first_of(i, found)
-        while c < len(found) and found[c, 0] == i and found[c, 1] < j:
+        c = first_of(i, known)
+        while c < len(known) and known[c, 0] == i and known[c, 1] < j:
             c += 1
-        is_known = c < len(found) and found[c, 0] == i and found[c, 1] == j
+        is_known = c < len(known) and known[c, 0] == i and known[c, 1] == j
         if is_known:
             state = states[place[c]]
             is_known = not state.apart or contacts[place[c]].normal_impulse > 0.0
@@ -229,7 +229,7 @@ def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
 
 @inline
 def _comes_first(value: float, i: float, j: float, largest: float, first: float, second: float) -> bool:
-    """Tell whether a value is larger than the largest so far, or equal and of an earlier pair."""
+    """Return whether a value is larger than the largest so far, or equal and of an earlier pair."""
     return value > largest or (value == largest and comes_before(i, j, first, second))
 
 

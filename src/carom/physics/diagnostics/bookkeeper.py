@@ -333,7 +333,7 @@ class Bookkeeper:
             self.audit.book(contact.ledger_apart)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
-                graph = contact.seen.graph
+                graph = contact.snapshot.graph
                 i, j = graph.pairs[graph.first]
                 text = f"First contact: {self._world.names.pair((i, j))}."
                 self.log(Event(clock.step, clock.time, "INFO", text, "first-contact"))

@@ -20,7 +20,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.foreign import chosen_by_type, identity_of, leaf
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.vector import minimum_image
+from carom.physics.vector import nearest_image
 from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
 from carom.scene.schema import Scene
 
@@ -156,8 +156,7 @@ def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> 
                 if j == i:
                     continue
                 dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-                if box[0] > 0.0:
-                    dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+                dx, dy, dz = nearest_image(dx, dy, dz, box)
                 f = function(dx * dx + dy * dy + dz * dz, m[i], m[j], p)
                 fx += f * dx
                 fy += f * dy
@@ -189,8 +188,7 @@ def _summing(forces: Any, x: Any, m: Any, box: Any) -> Any:
         for i in range(len(x)):
             for j in range(i + 1, len(x)):
                 dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
-                if box[0] > 0.0:
-                    dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
+                dx, dy, dz = nearest_image(dx, dy, dz, box)
                 energy += function(dx * dx + dy * dy + dz * dz, m[i], m[j], p)
         return energy + energy_of(forces[1:], x, m, box)
 

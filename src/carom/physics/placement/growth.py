@@ -320,8 +320,7 @@ def _time_in_skin(a: Any) -> float:
 def _bounce(a: Any, b: Any, box: FloatArray) -> None:
     """Let two spheres rebound; a fixed one has no inverse mass."""
     nx, ny, nz = b.x - a.x, b.y - a.y, b.z - a.z
-    if box[0] > 0.0:
-        nx, ny, nz = nearest_image(nx, ny, nz, box[0], box[1], box[2])
+    nx, ny, nz = nearest_image(nx, ny, nz, box)
     d2 = nx * nx + ny * ny + nz * nz
     closing = (a.growth + b.growth) * np.sqrt(d2) - ((b.vx - a.vx) * nx + (b.vy - a.vy) * ny + (b.vz - a.vz) * nz)
     J = 2.0 * closing / (d2 * (a.inverse_mass + b.inverse_mass))
@@ -371,8 +370,7 @@ def _predict(
         b = sphere[others[m]]
         t = now - b.now
         dx, dy, dz = (b.x + b.vx * t) - x, (b.y + b.vy * t) - y, (b.z + b.vz * t) - z
-        if box[0] > 0.0:
-            dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+        dx, dy, dz = nearest_image(dx, dy, dz, box)
         D, growth = r + b.radius + b.growth * now, a.growth + b.growth
         vx, vy, vz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
         for ix in range(-images, images + 1):

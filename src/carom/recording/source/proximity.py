@@ -155,7 +155,7 @@ class Proximity:
     def _image(self, apart: FloatArray) -> FloatArray:
         """Return differences of positions to the nearest image."""
         box = self._setup.box
-        return minimum_images(apart, box) if box[0] > 0.0 else apart
+        return minimum_images(apart, box)
 
 
 def _columns(near: Near) -> tuple[Any, ...]:

@@ -48,7 +48,7 @@ def positions_at(
         (3,) m, of a periodic domain; zeros in open space.
     """
     start, dt = before.position, after.time - before.time
-    path = _nearest(after.position - start, box)
+    path = minimum_images(after.position - start, box)
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
     own, other = before.velocity * dt - path, path - after.velocity * dt  # Hermite's, about the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
@@ -74,11 +74,6 @@ def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame)
     sign = np.where(np.sum(before.orientation * after.orientation, axis=1, keepdims=True) < 0.0, -1.0, 1.0)
     turned = (1.0 - s) * before.orientation + s * sign * after.orientation
     return np.asarray(turned / np.linalg.norm(turned, axis=2, keepdims=True))
-
-
-def _nearest(apart: FloatArray, box: FloatArray) -> FloatArray:
-    """Return vectors to the nearest images."""
-    return minimum_images(apart, box) if box[0] > 0.0 else apart
 
 
 @long_kernel

@@ -30,19 +30,20 @@ from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.prefetch import AHEAD, prefetch
 from carom.physics.jit.thread_team import Team
+from carom.physics.vector import is_periodic
 
 Int32Array = NDArray[np.int32]
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would approach that margin
-ROOM = 16  # largest number of cells per body in a grid that is numbered row by row
-SPARSE = 2.5  # cells per body from which on cells are `BROAD`
-BROAD = 1.75  # factor by which cells are broader across rows and shorter along them, for the same number of cells
-WIDE = 2.0  # factor by which cells are widened first if there would be more than `ROOM`
-SHARED = 0.5  # mean number of bodies in a cell up to which octaves share a grid
-CROWDED = 1.0  # pairs in a cell per body from which on an octave neither joins others nor has wide cells again
+MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
+SPARSE = 2.5  # cells per body; above this, cells are broader across rows
+BROAD = 1.75  # factor of the width across rows; along rows, cells are shorter by its square
+WIDE = 2.0  # factor of the cell width if there would otherwise be more than `MAX_CELLS_PER_BODY`
+MAX_SHARED_BODIES = 0.5  # per cell; above this, octaves do not share a grid
+MAX_PAIRS_PER_BODY = 1.0  # within cells; above this, an octave gets its own cells of the smallest width
 STRIP = 64  # cells of a row that are adjacent in a hashed table
-UPWARDS = 8.0  # mean number of rows that a small body meets in the grid of much larger ones
+MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger ones
 MIN_BODIES_PER_TASK = 1000
 
 OCTAVE = np.dtype(
@@ -50,7 +51,7 @@ OCTAVE = np.dtype(
         ("diameter", np.float64),  # m, of its largest body, and a little more
         ("begin", np.int64),  # its bodies in the order of the table
         ("end", np.int64),
-        ("crowded", np.bool_),  # whether wide cells once held too many of them
+        ("crowded", np.bool_),  # whether it has had more than `MAX_PAIRS_PER_BODY`
     ],
     align=True,
 )
@@ -127,31 +128,31 @@ class Cells:
             origin=np.zeros(3),
             box=box,
         )
-        ends = np.empty(ROOM * n + 2 * STRIP * k + 1, dtype=np.int32)
+        ends = np.empty(MAX_CELLS_PER_BODY * n + 2 * STRIP * k + 1, dtype=np.int32)
         self.table, self._spare = (
             Table(ends, np.empty(n, dtype=np.int32), np.empty(n, dtype=SPHERE)) for _ in range(2)
         )
         self._bucket, self._rank = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.int32)
 
     def sort(self, position: FloatArray, scale: float, skin: float) -> Table:
-        """Return the table of bodies at (n, 3) m, in cells as wide as ``(r_i + r_j) scale + skin``."""
+        """Return the table of bodies at (n, 3) m, in cells at least as wide as ``(r_i + r_j) scale + skin``."""
         before, table, layout, n = self.table, self._spare, self.layout, len(position)
-        extent = _span(position, layout.origin, layout.box)
-        if _lay(extent, scale, skin, self._octaves, layout):
+        extent = _measure_extent(position, layout.origin, layout.box)
+        if _define_grids(extent, scale, skin, self._octaves, layout):
             before.body[:] = np.argsort(self._octave, kind="stable")
             before.sphere["radius"] = self._radius[before.body]
         table.ends[: layout.grid["end_bucket"][layout.grids[0] - 1] + 1] = 0
         self._team.divide(n, MIN_BODIES_PER_TASK, _assign, position, layout, before, self._bucket, self._rank)
-        _add_up(table.ends, self._octaves, layout)
+        _add_up_counts(table.ends, self._octaves, layout)
         self._team.divide(n, MIN_BODIES_PER_TASK, _move, before, self._bucket, self._rank, table)
         self.table, self._spare = table, before
         return table
 
 
 @kernel
-def _span(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[float, float, float]:
+def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[float, float, float]:
     """Write the corner where cells begin; return the extent of the bodies, or of the box, in m."""
-    if box[0] > 0.0:
+    if is_periodic(box):
         for k in range(3):
             origin[k] = -0.5 * box[k]
         return box[0], box[1], box[2]
@@ -166,54 +167,41 @@ def _span(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[fl
 
 
 @kernel
-def _lay(extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout) -> bool:
+def _define_grids(
+    extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout
+) -> bool:
     """Define the grids, and which of them search which others.
 
     Returns
     -------
-    anew
+    has_changed
         Whether octaves share grids differently than before; bodies then have to be sorted anew.
     """
-    anew = _share_grids(extent, scale, skin, octaves, layout)
-    _number_buckets(extent, scale, skin, layout)
-    _choose_searches(layout)
-    return anew
-
-
-@inline
-def _share_grids(
-    extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout
-) -> bool:
-    """Give each octave a grid, its own or that of the next larger one; return whether that has changed."""
-    count, cells, anew = 0, 0.0, False
+    # each octave has a grid of its own, or shares that of the next larger one
+    count, cells, has_changed = 0, 0.0, False
     for L in range(len(octaves)):
         octave = octaves[L]
-        if count == 0 or octave.end - layout.grid[count - 1].begin > SHARED * cells or octave.crowded:
+        if count == 0 or octave.end - layout.grid[count - 1].begin > MAX_SHARED_BODIES * cells or octave.crowded:
             grid = layout.grid[count]
-            anew = anew or grid.begin != octave.begin
+            has_changed = has_changed or grid.begin != octave.begin
             grid.diameter, grid.begin, grid.crowded = octave.diameter, octave.begin, octave.crowded
             cells = _cut(grid.diameter * scale + skin, 1.0, extent, layout.box, grid)
             count += 1
         layout.grid[count - 1].end = octave.end
-    anew = anew or layout.grids[0] != count
+    has_changed = has_changed or layout.grids[0] != count
     layout.grids[0] = count
-    return anew
-
-
-@inline
-def _number_buckets(extent: tuple[float, float, float], scale: float, skin: float, layout: Layout) -> None:
-    """Cut the grids into cells, and give each grid its buckets: one for each cell, or those of a hash."""
+    # cut the grids into cells; a grid has a bucket for each cell, or those of a hash
     bucket = 0
-    for L in range(layout.grids[0]):
+    for L in range(count):
         grid = layout.grid[L]
         bodies, width = grid.end - grid.begin, grid.diameter * scale + skin
-        room = ROOM * bodies + STRIP
+        most = MAX_CELLS_PER_BODY * bodies + STRIP
         cells = _cut(width, 1.0, extent, layout.box, grid)
         broader = BROAD if cells > SPARSE * bodies and not grid.crowded else 1.0
         cells = _cut(width, broader, extent, layout.box, grid)
-        if cells > room and not grid.crowded:
+        if cells > most and not grid.crowded:
             cells = _cut(WIDE * width, broader, extent, layout.box, grid)
-        grid.first_bucket, grid.hashed = bucket, cells > room
+        grid.first_bucket, grid.hashed = bucket, cells > most
         if grid.hashed:
             _cut(width, 1.0, extent, layout.box, grid)
             hashed = STRIP
@@ -224,12 +212,7 @@ def _number_buckets(extent: tuple[float, float, float], scale: float, skin: floa
         else:
             bucket += int(cells)
         grid.end_bucket = bucket
-
-
-@inline
-def _choose_searches(layout: Layout) -> None:
-    """Choose for each two grids whose bodies search the other."""
-    count = layout.grids[0]
+    # of each two grids, the bodies of one search the other
     for large in range(count):
         layout.into[large, large] = True
         upper = layout.grid[large]
@@ -237,8 +220,9 @@ def _choose_searches(layout: Layout) -> None:
             lower = layout.grid[small]
             rows = (upper.diameter * lower.ky + 2.0) * (upper.diameter * lower.kz + 2.0)
             down = (upper.end - upper.begin) * rows
-            layout.into[large, small] = down < (lower.end - lower.begin) * UPWARDS
+            layout.into[large, small] = down < (lower.end - lower.begin) * MAX_ROWS_PER_BODY
             layout.into[small, large] = not layout.into[large, small]
+    return has_changed
 
 
 @kernel
@@ -250,7 +234,7 @@ def _cut(width: float, broader: float, extent: tuple[float, float, float], box: 
     cells
         Number of cells.
     """
-    periodic = box[0] > 0.0
+    periodic = is_periodic(box)
     grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), periodic)
     grid.ny, grid.ky = _cut_axis(extent[1], width * broader, periodic)
     grid.nz, grid.kz = _cut_axis(extent[2], width * broader, periodic)
@@ -306,7 +290,7 @@ def _assign(
     """Find the bucket of each body, and its number in it, which depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
-    periodic = layout.box[0] > 0.0
+    periodic = is_periodic(layout.box)
     for k in range(lo, hi):
         prefetch(position, body[min(last, k + AHEAD)], 0)
         while k >= layout.grid[L].end:
@@ -323,8 +307,8 @@ def _assign(
 
 
 @kernel
-def _add_up(ends: Int32Array, octaves: Records, layout: Layout) -> None:
-    """Turn the numbers of bodies in the buckets into first positions; note crowded octaves."""
+def _add_up_counts(ends: Int32Array, octaves: Records, layout: Layout) -> None:
+    """Replace the number of bodies in each bucket by the position of its first; mark crowded octaves."""
     total, last = np.int32(0), 0
     for L in range(layout.grids[0]):
         pairs = 0
@@ -334,7 +318,7 @@ def _add_up(ends: Int32Array, octaves: Records, layout: Layout) -> None:
             ends[b] = total
             total += held
             pairs += held * (held - 1)
-        if 0.5 * pairs > CROWDED * (grid.end - grid.begin):
+        if 0.5 * pairs > MAX_PAIRS_PER_BODY * (grid.end - grid.begin):
             for k in range(len(octaves)):
                 if grid.begin <= octaves[k].begin < grid.end:
                     octaves[k].crowded = True

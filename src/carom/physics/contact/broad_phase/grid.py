@@ -23,11 +23,11 @@ from carom.physics.contact.geometry import are_near
 from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.vector import between, sizes
+from carom.physics.vector import between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
 ALL_PAIRS_UP_TO = 100  # bodies; testing every pair of so few is faster than sorting them into cells
-NARROW = 4  # cells; a wider reach is cut to the chord of each row
+NARROW = 4  # cells; if more are within reach, each row is cut to its chord of the sphere
 MIN_BODIES_PER_TASK = 200
 
 
@@ -50,9 +50,9 @@ class HierarchicalGrid:
         self._radius, self._box = radius, box
         self._cells = Cells(radius, box, self._team) if n > ALL_PAIRS_UP_TO else None
         self._counts = np.zeros(n + 1, dtype=np.int64)
-        self._taken = np.zeros(1, dtype=np.int64)  # rows of the buffer that threads have claimed
+        self._claimed = np.zeros(1, dtype=np.int64)  # rows of the buffer that threads have claimed
         rows = 2 * n + 64 if n > ALL_PAIRS_UP_TO else n * (n - 1) // 2
-        self._found = np.empty((2, rows, 2), dtype=np.int64)  # pairs, and room to sort them
+        self._buffer = np.empty((2, rows, 2), dtype=np.int64)  # pairs, and space to sort them
 
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
         """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j).
@@ -67,26 +67,26 @@ class HierarchicalGrid:
             m, not negative.
         """
         if self._cells is None:
-            m = _all_pairs(position, self._radius, self._box, scale, skin, self._found[0])
-            return self._found[0, :m].copy()
+            m = _all_pairs(position, self._radius, self._box, scale, skin, self._buffer[0])
+            return self._buffer[0, :m].copy()
         table = self._cells.sort(position, scale, skin)
         m = self._find(table, self._cells.layout, scale, skin)
-        if self._taken[0] > self._found.shape[1]:
-            self._found = _room_for(int(self._taken[0]))
+        if self._claimed[0] > self._buffer.shape[1]:
+            self._buffer = _buffer_for(int(self._claimed[0]))
             m = self._find(table, self._cells.layout, scale, skin)
-        return self._found[0, :m].copy()
+        return self._buffer[0, :m].copy()
 
     def _find(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
         """Fill the first half of the buffer; return the number of pairs, if they fitted."""
-        taken, found = self._taken, self._found
-        taken[0] = 0
-        self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, taken, found)
-        m: int = sort_pairs(taken[0], found, self._counts)
+        claimed, buffer = self._claimed, self._buffer
+        claimed[0] = 0
+        self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, claimed, buffer)
+        m: int = sort_pairs(claimed[0], buffer, self._counts)
         return m
 
 
-def _room_for(pairs: int) -> IntArray:
-    """Return room for so many pairs and half as many again. PhysicsError if there is no memory for them."""
+def _buffer_for(pairs: int) -> IntArray:
+    """Return a buffer for so many pairs and half as many again. PhysicsError if there is no memory for it."""
     try:
         return np.empty((2, 3 * pairs // 2, 2), dtype=np.int64)
     except MemoryError as error:
@@ -97,14 +97,14 @@ def _room_for(pairs: int) -> IntArray:
 
 
 class Scope(NamedTuple):
-    """What a search goes through, and where it leaves pairs."""
+    """What is searched, and where pairs are stored."""
 
     table: Table
     layout: Layout
     scale: float
     skin: float  # m
-    taken: IntArray  # (1,) rows of the buffer that threads have claimed
-    found: IntArray  # (2, k, 2) the buffer
+    claimed: IntArray  # (1,) rows of the buffer that threads have claimed
+    buffer: IntArray  # (2, k, 2) of pairs
 
 
 class Row(NamedTuple):
@@ -124,14 +124,14 @@ def search(
     layout: Layout,
     scale: float,
     skin: float,
-    taken: IntArray,
-    found: IntArray,
+    claimed: IntArray,
+    buffer: IntArray,
 ) -> None:
     """Store the pairs of the bodies [lo, hi) of the table.
 
-    The functions that this one is made of return the next row of the buffer, and the end of the rows that are claimed.
+    The functions called below return the next row of the buffer, and the end of the rows that are claimed.
     """
-    scope = Scope(table, layout, scale, skin, taken, found)
+    scope = Scope(table, layout, scale, skin, claimed, buffer)
     m, end, K = 0, 0, 0
     for a in range(lo, hi):
         while a >= layout.grid[K].end:
@@ -139,14 +139,14 @@ def search(
         for L in range(layout.grids[0]):
             if layout.into[K, L]:
                 m, end = _search_grid(a, K, L, scope, m, end)
-    _leave(found, m, end)
+    _mark_unused(buffer, m, end)
 
 
 @inline
 def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tuple[int, int]:
     """Store the pairs of a body, of grid K, with those of grid L."""
     sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
-    periodic = scope.layout.box[0] > 0.0
+    periodic = is_periodic(scope.layout.box)
     ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
     reach = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
     fx, lx, once_x = _cells_along(ox, reach, grid.kx, grid.nx, periodic)
@@ -189,7 +189,7 @@ def _search_row(a: int, row: Row, after: int, half: bool, grid: Any, scope: Scop
 
     If only half of the neighbours are searched, that place counts for the first cells of the row only.
     """
-    periodic = scope.layout.box[0] > 0.0
+    periodic = is_periodic(scope.layout.box)
     y, z = (row.y % grid.ny, row.z % grid.nz) if periodic else (row.y, row.z)
     ix = row.first
     while ix < row.end:
@@ -207,7 +207,7 @@ def _search_row(a: int, row: Row, after: int, half: bool, grid: Any, scope: Scop
 @inline
 def _search_cells(a: int, row: Row, after: int, grid: Any, scope: Scope, m: int, end: int) -> tuple[int, int]:
     """Store the pairs of a body with those in cells whose buckets follow each other, from a place of the table on."""
-    (ends, body, sphere), box, found = scope.table, sizes(scope.layout.box), scope.found
+    (ends, body, sphere), box, buffer = scope.table, sizes(scope.layout.box), scope.buffer
     own, bucket = sphere[a], bucket_of(row.first, row.y, row.z, grid)
     for b in range(max(after, ends[bucket]), ends[bucket + row.end - row.first]):
         other = sphere[b]
@@ -215,20 +215,20 @@ def _search_cells(a: int, row: Row, after: int, grid: Any, scope: Scope, m: int,
         near = are_near(dx, dy, dz, own.radius + other.radius, box, scope.scale, scope.skin)
         if near and (not grid.hashed or _is_in(other, row, grid, scope.layout)):
             if m == end:
-                m = atomic_add(scope.taken, 0, PAIRS_PER_CLAIM)
+                m = atomic_add(scope.claimed, 0, PAIRS_PER_CLAIM)
                 end = m + PAIRS_PER_CLAIM
-            if m < found.shape[1]:
-                found[0, m, 0], found[0, m, 1] = min(body[a], body[b]), max(body[a], body[b])
+            if m < buffer.shape[1]:
+                buffer[0, m, 0], buffer[0, m, 1] = min(body[a], body[b]), max(body[a], body[b])
             m += 1
     return m, end
 
 
 @inline
 def _is_in(sphere: Any, row: Row, grid: Any, layout: Layout) -> bool:
-    """Tell whether a body is in a row of cells; other cells may have the same hash."""
+    """Return whether a body is in a row of cells; other cells may have the same hash."""
     origin = layout.origin
     x, y, z = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
-    bx, by, bz = cell_of(x, y, z, grid, layout.box[0] > 0.0)
+    bx, by, bz = cell_of(x, y, z, grid, is_periodic(layout.box))
     return bz == row.z and by == row.y and row.first <= bx < row.end
 
 
@@ -243,7 +243,7 @@ def _cells_along(o: float, reach: float, density: float, cells: int, periodic: b
 
 @inline
 def _meets_itself(grid: Any, scale: float, skin: float) -> bool:
-    """Tell whether a cell of a periodic grid may be a neighbour on both sides of another."""
+    """Return whether a cell of a periodic grid may be a neighbour on both sides of another."""
     most = WIDER * (grid.diameter * scale + skin)
     apart_x, apart_y = 2.0 * (most * grid.kx + 1.0) < grid.nx, 2.0 * (most * grid.ky + 1.0) < grid.ny
     return not (apart_x and apart_y and 2.0 * (most * grid.kz + 1.0) < grid.nz)
@@ -257,7 +257,7 @@ def _gap_to_cell(o: float, cell: int, density: float) -> float:
 
 @borrowing
 def _all_pairs(
-    position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, found: IntArray
+    position: FloatArray, radius: FloatArray, box: FloatArray, scale: float, skin: float, buffer: IntArray
 ) -> int:
     """Store the pairs of all bodies; return their number."""
     m, size = 0, sizes(box)
@@ -265,20 +265,20 @@ def _all_pairs(
         for j in range(i + 1, len(radius)):
             dx, dy, dz = between(position, i, j)
             if are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin):
-                found[m, 0], found[m, 1] = i, j
+                buffer[m, 0], buffer[m, 1] = i, j
                 m += 1
     return m
 
 
 @kernel
-def _leave(found: IntArray, m: int, end: int) -> None:
+def _mark_unused(buffer: IntArray, m: int, end: int) -> None:
     """Mark the rows that were claimed but not needed."""
-    for row in range(m, min(end, found.shape[1])):
-        found[0, row, 1] = -1
+    for row in range(m, min(end, buffer.shape[1])):
+        buffer[0, row, 1] = -1
 
 
 @kernel
-def sort_pairs(rows: int, found: IntArray, counts: IntArray) -> int:
+def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
     """Sort the pairs by (i, j), if all fitted: by j into the second half of the buffer, then by i back.
 
     Returns
@@ -286,10 +286,10 @@ def sort_pairs(rows: int, found: IntArray, counts: IntArray) -> int:
     m
         Number of pairs.
     """
-    if rows > found.shape[1]:
+    if rows > buffer.shape[1]:
         return 0
-    m = _sort_by(1, rows, found[0], found[1], counts)
-    return _sort_by(0, m, found[1], found[0], counts)
+    m = _sort_by(1, rows, buffer[0], buffer[1], counts)
+    return _sort_by(0, m, buffer[1], buffer[0], counts)
 
 
 @kernel

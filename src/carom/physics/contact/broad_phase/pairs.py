@@ -1,9 +1,9 @@
 """Searches for touching pairs, and a list of pairs that spares most of them (Verlet 1967).
 
-The list is made again only when bodies have moved far enough to need it. It has the pairs within a margin of what was
-asked for. Two bodies that have moved by at most d since have come closer by at most 2d. As long as 2d is within the
-margin, all pairs within reach are in the list. They get the exact test of the search, in the order of the list, so the
-result is that of a search.
+The list is made again only when bodies have moved far enough to need it. It has all pairs within reach, and those that
+are farther apart by no more than a margin. Two bodies that have each moved by at most d since then have come closer by
+at most 2d. As long as 2d is within the margin, all pairs within reach are in the list. They get the exact test of the
+search, in the order of the list, so the result is that of a search.
 
 The margin follows the pace of the bodies: it lasts for `CALLS` calls, within limits. A wider list costs more to test,
 and is made less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a step then take 0.45
@@ -24,33 +24,7 @@ from carom.physics.jit.decorators import borrowing, kernel, long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
-from carom.physics.vector import between, minimum_image, sizes
-
-BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block begin; how many
-
-MIN_BLOCKS_PER_COPY = 2
-
-
-def close_up(pairs: IntArray, blocks: Records, team: Team) -> IntArray:
-    """Return a copy of the pairs of all blocks, (m, 2), without the gaps between them; blocks are (k,) `BLOCK`."""
-    if len(blocks) == 1:
-        begin, count = blocks[0].item()
-        return pairs[begin : begin + count].copy()
-    ends = np.cumsum(blocks["count"])
-    together = np.empty((ends[-1] if len(ends) else 0, 2), dtype=np.int64)
-    team.divide(len(blocks), MIN_BLOCKS_PER_COPY, _close_up, pairs, blocks, ends, together)
-    return together
-
-
-@long_kernel
-def _close_up(lo: int, hi: int, pairs: IntArray, blocks: Records, ends: IntArray, together: IntArray) -> None:
-    """Copy the pairs of the blocks [lo, hi) to their final places."""
-    for block in range(lo, hi):
-        begin, count = blocks[block].begin, blocks[block].count
-        for k in range(count):
-            m = ends[block] - count + k
-            together[m, 0], together[m, 1] = pairs[begin + k, 0], pairs[begin + k, 1]
-
+from carom.physics.vector import between, is_periodic, minimum_image, sizes
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; 1.3 and 3 times as many pairs in a heap
 CALLS = 10  # for which a list is made
@@ -60,7 +34,38 @@ BODIES_PER_BLOCK = 2048
 PAIRS_PER_BLOCK = 4096
 MIN_BLOCKS_PER_TASK = 2
 
+BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block begin; how many
 FARTHEST = np.dtype([("move", np.float64), ("size", np.float64)])  # m²; m, of the bodies of a block
+
+
+class Search(Protocol):
+    """A search for the pairs of spheres that touch."""
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
+
+
+class KdTree:
+    """The reference engine's broad phase: 2 to 8 times slower than `HierarchicalGrid` (benchmarks/contacts.py)."""
+
+    def __init__(self, radius: FloatArray, box: FloatArray) -> None:
+        self._radius = radius
+        self._box = box if box[0] > 0.0 else None
+
+    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
+        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
+        return overlapping_pairs(position, self._radius * scale + 0.5 * skin, self._box)
+
+
+def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
+    """Return the search of a scene's ``contact.search``; a team searches the grids.
+
+    Few bodies are tested pair by pair, which takes no longer than a list.
+    """
+    if method == "k-d-tree":
+        return KdTree(radius, box)
+    grid = HierarchicalGrid(radius, box, team)
+    return grid if len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius, box, team)
 
 
 class PairList:
@@ -87,7 +92,7 @@ class PairList:
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
         self._scale, self._skin = 0.0, -np.inf  # within which the list has all pairs
         self._calls = 1  # since the list was made
-        self._tested(self._start, 1.0, 0.0)  # loads the kernels
+        self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 
     def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
@@ -105,7 +110,7 @@ class PairList:
             self._scale, self._skin = scale, skin + margin
             self._listed = self._grid.pairs(position, self._scale, self._skin)
         self._calls += 1
-        return self._tested(position, scale, skin)
+        return self._within_reach(position, scale, skin)
 
     def _margin(self, pace: float, scale: float, skin: float) -> float:
         """Return the margin of a list for bodies that come closer by ``pace`` a call, in m; 0 if none pays."""
@@ -120,19 +125,19 @@ class PairList:
         self._team.divide(len(moves), MIN_BLOCKS_PER_TASK, _measure_moves, position, self._start, self._box, moves)
         return _farthest(moves)
 
-    def _tested(self, position: FloatArray, scale: float, skin: float) -> IntArray:
+    def _within_reach(self, position: FloatArray, scale: float, skin: float) -> IntArray:
         """Return the listed pairs that are within reach."""
         listed, team = self._listed, self._team
-        blocks, found = np.empty(-(-len(listed) // PAIRS_PER_BLOCK), BLOCK), np.empty_like(listed)
-        reach = scale, skin, found, blocks
+        blocks, near = np.empty(-(-len(listed) // PAIRS_PER_BLOCK), BLOCK), np.empty_like(listed)
+        reach = scale, skin, near, blocks
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _test, listed, position, self._radius, self._box, *reach)
-        return close_up(found, blocks, team)
+        return close_up(near, blocks, team)
 
 
 @long_kernel
 def _measure_moves(lo: int, hi: int, position: FloatArray, start: FloatArray, box: FloatArray, moves: Records) -> None:
     """Find the farthest move and the largest coordinate in the blocks [lo, hi) of bodies."""
-    periodic = box[0] > 0.0
+    periodic = is_periodic(box)
     for block in range(lo, hi):
         farthest, size = 0.0, 0.0
         for i in range(block * BODIES_PER_BLOCK, min(len(position), (block + 1) * BODIES_PER_BLOCK)):
@@ -165,7 +170,7 @@ def _test(
     box: FloatArray,
     scale: float,
     skin: float,
-    found: IntArray,
+    near: IntArray,
     blocks: Records,
 ) -> None:
     """Copy the pairs of the blocks [lo, hi) that are within reach.
@@ -179,37 +184,27 @@ def _test(
         for c in range(begin, min(len(listed), begin + PAIRS_PER_BLOCK)):
             i, j = ends_of(listed, c)
             dx, dy, dz = between(position, i, j)
-            found[m, 0], found[m, 1] = i, j  # without a branch, which would often be mispredicted
+            near[m, 0], near[m, 1] = i, j  # without a branch, which would often be mispredicted
             m += are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin)
         blocks[block].begin, blocks[block].count = begin, m - begin
 
 
-class Search(Protocol):
-    """A search for the pairs of spheres that touch."""
-
-    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
-        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
-        ...
-
-
-class KdTree:
-    """The reference engine's broad phase: 2 to 8 times slower than `HierarchicalGrid` (benchmarks/contacts.py)."""
-
-    def __init__(self, radius: FloatArray, box: FloatArray) -> None:
-        self._radius = radius
-        self._box = box if box[0] > 0.0 else None
-
-    def pairs(self, position: FloatArray, scale: float = 1.0, skin: float = 0.0) -> IntArray:
-        """Return the pairs no farther apart than ``(r_i + r_j) scale + skin``, (m, 2), sorted by (i, j)."""
-        return overlapping_pairs(position, self._radius * scale + 0.5 * skin, self._box)
+def close_up(pairs: IntArray, blocks: Records, team: Team) -> IntArray:
+    """Return a copy of the pairs of all blocks, (m, 2), without the gaps between them; blocks are (k,) `BLOCK`."""
+    if len(blocks) == 1:
+        begin, count = blocks[0].item()
+        return pairs[begin : begin + count].copy()
+    ends = np.cumsum(blocks["count"])
+    together = np.empty((ends[-1] if len(ends) else 0, 2), dtype=np.int64)
+    team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _close_up, pairs, blocks, ends, together)
+    return together
 
 
-def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
-    """Return the search of a scene's ``contact.search``; a team searches the grids.
-
-    Few bodies are tested pair by pair, which takes no longer than a list.
-    """
-    if method == "k-d-tree":
-        return KdTree(radius, box)
-    grid = HierarchicalGrid(radius, box, team)
-    return grid if len(radius) <= ALL_PAIRS_UP_TO else PairList(grid, radius, box, team)
+@long_kernel
+def _close_up(lo: int, hi: int, pairs: IntArray, blocks: Records, ends: IntArray, together: IntArray) -> None:
+    """Copy the pairs of the blocks [lo, hi) to their final places."""
+    for block in range(lo, hi):
+        begin, count = blocks[block].begin, blocks[block].count
+        for k in range(count):
+            m = ends[block] - count + k
+            together[m, 0], together[m, 1] = pairs[begin + k, 0], pairs[begin + k, 1]

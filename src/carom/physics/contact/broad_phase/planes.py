@@ -17,14 +17,20 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.pairs import BLOCK, close_up
+from carom.physics.contact.geometry import height_above
 from carom.physics.contact.graph import first_of
 from carom.physics.jit.decorators import long_kernel
 from carom.physics.jit.index import from_front
 from carom.physics.jit.thread_team import Team
+from carom.physics.vector import vector
 from carom.scene.start import HalfSpaces
 
 BODIES_PER_BLOCK = 1024
 MIN_BLOCKS_PER_TASK = 1
+MIN_BODIES_PER_TASK = 5000  # of the guard
+DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be detected, too small to be visible
+ROUNDING = 8  # units in the last place of the coordinates, which add to that overlap
+DEEPEST = 0.5  # of the radius, however coarse the coordinates are
 
 
 class PlaneSearch:
@@ -43,10 +49,7 @@ class PlaneSearch:
     """
 
     def __init__(self, radius: FloatArray, inverse_mass: FloatArray, planes: HalfSpaces, team: Team) -> None:
-        self._team = team
-        self._radius = radius
-        self._inverse_mass = inverse_mass
-        self._planes = planes
+        self._radius, self._inverse_mass, self._planes, self._team = radius, inverse_mass, planes, team
 
     def merged(self, pairs: IntArray, position: FloatArray, scale: float, skin: float) -> IntArray:
         """Return the pairs merged with those of bodies and planes, (m, 2) sorted by (i, j)."""
@@ -87,19 +90,11 @@ def _merge(
             if inverse_mass[i] == 0.0:
                 continue
             for k in range(len(offset)):
-                height = -offset[k]
-                for axis in range(3):
-                    height += normal[k, axis] * position[i, axis]
-                if height <= radius[i] * scale + skin:
+                x, y, z = vector(position, i)
+                if height_above(normal, offset, k, x, y, z) <= radius[i] * scale + skin:
                     merged[m, 0], merged[m, 1] = i, len(radius) + k
                     m += 1
         blocks[block].begin, blocks[block].count = begin, m - begin
-
-
-MIN_BODIES_PER_TASK = 5000
-DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be found, too small to be visible
-ROUNDING = 8  # units in the last place of the coordinates, which add to that overlap
-DEEPEST = 0.5  # of the radius, however coarse the coordinates are
 
 
 class PlaneGuard:
@@ -110,7 +105,7 @@ class PlaneGuard:
     bodies, planes
         The bodies, and the planes that they must not pass through.
     team
-        Threads that look for bodies behind a plane.
+        Threads that test the positions.
     """
 
     def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
@@ -124,13 +119,12 @@ class PlaneGuard:
         self._stopped.clear()
 
     def stop(self) -> bool:
-        """Put back bodies that have passed through a plane since the step began; tell whether there were any."""
+        """Put back bodies that have passed through a plane since the step began; return whether there were any."""
         position, planes = self._bodies.position, self._planes
-        found = np.zeros(1, dtype=np.bool_)
-        self._team.divide(
-            len(position), MIN_BODIES_PER_TASK, _look_behind, position, planes.normal, planes.offset, found
-        )
-        if not found[0]:
+        is_behind = np.zeros(1, dtype=np.bool_)
+        tested = (position, planes.normal, planes.offset, is_behind)
+        self._team.divide(len(position), MIN_BODIES_PER_TASK, _test_behind, *tested)
+        if not is_behind[0]:
             return False
         crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
@@ -149,9 +143,9 @@ class PlaneGuard:
     def work(self) -> FloatArray:
         """Return the energy changes of stopped bodies, (k, 3) J, at the present accelerations."""
         rows = []
-        for stopped, moved in self._stopped:
+        for stopped, offset in self._stopped:
             a, mass = self._bodies.acceleration[stopped], self._bodies.mass[stopped]
-            work = mass * (a[:, 0] * moved[:, 0] + a[:, 1] * moved[:, 1] + a[:, 2] * moved[:, 2])
+            work = mass * (a[:, 0] * offset[:, 0] + a[:, 1] * offset[:, 1] + a[:, 2] * offset[:, 2])
             rows.append(np.stack((np.zeros_like(work), np.zeros_like(work), -work), axis=1))
         return np.concatenate(rows)
 
@@ -162,10 +156,10 @@ class PlaneGuard:
         largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
         depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))
         with np.errstate(invalid="ignore", divide="ignore"):  # of planes that were not crossed
-            part = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
-        places: FloatArray = start + np.clip(part.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
+            fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
+        places: FloatArray = start + np.clip(fraction.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
         lost = ((self._heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
-        places[lost] = start[lost]  # by rounding, where a radius is a few units in the last place
+        places[lost] = start[lost]  # by rounding, if a radius is a few units in the last place
         return places
 
     def _heights(self, position: FloatArray) -> FloatArray:
@@ -176,13 +170,13 @@ class PlaneGuard:
 
 
 @long_kernel
-def _look_behind(
-    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, found: BoolArray
+def _test_behind(
+    lo: int, hi: int, position: FloatArray, normal: FloatArray, offset: FloatArray, is_behind: BoolArray
 ) -> None:
     """Set a flag if the centre of one of the bodies [lo, hi) is behind a plane."""
     for k in range(len(offset)):
-        N, o = normal[k], offset[k]
         for i in range(lo, hi):
-            if -o + N[0] * position[i, 0] + N[1] * position[i, 1] + N[2] * position[i, 2] < 0.0:
-                found[0] = True
+            x, y, z = vector(position, i)
+            if height_above(normal, offset, k, x, y, z) < 0.0:
+                is_behind[0] = True
                 return

@@ -183,8 +183,7 @@ def _is_near(i: int, j: int, T: Trajectories) -> bool:
     xi, yi, zi = along(T.x, T.v, i, clock - T.body[i].now)
     xj, yj, zj = along(T.x, T.v, j, clock - T.body[j].now)
     dx, dy, dz = xj - xi, yj - yi, zj - zi
-    if T.box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
+    dx, dy, dz = nearest_image(dx, dy, dz, T.box)
     R = T.radius[i] + T.radius[j] + _standoff(i, T) + _standoff(j, T)
     return bool(dx * dx + dy * dy + dz * dz <= R * R)
 

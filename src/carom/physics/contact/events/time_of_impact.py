@@ -210,7 +210,7 @@ def time_of_impact_in_box(
     """
     gone = 0.0
     while True:
-        dx, dy, dz = nearest_image(dx, dy, dz, Lx, Ly, Lz)
+        dx, dy, dz = nearest_image(dx, dy, dz, (Lx, Ly, Lz))
         leg = span - gone
         leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
         leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray
-from carom.physics.contact.geometry import normal_and_distance
+from carom.physics.contact.geometry import height_above, normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
@@ -264,15 +264,13 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     if j >= n:
         N = T.surface[j - n]
         x, y, z = centre(i, T)
-        height = -T.offset[j - n] + N[0] * x + N[1] * y + N[2] * z
-        return -N[0], -N[1], -N[2], max(0.0, height), 0.0
+        return -N[0], -N[1], -N[2], max(0.0, height_above(T.surface, T.offset, j - n, x, y, z)), 0.0
     dx, dy, dz = between(T.x, i, j)
     if T.body[i].is_straight != T.body[j].is_straight:
         drift = T.drift[0]
         behind = lag(T) if T.body[i].is_straight else -lag(T)
         dx, dy, dz = dx - behind * drift.field_x, dy - behind * drift.field_y, dz - behind * drift.field_z
-    if T.box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, T.box[0], T.box[1], T.box[2])
+    dx, dy, dz = nearest_image(dx, dy, dz, T.box)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     share = d / (T.radius[i] + T.radius[j])
     return nx, ny, nz, share * T.radius[i], share * T.radius[j]

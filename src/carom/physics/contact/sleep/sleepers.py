@@ -18,7 +18,6 @@ Rejected: sleep of single bodies (the bodies above them would wake them in the n
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -39,6 +38,10 @@ from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces
 
+SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
+ASLEEP = -1.0  # in place of the time for which a body has been slow
+NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
+
 
 @dataclass(frozen=True, slots=True)
 class SleepingContacts:
@@ -51,22 +54,25 @@ class SleepingContacts:
     normals: FloatArray  # (k, 3)
     statistics: ContactStatistics
 
+    def __len__(self) -> int:
+        return len(self.pairs)
+
     @property
     def place(self) -> IntArray:
         """(k,) index of each one's record."""
-        return np.arange(len(self.pairs))
+        return np.arange(len(self))
 
     def graph(self) -> CollisionGraph:
         """Return the contacts that touch or carry a force."""
-        colours = np.zeros(len(self.pairs), dtype=np.int64)
-        found = self.pairs, colours, None, self.place, self.contacts, self.states, self.normals
-        return late_contacts(*found)[0].graph
+        colours = np.zeros(len(self), dtype=np.int64)
+        records = self.place, self.contacts, self.states, self.normals
+        return late_contacts(self.pairs, colours, None, *records)[0].graph
 
     def records(self, dt: float) -> tuple[IntArray, IntArray, Records, Records, Records]:
         """Return pairs, places, `CONTACT` with the impulses of dt s, `CONTACT_STATE` and `RECORDED`."""
         contacts = self.contacts.copy()
         impulses_of(contacts)[:] = dt * self.force
-        return self.pairs, self.place, contacts, self.states, np.zeros(len(self.pairs), RECORDED)
+        return self.pairs, self.place, contacts, self.states, np.zeros(len(self), RECORDED)
 
 
 NO_SLEEPERS = SleepingContacts(
@@ -77,21 +83,6 @@ NO_SLEEPERS = SleepingContacts(
     np.empty((0, 3)),
     NO_CONTACTS,
 )
-
-
-SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
-ASLEEP = -1.0  # in place of the time for which a body has been slow
-NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
-
-
-class _Surroundings(NamedTuple):
-    """The arrays from which the geometry of contacts is computed."""
-
-    position: FloatArray
-    radius: FloatArray
-    box: FloatArray
-    surface: FloatArray
-    offset: FloatArray
 
 
 class Sleepers:
@@ -109,7 +100,7 @@ class Sleepers:
 
     def __init__(self, sleep: Sleep, bodies: Bodies, planes: HalfSpaces, box: FloatArray) -> None:
         self._sleep, self._bodies = sleep, bodies
-        self._around = _Surroundings(bodies.position, bodies.radius, box, planes.normal, planes.offset)
+        self._shapes = bodies.position, bodies.radius, box, planes.normal, planes.offset
         self._fixed = bodies.ends.inverse_mass == 0.0
         self._movable = int(np.count_nonzero(~self._fixed[: len(bodies)]))
         self._compile()
@@ -123,7 +114,7 @@ class Sleepers:
         _stop(self._calm, *shape[:2])
         self._disturbed(pairs)
         self.have_awake_end(pairs)
-        _spread(pairs, ends.inverse_mass, nobody, nobody.copy())
+        _wake_islands(pairs, ends.inverse_mass, nobody, nobody.copy())
         _kick_energy(nobody, ends.acceleration, ends.inverse_mass, 0.0)
         _fall_asleep(pairs, np.empty((0, 4)), *shape, ends.inverse_inertia, np.inf, self._calm, nobody)
         self.fall_asleep(pairs, ImpulseCache.empty(), 0.0)
@@ -136,7 +127,7 @@ class Sleepers:
         self._calm = np.zeros(n)  # s, for which each body has been slow, or `ASLEEP`
         self._still = self._fixed.copy()  # (n + p,) fixed ends and sleepers
         self._reference = np.zeros((n, 3))  # m/s², accelerations of the sleepers when they fell asleep
-        self._count = 0
+        self._count = 0  # of the sleepers
         self.contacts = NO_SLEEPERS
 
     @property
@@ -178,11 +169,11 @@ class Sleepers:
         return pairs[self.have_awake_end(pairs)] if self._count else pairs
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:
-        """Tell which pairs have an end that is neither fixed nor asleep."""
+        """Return which pairs have an end that is neither fixed nor asleep."""
         return _has_awake_end(pairs, self._still)
 
     def is_disturbed(self) -> bool:
-        """Tell whether a sleeper has been struck, or its acceleration differs from when it fell asleep."""
+        """Return whether a sleeper moves, or its acceleration differs from when it fell asleep."""
         return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
 
     def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
@@ -202,15 +193,15 @@ class Sleepers:
         cache
             The impulses from which the next kick starts: those given, and those of the woken contacts.
         lost
-            (k, 3) J, what contacts took out after the first kick, by term: -½ m (a h)². The energy audit books the
-            same of bodies that lie still, and the opposite after the last kick.
+            (k, 3) J, energy that contacts removed after the first kick, by term: -½ m (a h)². The energy audit books
+            the same for bodies that lie still, and the opposite after the last kick.
         """
         disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
         if not disturbed.any():
             return cache, NOTHING_LOST
         ends, slept, n = self._bodies.ends, self.contacts, len(self._bodies)
         woken = np.zeros(n, dtype=np.bool_)
-        _spread(slept.pairs, ends.inverse_mass, disturbed, woken)
+        _wake_islands(slept.pairs, ends.inverse_mass, disturbed, woken)
         self._calm[woken] = 0.0
         self._count_sleepers()
         awake = self.have_awake_end(slept.pairs)
@@ -236,9 +227,9 @@ class Sleepers:
             The impulses of the last kick; nothing falls asleep unless they are those of ``pairs``.
         """
         bodies, ends = self._bodies, self._bodies.ends
-        seen = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
-        tired = _count_calm(*seen, self._sleep.speed, dt, self._sleep.after, self._calm)
-        if not tired or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
+        motion = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
+        is_due = _count_calm(*motion, self._sleep.speed, dt, self._sleep.after, self._calm)
+        if not is_due or cache.kick == 0.0 or not np.array_equal(cache.pairs, pairs):
             return NOTHING_LOST
         impulse = cache.impulse[:, : len(IMPULSES)]
         slept = np.zeros(len(self._calm), dtype=np.bool_)
@@ -270,9 +261,11 @@ class Sleepers:
     def _disturbed(self, pairs: IntArray) -> BoolArray:
         """Return which sleepers are disturbed, (n,)."""
         ends, limit = self._bodies.ends, self._sleep.speed / self._sleep.after
-        found = np.zeros(len(self._calm), dtype=np.bool_)
-        _look(pairs, self._still, self._calm, ends.velocity, ends.acceleration, self._reference, limit, found)
-        return found
+        disturbed = np.zeros(len(self._calm), dtype=np.bool_)
+        _mark_disturbed(
+            pairs, self._still, self._calm, ends.velocity, ends.acceleration, self._reference, limit, disturbed
+        )
+        return disturbed
 
     def _count_sleepers(self) -> None:
         asleep = self._calm == ASLEEP
@@ -282,10 +275,9 @@ class Sleepers:
 
     def _keep(self, pairs: IntArray, force: FloatArray) -> None:
         """Keep the contacts of the sleepers."""
-        k, around = len(pairs), self._around
+        k = len(pairs)
         contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
-        shapes = (around.position, around.radius, around.box, around.surface, around.offset)
-        begin_contacts(0, k, pairs, *shapes, contacts, states, 0.0, normals)
+        begin_contacts(0, k, pairs, *self._shapes, contacts, states, 0.0, normals)
         impulses_of(contacts)[:] = force
         statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)
         self.contacts = SleepingContacts(
@@ -305,15 +297,15 @@ def _stop(calm: FloatArray, velocity: FloatArray, spin: FloatArray) -> None:
 
 @kernel
 def _has_awake_end(pairs: IntArray, still: BoolArray) -> BoolArray:
-    """Tell which pairs have an end that is neither fixed nor asleep."""
-    found = np.empty(len(pairs), dtype=np.bool_)
+    """Return which pairs have an end that is neither fixed nor asleep."""
+    awake = np.empty(len(pairs), dtype=np.bool_)
     for c in range(len(pairs)):
-        found[c] = not (still[pairs[c, 0]] and still[pairs[c, 1]])
-    return found
+        awake[c] = not (still[pairs[c, 0]] and still[pairs[c, 1]])
+    return awake
 
 
 @kernel
-def _look(
+def _mark_disturbed(
     pairs: IntArray,
     still: BoolArray,
     calm: FloatArray,
@@ -342,8 +334,8 @@ def _look(
 
 
 @kernel
-def _spread(pairs: IntArray, inverse_mass: FloatArray, disturbed: BoolArray, woken: BoolArray) -> None:
-    """Mark all bodies of the islands of disturbed ones."""
+def _wake_islands(pairs: IntArray, inverse_mass: FloatArray, disturbed: BoolArray, woken: BoolArray) -> None:
+    """Mark all bodies of the islands in which one is disturbed."""
     n = len(disturbed)
     parent = np.arange(n)
     join_islands(pairs, inverse_mass, parent)
@@ -376,8 +368,8 @@ def _count_calm(
     after: float,
     calm: FloatArray,
 ) -> bool:
-    """Add dt to the times for which bodies have been slow; tell whether one that is awake has been for long enough."""
-    tired = False
+    """Add dt to the times for which bodies have been slow; return whether one may fall asleep."""
+    is_due = False
     for i in range(len(calm)):
         if calm[i] < 0.0 or inverse_mass[i] == 0.0:
             continue
@@ -385,8 +377,8 @@ def _count_calm(
         w2 = square(spin, i) if len(spin) else 0.0
         slow = v2 <= speed * speed and w2 * radius[i] * radius[i] <= SPIN * SPIN * speed * speed
         calm[i] = calm[i] + dt if slow else 0.0
-        tired = tired or calm[i] >= after
-    return tired
+        is_due = is_due or calm[i] >= after
+    return is_due
 
 
 @kernel

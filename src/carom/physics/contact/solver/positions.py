@@ -47,7 +47,7 @@ from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.index import from_front
 from carom.physics.jit.intrinsics import instruction
 from carom.physics.jit.lanes import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
-from carom.physics.vector import nearest_image, vector, write
+from carom.physics.vector import is_periodic, nearest_image, vector, write
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 
@@ -106,7 +106,7 @@ def _correct(piece: int, system: ConstraintSystem) -> float:
     """
     lo, hi = contacts_of(piece, piece + 1, system)
     n, again = body_count(system), 0.0
-    blocks = whole_blocks(piece, system) if system.box[0] == 0.0 else 0
+    blocks = whole_blocks(piece, system) if not is_periodic(system.box) else 0
     for block in range(blocks):
         first = lo + block * WIDTH
         again = correct_block(system, first, again)
@@ -194,8 +194,7 @@ def _geometry(a: Any, b: Any, plane: int, system: ConstraintSystem) -> tuple[flo
         sx, sy, sz = vector(system.surface, plane)
         return -sx, -sy, -sz, sx * a.x + sy * a.y + sz * a.z - system.offset[plane], a.radius
     dx, dy, dz = b.x - a.x, b.y - a.y, b.z - a.z
-    if box[0] > 0.0:
-        dx, dy, dz = nearest_image(dx, dy, dz, box[0], box[1], box[2])
+    dx, dy, dz = nearest_image(dx, dy, dz, box)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
     return nx, ny, nz, d, a.radius + b.radius
 
