@@ -179,6 +179,14 @@ def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom])
     assert "carom.show.web" in refusal(run("publish", "run.rrd"))
 
 
+def test_sleep_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("physics/contact/sleep")
+    asks_for_it = ("--set", "contact.sleep.speed=0.01")
+    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
+    assert run("replay", "run.rrd").returncode == 0
+    assert "contact.sleep: this installation" in refusal(run("run", "two-spheres", *asks_for_it, "-o", "other.rrd"))
+
+
 def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
     built_on = {"crosscheck": {"engines", "tradeoff"}, "fork": {"diff"}, "hunt": {"shrink"}, "tradeoff": {"engines"}}
     for tool in (path for path in (HOUSE / "lab").iterdir() if path.is_dir() and path.name != "__pycache__"):

@@ -91,6 +91,7 @@ class ContactPipeline:
         team: Team,
         records: bool = False,
     ) -> None:
+        sleep = part_of_model("contact.sleep") if contact.sleep else None
         self._settings = contact
         self._bodies = bodies
         self._planes = planes
@@ -118,8 +119,8 @@ class ContactPipeline:
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers: Sleepers | None = None
-        if contact.sleep and self._lasts:
-            self._sleepers = part_of_model("contact.sleep")(contact.sleep, bodies, planes, box)
+        if sleep and self._lasts:
+            self._sleepers = sleep(contact.sleep, bodies, planes, box)
         self._compile()
 
     def forget(self) -> None:
