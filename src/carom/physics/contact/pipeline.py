@@ -216,7 +216,7 @@ class ContactPipeline:
             self._fell_asleep, self._slept = False, self._sleepers.contacts
         if self._guard:
             self._guard.remember()
-        if self._event_drift and self._lasts:  # mark the bodies that contacts pressed in the last step
+        if self._event_drift is not None and self._lasts:  # mark the bodies that contacts pressed in the last step
             pressed = self._solver.pressed
             pressed[:] = False
             if self._sleepers:
