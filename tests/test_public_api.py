@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import carom
+from carom import extend
 from carom.physics.simulation import StepStatus
 
 
@@ -65,6 +66,27 @@ def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_ask
         carom.run("two-spheres")
     with pytest.raises(carom.errors.SceneError, match=r"^the override time\.duratio=3: unknown key"):
         carom.Scene.load("two-spheres", ["time.duratio=3"])
+
+
+def test_every_name_for_extensions_can_be_imported_and_is_documented_in_its_section() -> None:
+    page = (Path(carom.__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    documented = {
+        row[1]: re.findall(r"`(\w+)`", row[2]) for row in re.finditer(r"^\| ([^|`]+) \| (`.*) \|$", page, re.M)
+    }
+    sections = {section: " ".join(homes.values()).split() for section, homes in extend.SECTIONS.items()}
+    assert {section: documented.get(section) for section in sections} == sections
+    names = [name for section in sections.values() for name in section]
+    assert len(names) == len(set(names)) < 180, "too many names hide those that an author needs"
+    for name in names:
+        assert getattr(extend, name) is not None
+
+
+def test_no_name_for_extensions_is_there_without_a_use() -> None:
+    root = Path(carom.__file__).parents[2]
+    files = [*root.glob("src/carom/lab/**/*.py"), *root.glob("examples/**/*.py"), *root.glob("docs/*.md")]
+    text = "\n".join(file.read_text(encoding="utf-8") for file in files if file.name != "extending.md")
+    tools = [names for section, homes in extend.SECTIONS.items() if "Tools" in section for names in homes.values()]
+    assert not [name for name in " ".join(tools).split() if not re.search(rf"\b{name}\b", text)]
 
 
 @pytest.mark.parametrize("layer", ["scene", "plan", "physics", "recording"])

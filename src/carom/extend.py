@@ -1,8 +1,8 @@
 """What authors of extensions and of the tools in `carom.lab` need, beside what `carom` itself exports.
 
 An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
-``examples/extension`` has parts of most kinds. Names are imported at their first use, so that a command starts as fast
-as those of carom.
+``examples/extension`` has parts of most kinds. docs/extending.md lists the names by what they are for. They are
+imported at their first use, so that a command starts as fast as those of carom.
 """
 
 from __future__ import annotations
@@ -53,17 +53,7 @@ if TYPE_CHECKING:
     from carom.physics.schedule import every as every
     from carom.physics.simulation import StepStatus as StepStatus
     from carom.physics.vector import minimum_images as minimum_images
-    from carom.plan.auto import auto_interval as auto_interval
-    from carom.plan.auto import cfl as cfl
-    from carom.plan.auto import frame_interval as frame_interval
-    from carom.plan.auto import gravity_method as gravity_method
-    from carom.plan.auto import integrator as integrator
-    from carom.plan.auto import largest_step as largest_step
-    from carom.plan.auto import pull_fraction as pull_fraction
-    from carom.plan.auto import smoothing as smoothing
-    from carom.plan.auto import target_dx as target_dx
-    from carom.plan.auto import timing as timing
-    from carom.plan.auto import uses_tree as uses_tree
+    from carom.plan import auto as auto
     from carom.plan.features import Requirements as Requirements
     from carom.plan.features import require as require
     from carom.plan.hierarchy import DOMINANT as DOMINANT
@@ -82,8 +72,6 @@ if TYPE_CHECKING:
     from carom.recording.read.recorded_scene import RecordedBodies as RecordedBodies
     from carom.recording.read.recorded_scene import recorded_scene as recorded_scene
     from carom.recording.read.recorded_scene import start_of as start_of
-    from carom.recording.schema.header import Header as Header
-    from carom.recording.schema.header import Scalar as Scalar
     from carom.recording.schema.header import SweepMember as SweepMember
     from carom.recording.schema.palette import LINES as LINES
     from carom.recording.schema.paths import STEP as STEP
@@ -91,51 +79,27 @@ if TYPE_CHECKING:
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
-    from carom.recording.source.adapters.box3d_source import PACKAGE as PACKAGE
-    from carom.recording.source.adapters.box3d_source import box3d as box3d
-    from carom.recording.source.adapters.mujoco_source import mujoco as mujoco
-    from carom.recording.source.adapters.newton_source import newton as newton
     from carom.recording.source.adapters.package import engine_package as engine_package
-    from carom.recording.source.adapters.pybullet_source import pybullet as pybullet
-    from carom.recording.source.adapters.rebound_source import rebound as rebound
-    from carom.recording.source.law_audit import Fault as Fault
-    from carom.recording.source.law_audit import Tolerances as Tolerances
     from carom.recording.source.observer import Observer as Observer
-    from carom.recording.source.observer import header_of_source as header_of_source
     from carom.recording.source.observer import not_finite as not_finite
     from carom.recording.source.source import SPHERE as SPHERE
-    from carom.recording.source.source import Model as Model
-    from carom.recording.source.source import Plane as Plane
-    from carom.recording.source.source import Setup as Setup
-    from carom.recording.source.source import Source as Source
-    from carom.recording.source.source import State as State
-    from carom.recording.source.source import StateMemory as StateMemory
-    from carom.recording.source.source import SteppedSource as SteppedSource
-    from carom.recording.source.source import array_of as array_of
-    from carom.recording.source.source import memory_of as memory_of
-    from carom.recording.source.source import reader_of as reader_of
-    from carom.recording.source.source import refuse_no_rotation as refuse_no_rotation
     from carom.recording.source.source import setup_of as setup_of
-    from carom.recording.source.source import time_of as time_of
     from carom.recording.write.durable_sink import DiskReserve as DiskReserve
-    from carom.recording.write.recorder import FrameRecorder as FrameRecorder
     from carom.recording.write.whole_file import new_name as new_name
     from carom.recording.write.whole_file import whole_file as whole_file
     from carom.recording.write.whole_file import write_whole as write_whole
+    from carom.runs.engine_recorder import observed_recording as observed_recording
+    from carom.runs.engine_recorder import observed_totals as observed_totals
     from carom.runs.environment import command_line as command_line
     from carom.runs.environment import environment as environment
     from carom.runs.environment import versions as versions
     from carom.runs.outcome import Verdict as Verdict
-    from carom.runs.outcome import closing_of as closing_of
     from carom.runs.outcome import judge as judge
-    from carom.runs.output import claimed_output as claimed_output
     from carom.runs.output import is_link_of_another as is_link_of_another
     from carom.runs.output import output_folder as output_folder
     from carom.runs.output import refuse_itself as refuse_itself
-    from carom.runs.output import refuse_name as refuse_name
     from carom.runs.output import refuse_output as refuse_output
     from carom.runs.output import refuse_scene_output as refuse_scene_output
-    from carom.runs.overview import ONCE_A_STEP as ONCE_A_STEP
     from carom.runs.overview import in_words as in_words
     from carom.runs.process_settings import Interrupts as Interrupts
     from carom.runs.report import report as report
@@ -152,6 +116,8 @@ if TYPE_CHECKING:
     from carom.runs.workers import TaskDroppedError as TaskDroppedError
     from carom.runs.workers import WorkerDiedError as WorkerDiedError
     from carom.runs.workers import Workers as Workers
+    from carom.scene import key_places as key_places
+    from carom.scene import variation as variation
     from carom.scene.contact_laws import DEFAULT_LAW as DEFAULT_LAW
     from carom.scene.contact_laws import ContactLaw as ContactLaw
     from carom.scene.conversion import converted as converted
@@ -167,11 +133,6 @@ if TYPE_CHECKING:
     from carom.scene.integrators import Integrator as Integrator
     from carom.scene.integrators import Substep as Substep
     from carom.scene.integrators import integrator_called as integrator_called
-    from carom.scene.key_places import DEEPEST as DEEPEST
-    from carom.scene.key_places import is_too_deep as is_too_deep
-    from carom.scene.key_places import line_of_long_key as line_of_long_key
-    from carom.scene.load import load_scene as load_scene
-    from carom.scene.load import scene_from_dict as scene_from_dict
     from carom.scene.load import scene_from_text as scene_from_text
     from carom.scene.matter import body_materials as body_materials
     from carom.scene.matter import pair_coefficients as pair_coefficients
@@ -208,143 +169,149 @@ if TYPE_CHECKING:
     from carom.scene.units.system import SI as SI
     from carom.scene.units.system import UnitSystem as UnitSystem
     from carom.scene.units.unit import Physical as Physical
-    from carom.scene.units.unit import UnitError as UnitError
     from carom.scene.units.unit import nearest_float as nearest_float
     from carom.scene.units.unit import physical as physical
-    from carom.scene.variation import MOST_RUNS as MOST_RUNS
-    from carom.scene.variation import TOO_MANY_RUNS as TOO_MANY_RUNS
-    from carom.scene.variation import Values as Values
-    from carom.scene.variation import combinations as combinations
-    from carom.scene.variation import override as override
-    from carom.scene.variation import texts_of as texts_of
-    from carom.scene.variation import values_of as values_of
     from carom.scene.wording import Names as Names
     from carom.scene.wording import bodies_called as bodies_called
     from carom.scene.wording import command as command
     from carom.scene.wording import counted as counted
     from carom.scene.wording import nearest as nearest
     from carom.scene.wording import suggestion as suggestion
+    from carom.show import keeper as keeper
+    from carom.show import overlays as overlays
     from carom.show.catalog import serve_catalog as serve_catalog
     from carom.show.causes import CauseEdge as CauseEdge
     from carom.show.causes import Causes as Causes
     from carom.show.causes import write_causes as write_causes
     from carom.show.forecast import Forecast as Forecast
     from carom.show.forecast import write_forecast as write_forecast
-    from carom.show.keeper import has_screen as has_screen
-    from carom.show.keeper import isolate as isolate
-    from carom.show.keeper import screen_is_remote as screen_is_remote
-    from carom.show.overlays import ComparedTrajectory as ComparedTrajectory
-    from carom.show.overlays import MatchedFrames as MatchedFrames
-    from carom.show.overlays import write_overlay as write_overlay
-    from carom.show.overlays import write_trajectories as write_trajectories
     from carom.show.request import named_event as named_event
 
-_HOMES = {
-    "carom.scene.conversion": "converted rescaled",
-    "carom.scene.data.body_sources": "DataFiles HeldBodies",
-    "carom.scene.integrators": "INTEGRATORS Integrator Substep integrator_called",
-    "carom.scene.key_places": "DEEPEST is_too_deep line_of_long_key",
-    "carom.recording.export.export": "Snapshot",
-    "carom.scene.contact_laws": "DEFAULT_LAW ContactLaw",
-    "carom.scene.data.formats": "Arrays DataFormat DataTable",
-    "carom.scene.forces": "BodyForce PairForce",
-    "carom.scene.load": "load_scene scene_from_dict scene_from_text",
-    "carom.scene.matter": "body_materials pair_coefficients",
-    "carom.scene.parts": "PARTS",
-    "carom.scene.scene_file": "RECORDED bundled_folders",
-    "carom.scene.schema": "Coefficients",
-    "carom.scene.schema.contact": "DEFAULT",
-    "carom.scene.schema.promise": "Expect",
-    "carom.scene.schema.quantity": "Count Friction NonNegative Positive Real Section",
-    "carom.scene.start": "HalfSpaces InitialBodies half_spaces",
-    "carom.scene.toml_text": "toml_for toml_text",
-    "carom.scene.units.dimension": (
-        "ACCELERATION ANGULAR_VELOCITY BASE DENSITY Dimension ENERGY IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
-    ),
-    "carom.scene.units.system": "SI UnitSystem",
-    "carom.scene.units.unit": "Physical UnitError nearest_float physical",
-    "carom.scene.variation": "MOST_RUNS TOO_MANY_RUNS Values combinations override texts_of values_of",
-    "carom.scene.wording": "Names bodies_called command counted nearest suggestion",
-    "carom.plan.auto": (
-        "auto_interval cfl frame_interval gravity_method integrator largest_step pull_fraction smoothing target_dx "
-        "timing uses_tree"
-    ),
-    "carom.plan.features": "Requirements require",
-    "carom.plan.hierarchy": "DOMINANT why_no_hierarchy",
-    "carom.plan.pulls": "damping further",
-    "carom.physics.bodies": "Bodies",
-    "carom.physics.checkpoint": "Checkpoint",
-    "carom.physics.contact.law": "LAW",
-    "carom.physics.diagnostics.extremes": "Extremes",
-    "carom.physics.look_ahead.find_step": "with_promise",
-    "carom.physics.forces.kernel_forces": "forces_of_packages",
-    "carom.physics.jit.cores": "cores",
-    "carom.physics.jit.decorators": "kernel",
-    "carom.physics.vector": "minimum_images",
-    "carom.physics.placement": "place",
-    "carom.physics.reference_api": "BodyProxy CollisionContext",
-    "carom.physics.schedule": "Every Schedule at every",
-    "carom.physics.simulation": "StepStatus",
-    "carom.recording.edit.bundle": "is_bundle opened",
-    "carom.recording.read.body_lookup": "body_number names_of",
-    "carom.recording.read.frame_rows": "RecordedPositions",
-    "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
-    "carom.recording.read.moment": "tolerance",
-    "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
-    "carom.recording.schema.header": "Header Scalar SweepMember",
-    "carom.recording.schema.palette": "LINES",
-    "carom.recording.schema.paths": "STEP",
-    "carom.recording.schema.series": "Past Plot Sample Series",
-    "carom.recording.source.adapters.box3d_source": "PACKAGE box3d",
-    "carom.recording.source.adapters.mujoco_source": "mujoco",
-    "carom.recording.source.adapters.newton_source": "newton",
-    "carom.recording.source.adapters.package": "engine_package",
-    "carom.recording.source.adapters.pybullet_source": "pybullet",
-    "carom.recording.source.adapters.rebound_source": "rebound",
-    "carom.recording.source.law_audit": "Fault Tolerances",
-    "carom.recording.source.observer": "Observer header_of_source not_finite",
-    "carom.recording.source.source": (
-        "Model Plane SPHERE Setup Source State StateMemory SteppedSource array_of memory_of reader_of "
-        "refuse_no_rotation setup_of time_of"
-    ),
-    "carom.recording.write.durable_sink": "DiskReserve",
-    "carom.recording.write.recorder": "FrameRecorder",
-    "carom.recording.write.whole_file": "new_name whole_file write_whole",
-    "carom.runs.outcome": "closing_of Verdict judge",
-    "carom.runs.overview": "ONCE_A_STEP in_words",
-    "carom.runs.resume": "continued_scene",
-    "carom.runs.environment": "command_line environment versions",
-    "carom.runs.process_settings": "Interrupts",
-    "carom.cli.printing": "finite say_json say duration_text",
-    "carom.runs.output": (
-        "claimed_output is_link_of_another output_folder refuse_itself refuse_name refuse_output refuse_scene_output"
-    ),
-    "carom.runs.report": "report",
-    "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
-    "carom.runs.window": "checkpoint_before space_of",
-    "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
-    "carom.show.catalog": "serve_catalog",
-    "carom.show.causes": "CauseEdge Causes write_causes",
-    "carom.show.forecast": "Forecast write_forecast",
-    "carom.show.keeper": "has_screen isolate screen_is_remote",
-    "carom.show.request": "named_event",
-    "carom.show.overlays": "ComparedTrajectory MatchedFrames write_overlay write_trajectories",
-    "carom.cli.compiling": "announce_compilation",
-    "carom.install": "needing",
-    "carom.cli.terminal": "LiveLine bar replaying Terminal print_whole",
-    "carom.cli.options": (
-        "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption bundled "
-        "not_a_folder recording_option seconds simulated simulated_or_none work_time"
-    ),
+SECTIONS = {  # what for: module: its names
+    "Sections of a scene and units": {
+        "carom.scene.schema.quantity": "Section Count NonNegative Positive Real",
+        "carom.scene.units.dimension": (
+            "Dimension ACCELERATION ANGULAR_VELOCITY DENSITY ENERGY IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
+        ),
+        "carom.scene.units.system": "SI UnitSystem",
+    },
+    "Forces": {
+        "carom.scene.forces": "BodyForce PairForce",
+        "carom.physics.jit.decorators": "kernel",
+    },
+    "Contact laws": {
+        "carom.scene.contact_laws": "ContactLaw",
+        "carom.scene.schema.quantity": "Friction",
+    },
+    "Integrators": {
+        "carom.scene.integrators": "Integrator Substep",
+    },
+    "Recorded series": {
+        "carom.recording.schema.series": "Series Sample Past Plot",
+        "carom.recording.schema.palette": "LINES",
+    },
+    "Data formats": {
+        "carom.scene.data.formats": "DataFormat DataTable Arrays",
+    },
+    "Export formats": {
+        "carom.recording.export.export": "Snapshot",
+    },
+    "Engines": {
+        "carom.recording.source.source": "SPHERE setup_of",
+        "carom.recording.source.adapters.package": "engine_package",
+        "carom.scene.start": "InitialBodies HalfSpaces half_spaces",
+        "carom.scene.schema": "Coefficients",
+        "carom.scene.matter": "pair_coefficients",
+        "carom.physics.placement": "place",
+        "carom.plan.features": "require",
+        "carom.plan.pulls": "further",
+        "carom.plan.hierarchy": "DOMINANT",
+        "carom.scene.contact_laws": "DEFAULT_LAW",
+        "carom.recording.source.observer": "Observer not_finite",
+        "carom.runs.engine_recorder": "observed_recording observed_totals",
+        "carom.physics.diagnostics.extremes": "Extremes",
+    },
+    "Commands": {
+        "carom.cli.options": (
+            "ForceOption JsonOption OptionalTime RecordingArgument SceneArgument SetOption ThreadsOption "
+            "bundled not_a_folder recording_option seconds simulated simulated_or_none work_time"
+        ),
+        "carom.cli.printing": "say say_json finite duration_text",
+        "carom.cli.terminal": "Terminal print_whole LiveLine bar replaying",
+        "carom.cli.compiling": "announce_compilation",
+        "carom.install": "needing",
+        "carom.scene.wording": "command counted nearest suggestion Names bodies_called",
+        "carom.recording.edit.bundle": "opened is_bundle",
+    },
+    "Tools: scenes and what they require": {
+        "carom.scene.units.dimension": "BASE",
+        "carom.scene.schema.contact": "DEFAULT",
+        "carom.scene.data.body_sources": "DataFiles HeldBodies",
+        "carom.scene.schema.promise": "Expect",
+        "carom.scene.integrators": "INTEGRATORS integrator_called",
+        "carom.scene.parts": "PARTS",
+        "carom.scene.units.unit": "Physical nearest_float physical",
+        "carom.scene.scene_file": "RECORDED bundled_folders",
+        "carom.plan.features": "Requirements",
+        "carom.plan": "auto",
+        "carom.scene.matter": "body_materials",
+        "carom.scene.conversion": "converted rescaled",
+        "carom.plan.pulls": "damping",
+        "carom.scene": "key_places variation",
+        "carom.scene.load": "scene_from_text",
+        "carom.scene.toml_text": "toml_for toml_text",
+        "carom.plan.hierarchy": "why_no_hierarchy",
+    },
+    "Tools: running scenes": {
+        "carom.physics.bodies": "Bodies",
+        "carom.physics.reference_api": "BodyProxy CollisionContext",
+        "carom.physics.checkpoint": "Checkpoint",
+        "carom.runs.workers": "Ended LocalWorkers TaskDroppedError WorkerDiedError Workers",
+        "carom.physics.schedule": "Every Schedule at every",
+        "carom.runs.process_settings": "Interrupts",
+        "carom.physics.contact.law": "LAW",
+        "carom.runs.run": "Outcome Watcher closing_summary recording_space simulate",
+        "carom.physics.simulation": "StepStatus",
+        "carom.runs.outcome": "Verdict judge",
+        "carom.runs.window": "checkpoint_before space_of",
+        "carom.runs.resume": "continued_scene",
+        "carom.physics.jit.cores": "cores",
+        "carom.physics.forces.kernel_forces": "forces_of_packages",
+        "carom.runs.overview": "in_words",
+        "carom.physics.vector": "minimum_images",
+        "carom.runs.report": "report",
+        "carom.physics.look_ahead.find_step": "with_promise",
+    },
+    "Tools: recordings and output files": {
+        "carom.recording.write.durable_sink": "DiskReserve",
+        "carom.recording.read.recorded_scene": "RecordedBodies recorded_scene start_of",
+        "carom.recording.read.frame_rows": "RecordedPositions",
+        "carom.recording.schema.paths": "STEP",
+        "carom.recording.schema.header": "SweepMember",
+        "carom.recording.read.body_lookup": "body_number names_of",
+        "carom.runs.environment": "command_line environment versions",
+        "carom.recording.read.recorded_impacts": "count_at impacts_by_number",
+        "carom.runs.output": "is_link_of_another output_folder refuse_itself refuse_output refuse_scene_output",
+        "carom.recording.write.whole_file": "new_name whole_file write_whole",
+        "carom.recording.read.moment": "tolerance",
+    },
+    "Tools: views that compare runs": {
+        "carom.show.causes": "CauseEdge Causes write_causes",
+        "carom.show.forecast": "Forecast write_forecast",
+        "carom.show": "keeper overlays",
+        "carom.show.request": "named_event",
+        "carom.show.catalog": "serve_catalog",
+    },
 }
-_PLACES = {name: home for home, names in _HOMES.items() for name in names.split()}
+_PLACES = {name: home for homes in SECTIONS.values() for home, names in homes.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
     """Import a name at its first use."""
     if name not in _PLACES:
         raise AttributeError(f"module 'carom.extend' has no attribute {name!r}")
-    return getattr(importlib.import_module(_PLACES[name]), name)
+    home = importlib.import_module(_PLACES[name])
+    return getattr(home, name) if hasattr(home, name) else importlib.import_module(f"{home.__name__}.{name}")
 
 
 def __dir__() -> list[str]:

@@ -14,9 +14,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from carom import registry
-from carom.lab.engines.engine_recorder import Recorder
 from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.source import Model, Plane, Source, State
+from carom.runs.engine_recorder import Recorder
 
 if TYPE_CHECKING:
     from carom.recording.source.adapters.box3d_source import box3d

@@ -20,7 +20,7 @@ import numpy as np
 from carom import Frame, Scene, Space
 from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
-from carom.extend import TIME, every, frame_interval, minimum_images, whole_file, write_whole
+from carom.extend import TIME, auto, every, minimum_images, whole_file, write_whole
 
 # How far a compared run may go: a number of steps, which is the same on every machine, and a CPU time.
 TELLING = 5.0  # s between two lines of progress
@@ -244,7 +244,7 @@ class _Watch:
         self.velocity: list[FloatArray] = []
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times, self._guard = space, times, guard
-        self._recorded = every(frame_interval(space.scene))
+        self._recorded = every(auto.frame_interval(space.scene))
         self._frames, self._last_recorded = 1, True  # the start
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run

@@ -15,18 +15,7 @@ from pydantic import BaseModel
 from carom import Recording, Scene
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError, SceneError
-from carom.extend import (
-    DEEPEST,
-    STEP,
-    MatchedFrames,
-    RecordedBodies,
-    count_at,
-    impacts_by_number,
-    is_too_deep,
-    line_of_long_key,
-    scene_from_text,
-    write_overlay,
-)
+from carom.extend import STEP, RecordedBodies, count_at, impacts_by_number, key_places, overlays, scene_from_text
 from carom.lab.diff.divergence import (
     SAME_TIME,
     DiffVerdict,
@@ -299,10 +288,11 @@ def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve
     pairs = (
-        MatchedFrames(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2]) for k in range(len(curve.step))
+        overlays.MatchedFrames(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2])
+        for k in range(len(curve.step))
     )
     series = {"rms": np.where(curve.seen, curve.rms, np.nan), "energy": np.abs(curve.energy)}
-    write_overlay(out, a, b, pairs, len(matched), series, text)
+    overlays.write_overlay(out, a, b, pairs, len(matched), series, text)
 
 
 def differing(a: Mapping[str, Any], b: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
@@ -315,8 +305,8 @@ def _scene(recording: Recording) -> dict[str, Any]:
     """Read the scene's keys, dotted: ``time.max_dt``, ``body.0.radius``."""
     text = recording.scene_toml
     try:
-        if line_of_long_key(text) is not None or is_too_deep(document := tomllib.loads(text)):
-            raise RecordingError(f"the scene in {recording.path} is nested more than {DEEPEST} levels deep")
+        if key_places.line_of_long_key(text) is not None or key_places.is_too_deep(document := tomllib.loads(text)):
+            raise RecordingError(f"the scene in {recording.path} is nested more than {key_places.DEEPEST} levels deep")
         return _flat(document)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise RecordingError(f"the scene in {recording.path} cannot be read: {error}") from error

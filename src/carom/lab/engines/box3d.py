@@ -11,11 +11,13 @@ import math
 import numpy as np
 
 from carom import Scene
-from carom.extend import PACKAGE, Plane, engine_package
-from carom.extend import box3d as source_of
+from carom.extend import engine_package
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.record import Plane
+from carom.record import box3d as source_of
 
+PACKAGE = "robox3d"
 SUBSTEPS = 4  # the default, in a step
 
 

@@ -15,10 +15,11 @@ import numpy as np
 
 from carom import Scene
 from carom.arrays import IntArray
-from carom.extend import Coefficients, Source, State, engine_package
-from carom.extend import mujoco as source_of
+from carom.extend import Coefficients, engine_package
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.record import Source, State
+from carom.record import mujoco as source_of
 
 BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow

@@ -15,9 +15,9 @@ import numpy as np
 from carom import Scene
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package
-from carom.extend import newton as source_of
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
+from carom.record import newton as source_of
 
 ITERATIONS = 2  # of the solver in a step, its default
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from carom import Scene
 from carom.extend import engine_package
-from carom.extend import pybullet as source_of
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
+from carom.record import pybullet as source_of
 
 ITERATIONS = 50  # of the solver, its default
 _NO_DAMPING = {

@@ -22,8 +22,6 @@ from carom.extend import (
     DEFAULT_LAW,
     DOMINANT,
     TIME,
-    Source,
-    State,
     UnitSystem,
     further,
     half_spaces,
@@ -31,10 +29,11 @@ from carom.extend import (
     place,
     require,
 )
-from carom.extend import rebound as record
 from carom.lab.compared_run import STEPS, RunStoppedError, Setting, Trajectory
 from carom.lab.engines.stepped import FINER, EngineSimulation, refuse
 from carom.lab.engines.watched import watch
+from carom.record import Source, State
+from carom.record import rebound as record
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"

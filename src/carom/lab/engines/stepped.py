@@ -21,8 +21,6 @@ from carom.extend import (
     Coefficients,
     HalfSpaces,
     InitialBodies,
-    Model,
-    Source,
     UnitSystem,
     engine_package,
     further,
@@ -33,6 +31,7 @@ from carom.extend import (
 )
 from carom.lab.compared_run import Setting, Trajectory
 from carom.lab.engines.watched import ROUNDING, watch
+from carom.record import Model, Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import uuid
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,24 +14,9 @@ import numpy as np
 from carom import Frame, Scene
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError
-from carom.extend import (
-    ONCE_A_STEP,
-    TIME,
-    Extremes,
-    Fault,
-    FrameRecorder,
-    Observer,
-    Setup,
-    State,
-    Tolerances,
-    claimed_output,
-    closing_of,
-    environment,
-    header_of_source,
-    not_finite,
-    setup_of,
-)
+from carom.extend import TIME, Extremes, Observer, not_finite, observed_recording, observed_totals, setup_of
 from carom.lab.compared_run import RunStoppedError, Trajectory, between
+from carom.record import Fault, State, Tolerances
 
 if TYPE_CHECKING:
     from carom.lab.engines.stepped import EngineSimulation
@@ -84,7 +68,7 @@ def watch(
     setup = setup_of(simulation.source.model, first)
     walk = _Walk(simulation, scene, Observer(setup, first, Tolerances(), scene.unit_system), _Samples(times))
     with ExitStack() as stack:
-        log = None if path is None else _Log(stack, path, scene, setup)
+        log = None if path is None else _Log(stack, path, scene, walk.observer)
         outcome = walk.run(first, log, limit)
         if log is not None:
             log.finish(outcome, walk)
@@ -184,19 +168,9 @@ class _Walk:
 class _Log:
     """The recording of a run: `FRAMES` of its frames, and those in which a law is broken."""
 
-    def __init__(self, stack: ExitStack, path: Path, scene: Scene, setup: Setup) -> None:
+    def __init__(self, stack: ExitStack, path: Path, scene: Scene, observer: Observer) -> None:
         self._scene, self._due = scene, 0.0  # s, of the next recorded frame
-        stack.enter_context(claimed_output(path, force=True))
-        header = header_of_source(
-            setup,
-            title=f"{scene.title}: {setup.engine}",
-            run_id=str(uuid.uuid4()),
-            duration=scene.time.duration,
-            exact=True,
-            properties={**environment(1), "engine": setup.engine},
-            units=scene.unit_system,
-        )
-        self._recorder = stack.enter_context(FrameRecorder(path, header))
+        self._recorder = stack.enter_context(observed_recording(path, observer, scene))
 
     def see(self, frame: Frame) -> None:
         """Record a frame if it is due, the last, or in the log."""
@@ -207,8 +181,8 @@ class _Log:
 
     def finish(self, outcome: str, walk: _Walk) -> None:
         """Write the end of the recording."""
-        observer = walk.observer
-        self._recorder.finish(outcome, _closing(observer, walk.frame), observer.highlights())
+        observer, last = walk.observer, walk.frame
+        self._recorder.finish(outcome, observed_totals(observer, last.step, last.time), observer.highlights())
 
 
 class _Samples:
@@ -230,16 +204,6 @@ class _Samples:
             self.position.append(before.position + moved)
             self.velocity.append(velocity)
             self._due = next(self._times, np.inf)
-
-
-def _closing(observer: Observer, last: Frame) -> dict[str, str | int | float | bool]:
-    audit = observer.audit
-    found: dict[str, str | int | float | bool] = {
-        "steps": last.step,
-        "sim_time": last.time,
-        "contacts.impacts_counted": ONCE_A_STEP,
-    }
-    return found | closing_of(observer.extremes.named(observer.names)) | dict(audit.closing())
 
 
 def _copied(state: State) -> State:

@@ -19,10 +19,9 @@ from carom.extend import (
     Checkpoint,
     Every,
     Workers,
+    auto,
     checkpoint_before,
     continued_scene,
-    frame_interval,
-    integrator,
     minimum_images,
     recorded_scene,
     require,
@@ -139,7 +138,7 @@ def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
         "whether bodies have orientations": (before.orientation.modelled, after.orientation.modelled),
         "whether bodies can touch": (before.contact.modelled, after.contact.modelled),
         "the solver of resting contacts": (original.contact.solver, scene.contact.solver),
-        "the integrator": (integrator(original).name, integrator(scene).name),
+        "the integrator": (auto.integrator(original).name, auto.integrator(scene).name),
         "the number of planes": (len(original.plane), len(scene.plane)),
     }
     for what, (one, other) in changes.items():
@@ -177,7 +176,9 @@ class BranchPath:
 
 def interval_of(start: ForkStart) -> float:
     """Return the interval in s at which branches are compared: that of the frames, or longer if these are many."""
-    return float(max(frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES))
+    return float(
+        max(auto.frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES)
+    )
 
 
 def path_of(

@@ -14,13 +14,12 @@ from carom.errors import ExperimentError, PhysicsError, SceneError
 from carom.extend import (
     Interrupts,
     Requirements,
+    auto,
     command,
-    integrator,
     output_folder,
     recording_space,
     report,
     require,
-    scene_from_dict,
     scene_from_text,
     simulate,
 )
@@ -59,14 +58,14 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
     """Return whether the integrator errs by rounding only, so that the ledger explains every change of the energy."""
-    exact = not integrator(scene).controls_error and _falls_exactly(scene)
+    exact = not auto.integrator(scene).controls_error and _falls_exactly(scene)
     pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked to the next order only
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
 
 def _falls_exactly(scene: Scene) -> bool:
     """Return whether bodies fall as they should; with semi-implicit Euler they lose ½ M g² dt² in each step."""
-    return integrator(scene).order > 1 or not any(scene.gravity.uniform)
+    return auto.integrator(scene).order > 1 or not any(scene.gravity.uniform)
 
 
 def _is_free(scene: Scene, needs: Requirements) -> bool:
@@ -101,7 +100,7 @@ LAWS = [
             _is_free(scene, needs)
             and scene.domain.boundary == "open"
             and _falls_exactly(scene)
-            and not integrator(scene).controls_error
+            and not auto.integrator(scene).controls_error
         ),
     ),
     HuntedLaw(
@@ -236,7 +235,7 @@ class Hunt:
         found = drawn(self.seed, index)
         self.tally.scenes += 1
         try:
-            scene = scene_from_dict(found.document | {"expect": {"contact_audit": AUDIT}})
+            scene = Scene.from_dict(found.document | {"expect": {"contact_audit": AUDIT}})
             laws = laws_of(scene, found.kind)
         except SceneError:
             self.tally.refused += 1

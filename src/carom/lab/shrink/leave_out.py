@@ -8,9 +8,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from carom import Frame, Space
+from carom import Frame, Scene, Space
 from carom.errors import SceneError
-from carom.extend import every, require, scene_from_dict
+from carom.extend import every, require
 from carom.lab.run_summary import Observation
 from carom.lab.shrink.literal import BODIES, ORIGIN, Document, KeyPath, value_at, with_bodies, with_value
 from carom.lab.shrink.trials import Smallest, Trials, observe
@@ -176,7 +176,7 @@ def _keys(node: object) -> int:
 
 
 def _modelled(document: Document) -> set[str]:
-    return {part.name for part in require(scene_from_dict(document)).parts if part.modelled}
+    return {part.name for part in require(Scene.from_dict(document)).parts if part.modelled}
 
 
 def _without_parts(smallest: Smallest) -> Iterator[Document]:

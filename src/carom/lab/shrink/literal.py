@@ -17,7 +17,6 @@ from carom.extend import (
     checkpoint_before,
     half_spaces,
     is_bundle,
-    load_scene,
     opened,
     place,
     recorded_scene,
@@ -177,7 +176,7 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
     """
     path = Path(given)
     if not is_recording(path):
-        scene = load_scene(given, overrides)
+        scene = Scene.load(given, overrides)
         return SceneWithBodies(given, scene, place(scene))
     with opened(path) as file:
         recording = Recording.open(file)

@@ -20,9 +20,8 @@ from carom.extend import (
     LocalWorkers,
     Schedule,
     WorkerDiedError,
+    auto,
     cores,
-    frame_interval,
-    scene_from_dict,
     toml_text,
 )
 from carom.lab.run_summary import Observation, Touches, said_by
@@ -142,7 +141,7 @@ def observe(
     OutOfTime
         If the time ended before the run.
     """
-    interval = frame_interval(space.scene)
+    interval = auto.frame_interval(space.scene)
     schedule = schedule or (Every(interval) if steps is None else EveryUpTo(interval, steps))
     touches, warnings, frames, initial = Touches(space), list[Event](), 0, space.status.energy.total
     seen = Observation(space, initial, 0, warnings, touches)
@@ -250,7 +249,7 @@ class Trials:
         if not document[BODIES]:
             return None
         try:
-            space = self.space(scene_from_dict(document))
+            space = self.space(Scene.from_dict(document))
         except Exception:  # a scene that cannot be, or a fault that shows before the first step
             return None
         seen = observe(space, self.budget, steps=steps + 1)
@@ -391,7 +390,7 @@ class Smallest:
     @property
     def scene(self) -> Scene:
         """The scene, validated."""
-        return scene_from_dict(self.document)
+        return Scene.from_dict(self.document)
 
     @property
     def bodies(self) -> int:

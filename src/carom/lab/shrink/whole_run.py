@@ -29,13 +29,12 @@ from carom.extend import (
     LENGTH,
     Checkpoint,
     Dimension,
+    auto,
     converted,
     every,
-    largest_step,
     place,
     require,
     rescaled,
-    scene_from_dict,
     suggestion,
 )
 from carom.lab.run_summary import Observation, said_by
@@ -223,10 +222,10 @@ def applies(name: str, scene: Scene) -> bool:
 
 def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     document = _explicit(scene)
-    space = Space(scene_from_dict(document), threads=1)
+    space = Space(Scene.from_dict(document), threads=1)
     start = space.state.position.copy(), space.state.velocity.copy()
     image = image_of(space)
-    here, there = FinalState.of(space), FinalState.of(Space(scene_from_dict(image.of(document)), threads=1))
+    here, there = FinalState.of(space), FinalState.of(Space(Scene.from_dict(image.of(document)), threads=1))
     if here.error or there.error:
         return "" if bool(here.error) == bool(there.error) else f"one ends with: {here.error or there.error}"
     if here.step != there.step:
@@ -259,7 +258,7 @@ def _grown(document: Document, here: FinalState, reach: float, speed: float) -> 
                     nudge = 4.0 * EPS * size * rng.choice([-1.0, 1.0], 3)
                     changed[key] = [float(x) for x in np.array(body.get(key, [0.0, 0.0, 0.0])) + nudge]
             bodies.append(changed)
-        there = FinalState.of(Space(scene_from_dict(document | {BODIES: bodies}), threads=1))
+        there = FinalState.of(Space(Scene.from_dict(document | {BODIES: bodies}), threads=1))
         if there.error or there.step != here.step:
             return np.inf
         found = max(found, float(np.abs(there.position - here.position).max()))
@@ -311,7 +310,7 @@ def _explicit(scene: Scene) -> Document:
     if units.converts:
         del document["units"]
     defaults = {("time", "duration"): scene.time.duration}
-    if math.isfinite(largest := largest_step(scene)):
+    if math.isfinite(largest := auto.largest_step(scene)):
         defaults["time", "max_dt"] = largest
     for (section, key), value in (defaults | {("gravity", "constant"): scene.gravity.constant}).items():
         if key not in document.get(section, {}):

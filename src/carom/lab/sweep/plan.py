@@ -14,16 +14,7 @@ import tomlkit
 
 from carom import Scene
 from carom.errors import ExperimentError, SceneError
-from carom.extend import (
-    MOST_RUNS,
-    TOO_MANY_RUNS,
-    HeldBodies,
-    Values,
-    combinations,
-    override,
-    scene_from_text,
-    values_of,
-)
+from carom.extend import HeldBodies, scene_from_text, variation
 
 SEED = "seed"
 _LONGEST_NAME = 120  # characters; a file's name has 255, and an attempt's is longer
@@ -42,7 +33,7 @@ class SweepPoint:
     @property
     def overrides(self) -> list[str]:
         """The changes to the scene, as ``--set`` takes them."""
-        return [override(key, value) for key, value in {**self.parameters, SEED: self.seed}.items()]
+        return [variation.override(key, value) for key, value in {**self.parameters, SEED: self.seed}.items()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +93,11 @@ def plan(
     if SEED in axes and count is not None:
         raise ExperimentError("the seeds are given twice, by their number and as values of seed; leave one out")
     try:
-        rows = combinations(axes, scene.sweep.zip if zipped is None else zipped)
+        rows = variation.combinations(axes, scene.sweep.zip if zipped is None else zipped)
     except ValueError as error:
         raise ExperimentError(f"--vary: {error}") from None
-    if len(rows) * (count or 1) > MOST_RUNS:
-        raise ExperimentError(f"{TOO_MANY_RUNS}, or fewer seeds")
+    if len(rows) * (count or 1) > variation.MOST_RUNS:
+        raise ExperimentError(f"{variation.TOO_MANY_RUNS}, or fewer seeds")
     rows = [{**row, SEED: seed} for row in rows for seed in _seeds(scene.seed, row, count)]
     varied = (*(key for key in axes if key != SEED), *((SEED,) if count is not None or SEED in axes else ()))
     text = _without_sweep(scene.toml)
@@ -132,12 +123,12 @@ def _data_files(scene: Scene, points: Sequence[SweepPoint]) -> dict[str, Path]:
     return found
 
 
-def _axis(text: str) -> tuple[str, Values]:
+def _axis(text: str) -> tuple[str, variation.Values]:
     key, separator, values = text.partition("=")
     if not separator or not key.strip():
         raise ExperimentError(f"--vary {text}: expected key=values, such as contact.restitution=0.1:0.9:5")
     try:
-        return key.strip(), values_of(values)
+        return key.strip(), variation.values_of(values)
     except ValueError as error:
         raise ExperimentError(f"--vary {key.strip()}: {error}") from None
 

@@ -328,9 +328,9 @@ def serve(folder: Path) -> None:
     Rerun's server has no password. So this process moves, with its viewer, where other users of the machine cannot
     connect, before it loads libraries that start threads. Without a screen, the server is there for viewers elsewhere.
     """
-    from carom.extend import has_screen, isolate, screen_is_remote
+    from carom.extend import keeper
 
-    alone = has_screen() and not screen_is_remote() and isolate()
+    alone = keeper.has_screen() and not keeper.screen_is_remote() and keeper.isolate()
     from carom.lab.sweep.manifest import Folder, stored_runs
 
     with needing("catalog", "carom sweep --catalog", "datafusion", "pandas"):

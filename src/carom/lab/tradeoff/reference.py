@@ -21,20 +21,7 @@ import numpy as np
 
 from carom import Scene, Space
 from carom.arrays import FloatArray
-from carom.extend import (
-    LENGTH,
-    TIME,
-    auto_interval,
-    cfl,
-    counted,
-    integrator,
-    largest_step,
-    minimum_images,
-    pull_fraction,
-    require,
-    target_dx,
-    uses_tree,
-)
+from carom.extend import LENGTH, TIME, auto, counted, minimum_images, require
 from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import TIGHTEST, solve, why_not
 
@@ -226,22 +213,22 @@ def refined(scene: Scene, factor: float) -> list[str]:
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
     shortest = f"time.max_dt={units.literal(_largest_step(scene) / factor, TIME)}"
-    if integrator(scene).controls_error:
+    if auto.integrator(scene).controls_error:
         return [shortest]
     finer = [shortest]
-    if (fraction := cfl(scene)) is not None:
+    if (fraction := auto.cfl(scene)) is not None:
         finer.append(f"time.cfl={fraction / factor!r}")
-    if (distance := target_dx(scene)) is not None:
+    if (distance := auto.target_dx(scene)) is not None:
         finer.append(f"time.target_dx={units.literal(distance / factor**2, LENGTH)}")
-    if (fraction := pull_fraction(scene)) is not None:
+    if (fraction := auto.pull_fraction(scene)) is not None:
         finer.append(f"time.pull_fraction={fraction / factor!r}")
     return finer
 
 
 def _largest_step(scene: Scene) -> float:
     """Return the largest step in s: where there is no limit, the time between automatic frames."""
-    largest = largest_step(scene)
-    return largest if math.isfinite(largest) else auto_interval(scene, scene.time.duration)
+    largest = auto.largest_step(scene)
+    return largest if math.isfinite(largest) else auto.auto_interval(scene, scene.time.duration)
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
@@ -250,7 +237,7 @@ def fineness(scene: Scene, setting: Scene) -> float:
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or _largest_step(scene)) / (rule.fixed_dt or _largest_step(setting))
     finer = [_largest_step(scene) / _largest_step(setting)]
-    for limit, power in ((cfl, 1.0), (target_dx, 0.5), (pull_fraction, 1.0)):
+    for limit, power in ((auto.cfl, 1.0), (auto.target_dx, 0.5), (auto.pull_fraction, 1.0)):
         coarse, fine = limit(scene), limit(setting)
         if coarse is not None and fine is not None:
             finer.append((coarse / fine) ** power)
@@ -326,7 +313,7 @@ def _space(scene: Scene, factor: float, threads: int | None) -> Space:
 
 def _finer_pull(scene: Scene) -> tuple[list[str], str]:
     """Return the overrides that remove the error of a tree, and their description."""
-    if not uses_tree(scene):
+    if not auto.uses_tree(scene):
         return [], ""
     if scene.count <= DIRECT_UP_TO:
         return ["gravity.method=direct"], ", and a direct sum"

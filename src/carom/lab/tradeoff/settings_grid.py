@@ -8,19 +8,7 @@ from dataclasses import dataclass
 
 from carom import Scene, Space
 from carom.errors import PhysicsError, SceneError
-from carom.extend import (
-    INTEGRATORS,
-    damping,
-    gravity_method,
-    integrator,
-    integrator_called,
-    require,
-    smoothing,
-    texts_of,
-    timing,
-    uses_tree,
-    why_no_hierarchy,
-)
+from carom.extend import INTEGRATORS, auto, damping, integrator_called, require, variation, why_no_hierarchy
 from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting
 from carom.lab.tradeoff.reference import refined
 
@@ -83,9 +71,9 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
             found["time.velocity_limit"] = ("every-body", "fastest-body")
             found["time.smoothing"] = ("1",)
     if parts.contact.modelled and parts.gravity.modelled and scene.count > DIRECT_UP_TO:
-        if uses_tree(scene):
+        if auto.uses_tree(scene):
             found["gravity.opening_angle"] = ("0.3", "0.5", "0.8")
-            if gravity_method(scene) == "tree":
+            if auto.gravity_method(scene) == "tree":
                 found["gravity.quadrupoles"] = ("true", "false")
         else:
             found["gravity.method"] = ("tree",)
@@ -104,14 +92,14 @@ def _in_effect(scene: Scene) -> dict[str, str]:
     """Return the values of the keys in a scene, with automatic ones resolved."""
     contact, gravity = scene.contact, scene.gravity
     return {
-        "time.integrator": integrator(scene).name,
+        "time.integrator": auto.integrator(scene).name,
         "time.velocity_limit": scene.time.velocity_limit,
-        "time.smoothing": f"{smoothing(scene):g}",
+        "time.smoothing": f"{auto.smoothing(scene):g}",
         "contact.solver": contact.solver,
         "contact.sweeps": str(contact.sweeps),
         "contact.stabilisation": contact.stabilisation,
-        "contact.timing": timing(scene),
-        "gravity.method": gravity_method(scene),
+        "contact.timing": auto.timing(scene),
+        "gravity.method": auto.gravity_method(scene),
         "gravity.opening_angle": f"{gravity.opening_angle:g}",
         "gravity.quadrupoles": str(gravity.quadrupoles).lower(),
     }
@@ -149,7 +137,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
 
 def _controls_error(scene: Scene, point: GridPoint) -> bool:
     """Return whether a factor on the step has no effect at a point."""
-    return integrator_called(point.value("time.integrator") or integrator(scene).name).controls_error
+    return integrator_called(point.value("time.integrator") or auto.integrator(scene).name).controls_error
 
 
 def default_settings(scene: Scene) -> list[Setting]:
@@ -229,7 +217,7 @@ def _axis(choice: str) -> list[_Choice]:
     if not separator or not key:
         raise SceneError(f"--vary {choice}: expected key=a,b,c, such as time.integrator=euler,leapfrog")
     try:
-        parts = texts_of(values)
+        parts = variation.texts_of(values)
     except ValueError as error:
         raise SceneError(f"--vary {key}: {error}") from None
     if key == STEP:

@@ -14,7 +14,7 @@ import numpy as np
 
 from carom import Space
 from carom.errors import ExperimentError
-from carom.extend import SI, TIME, ComparedTrajectory, UnitSystem, whole_file, write_trajectories
+from carom.extend import SI, TIME, UnitSystem, overlays, whole_file
 from carom.install import install_extra
 from carom.lab.compared_run import AS_WRITTEN
 from carom.lab.tradeoff.setting_results import pareto_front
@@ -214,13 +214,15 @@ def record(study: Study, path: Path) -> None:
     reference = study.reference
     if reference is None or not len(reference.trajectory):
         return
-    trajectories = [ComparedTrajectory(f"reference, {reference.kind}", reference.trajectory.position, np.empty(0))]
+    trajectories = [
+        overlays.ComparedTrajectory(f"reference, {reference.kind}", reference.trajectory.position, np.empty(0))
+    ]
     longest = reference.trajectory
     for result in study.results:
         if result.status == "measured":
             run = study.trajectory(result)
             distance, _ = reference.scale.apart(run, reference.trajectory)
-            compared = ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
+            compared = overlays.ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
             trajectories.append(compared)
             longest = run
-    write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)
+    overlays.write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)

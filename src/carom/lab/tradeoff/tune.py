@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from carom.errors import ExperimentError, SceneError
-from carom.extend import TIME, auto_interval, finite, integrator, require, suggestion, toml_for, write_whole
+from carom.extend import TIME, auto, finite, require, suggestion, toml_for, write_whole
 from carom.lab.compared_run import AS_WRITTEN, Setting
 from carom.lab.tradeoff.reference import COMPARED, NAMES
 from carom.lab.tradeoff.setting_results import SettingResult, result_entry
@@ -102,7 +102,7 @@ class SettingSearch:
         if self._too_dear(point, best):
             return True
         settled_scene = point.setting(self._study.scene).apply(self._study.scene)
-        chosen = integrator(settled_scene)
+        chosen = auto.integrator(settled_scene)
         if chosen.controls_error or require(settled_scene).contact.modelled or not math.isfinite(self._excess(point)):
             return False
         cost = self._see(point).cost * math.pow(self._excess(point), 1.0 / chosen.order)
@@ -158,7 +158,7 @@ def loses_frames(study: Study, written: SettingResult, result: SettingResult) ->
     wanted = written.frames
     if study.scene.record.every == "step":
         duration = study.scene.time.duration
-        wanted = min(wanted, round(duration / auto_interval(study.scene, duration)))
+        wanted = min(wanted, round(duration / auto.auto_interval(study.scene, duration)))
     return result.frames < FRAMES_KEPT * wanted
 
 

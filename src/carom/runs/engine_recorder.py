@@ -10,47 +10,41 @@ import time
 import uuid
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
-from carom import Recording
 from carom.errors import RecordingError
-from carom.extend import (
-    ONCE_A_STEP,
-    SI,
-    TIME,
-    Fault,
-    FrameRecorder,
-    Header,
+from carom.recording.read.recording import Recording
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.source.law_audit import Fault, Tolerances
+from carom.recording.source.observer import Observer, header_of_source, not_finite
+from carom.recording.source.source import (
     Model,
-    Observer,
-    Scalar,
     Setup,
     Source,
     State,
     StateMemory,
     SteppedSource,
-    Tolerances,
-    UnitError,
-    UnitSystem,
     array_of,
-    claimed_output,
-    closing_of,
-    environment,
-    header_of_source,
     memory_of,
-    not_finite,
     reader_of,
-    refuse_name,
     refuse_no_rotation,
-    refuse_output,
     setup_of,
     time_of,
 )
+from carom.recording.write.recorder import FrameRecorder
+from carom.runs.environment import environment
+from carom.runs.outcome import closing_of
+from carom.runs.output import claimed_output, refuse_name, refuse_output
+from carom.runs.overview import ONCE_A_STEP
+from carom.scene.schema import Scene
+from carom.scene.units.dimension import TIME
+from carom.scene.units.system import SI, UnitSystem
+from carom.scene.units.unit import UnitError
 
 # `SnapshotWriter`: the thread that records the snapshots of another engine's run.
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
@@ -133,15 +127,12 @@ class SnapshotWriter:
                 raise self._error
             for fault in faults:
                 audit.note(fault)
-            extremes = self._observer.extremes.named(self._observer.names)
-            steps, time = self._last
-            totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
             events = (
                 *(fault.event for fault in faults),
                 *self._observer.highlights(),
             )
             ended = outcome if self._error is None else f"failed: {self._error}"
-            self._recorder.finish(ended, totals | closing_of(extremes) | dict(audit.closing()), events)
+            self._recorder.finish(ended, observed_totals(self._observer, *self._last), events)
         finally:
             self._stack.close()
         if self._error is not None:
@@ -425,3 +416,26 @@ def _counts(number: int) -> bool:
         return operator.index(number) > 0
     except TypeError:
         return False
+
+
+def observed_totals(observer: Observer, steps: int, time: float) -> dict[str, Scalar]:
+    """Return the closing properties of a run of another engine that ended after some steps, at a time in s."""
+    totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
+    return totals | closing_of(observer.extremes.named(observer.names)) | dict(observer.audit.closing())
+
+
+@contextlib.contextmanager
+def observed_recording(path: Path, observer: Observer, scene: Scene) -> Iterator[FrameRecorder]:
+    """Claim a path, and yield the recorder of a scene that another engine runs; an earlier file is replaced."""
+    setup = observer.setup
+    header = header_of_source(
+        setup,
+        title=f"{scene.title}: {setup.engine}",
+        run_id=str(uuid.uuid4()),
+        duration=scene.time.duration,
+        exact=True,
+        properties={**environment(1), "engine": setup.engine},
+        units=scene.unit_system,
+    )
+    with claimed_output(path, force=True), FrameRecorder(path, header) as recorder:
+        yield recorder
