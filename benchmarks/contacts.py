@@ -24,7 +24,7 @@ from carom.physics.contact.broad_phase.pairs import KdTree
 from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import IMPULSES, materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.scene.matter import PairCoefficients
 from carom.scene.start import HalfSpaces, InitialBodies
 from measurement import medians, save

@@ -15,7 +15,7 @@ from carom.lab.fork.branch import Branch, results_of, start_of
 from carom.lab.fork.fork import ensemble, fork
 from carom.lab.why.history import question_of
 from carom.lab.why.why import why
-from carom.physics.jit.cores import cores
+from carom.physics.jit import cores
 from carom.recording.read.recording import Recording
 from carom.runs.run import run
 from carom.runs.workers import LocalWorkers

@@ -29,7 +29,7 @@ from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.forces.gravity.fast_multipole.fast_multipole import FastMultipoleGravity
 from carom.physics.forces.gravity.tree import TreeGravity
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from measurement import medians, merge
 
 FloatArray = NDArray[np.float64]

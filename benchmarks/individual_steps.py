@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.boxes import Boxes
 from carom.physics.forces.gravity.tree import TreeGravity
-from carom.physics.jit.thread_team import SOLO
+from carom.physics.jit.team import SOLO
 
 FloatArray = NDArray[np.float64]
 

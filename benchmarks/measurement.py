@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from carom.physics.jit.cores import cores
+from carom.physics.jit import cores
 from carom.runs.environment import environment
 
 RESULTS = Path(__file__).parent / "results"

@@ -24,7 +24,7 @@ import rebound
 from numpy.typing import NDArray
 
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies

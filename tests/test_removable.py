@@ -226,7 +226,7 @@ def test_a_scene_names_the_integrator_gravity_method_or_force_that_was_removed(
 
 
 def test_scenes_run_without_the_optional_physics(without: Callable[..., Carom]) -> None:
-    """With the test above, in which one is missing at a time; together, since kernels of a changed copy take a minute."""
+    """Together, since the kernels of a changed copy take a minute; one at a time in the test above."""
     run = without(*PHYSICS)
     ended = run("run", "two-spheres", *SHORT, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr

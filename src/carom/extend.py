@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from carom.physics.contact.law import LAW as LAW
     from carom.physics.diagnostics.extremes import Extremes as Extremes
     from carom.physics.forces.kernel_forces import forces_of_packages as forces_of_packages
-    from carom.physics.jit.cores import cores as cores
+    from carom.physics.jit import cores as cores
     from carom.physics.jit.decorators import kernel as kernel
     from carom.physics.look_ahead.find_step import with_promise as with_promise
     from carom.physics.placement import place as place
@@ -275,7 +275,7 @@ SECTIONS = {  # what for: module: its names
         "carom.runs.outcome": "Verdict judge",
         "carom.runs.window": "checkpoint_before space_of",
         "carom.runs.resume": "continued_scene",
-        "carom.physics.jit.cores": "cores",
+        "carom.physics.jit": "cores",
         "carom.physics.forces.kernel_forces": "forces_of_packages",
         "carom.runs.overview": "in_words",
         "carom.physics.vector": "minimum_images",

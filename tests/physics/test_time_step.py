@@ -10,7 +10,7 @@ import pytest
 
 from carom.errors import PhysicsError
 from carom.physics.batch_step import BatchStepper
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper
 from carom.physics.step_rule import BODIES_PER_BLOCK, PullTime, step_of_largest

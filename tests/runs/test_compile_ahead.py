@@ -14,7 +14,7 @@ import pytest
 
 from carom.cli import compiling
 from carom.physics import jit as parallel
-from carom.physics.jit.cores import cores
+from carom.physics.jit import cores
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene

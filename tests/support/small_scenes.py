@@ -12,7 +12,7 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.graph import colour_contacts, solve_order_of
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.scene.matter import PairCoefficients
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene

@@ -17,7 +17,7 @@ import typer
 from carom.cli.options import JsonOption
 from carom.cli.printing import duration_text, say_json
 from carom.physics import jit
-from carom.physics.jit.cores import cores
+from carom.physics.jit import cores
 
 NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of your own"
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.team import SOLO, Team
 
 # π/2 in two parts (Cody & Waite): the first has 33 bits, so that its product with a count up to 2²⁰ is exact.
 HALF_PI_HIGH = 1.57079632673412561417

@@ -19,8 +19,8 @@ from carom.physics.diagnostics.run_monitor import PaceMonitor, remedies_of
 from carom.physics.forces.force import Potentials
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.physics.integrators.batch_integrator import IntegratorCheckpoint, batch_integrator_of
-from carom.physics.jit.cores import cores
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit import cores
+from carom.physics.jit.team import Team
 from carom.physics.schedule import Checks, Goal, Pause, Schedule, at, every
 from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep

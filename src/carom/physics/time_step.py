@@ -26,7 +26,7 @@ from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.diagnostics.momentum import centre_velocity
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.team import SOLO, Team
 from carom.physics.step_rule import (
     BODIES_PER_BLOCK,
     FIXED,

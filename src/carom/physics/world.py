@@ -13,7 +13,7 @@ from carom.physics.contact.law import materials_of
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.force import TotalForce
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.plan.features import Requirements, require
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene

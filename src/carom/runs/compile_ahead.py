@@ -1,7 +1,7 @@
 """What the second process compiles, beside the first run on a machine (see `carom.cli.compiling`).
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
-and neither compiles a kernel that the other has begun (see `kernel_cache`). The second process begins with what a run
+and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with what a run
 needs last. It only fills the cache; if it fails, the run compiles everything itself.
 """
 
@@ -29,7 +29,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import FrameStore
-from carom.physics.jit.thread_team import SOLO, load_helpers
+from carom.physics.jit.team import SOLO, load_helpers
 from carom.physics.placement import place
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep

@@ -14,7 +14,7 @@ from carom.errors import PhysicsError
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import Frame
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.physics.look_ahead.trial_run import Watcher
 from carom.physics.schedule import at, every
 from carom.physics.space import Space

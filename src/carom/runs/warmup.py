@@ -13,7 +13,7 @@ from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.islands import number_sets
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.jit.decorators import Compilations, cache_folder
-from carom.physics.jit.thread_team import load_helpers, sharing_all
+from carom.physics.jit.team import load_helpers, sharing_all
 from carom.private_folder import temporary_folder
 from carom.registry import ExtensionError
 from carom.runs.run import run

@@ -20,7 +20,7 @@ from carom.physics.contact.graph import (
     colour_contacts,
     solve_order_of,
 )
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from seeds import examples
 from small_scenes import random_bodies, solver_of
 

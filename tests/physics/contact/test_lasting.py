@@ -14,7 +14,7 @@ from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.constraints import CONTACT
 from carom.physics.contact.law import IMPULSES
 from carom.physics.contact.solver.prepare import ImpulseCache, impulses_of
-from carom.physics.jit.thread_team import SOLO
+from carom.physics.jit.team import SOLO
 from carom.physics.space import Space
 from carom.scene.schema import Scene
 from carom.scene.schema.contact import Sweeps

@@ -12,8 +12,8 @@ from carom.physics.contact.constraints import PREPARE, ConstraintSystem
 from carom.physics.contact.solver import contact_solver, phase_code
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.contact.solver.phase_code import PHASES
-from carom.physics.jit.lanes import WIDTH
 from carom.physics.jit.task import code_for
+from carom.physics.jit.vectors import WIDTH
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene

@@ -36,7 +36,10 @@ def kernels() -> dict[Name, Kernel]:
         }
         for function in tree.body:
             if isinstance(function, ast.FunctionDef):
-                decorators = {each.id for each in function.decorator_list if isinstance(each, ast.Name)} & KERNELS
+                names = [
+                    each for listed in function.decorator_list for each in ast.walk(listed)
+                ]  # `leading(inner)`, too
+                decorators = {each.id for each in names if isinstance(each, ast.Name)} & KERNELS
                 called = [call.func for call in ast.walk(function) if isinstance(call, ast.Call)]
                 calls = {imports.get(each.id, (module, each.id)) for each in called if isinstance(each, ast.Name)}
                 makes = any(isinstance(each, ast.Attribute) and each.attr in MAKERS for each in called)

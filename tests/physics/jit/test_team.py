@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.constraints import SHARED_FROM
-from carom.physics.jit.atomics import atomic_load, atomic_store
-from carom.physics.jit.thread_team import Team, sharing_all
+from carom.physics.jit.instructions import atomic_load, atomic_store
+from carom.physics.jit.team import Team, sharing_all
 from carom.physics.space import Space
 from carom.scene.start import HalfSpaces
 from small_scenes import random_bodies, scene_of, solver_of

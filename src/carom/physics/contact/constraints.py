@@ -17,7 +17,7 @@ from carom.physics.aligned import CACHE_LINE, record
 from carom.physics.contact.rolling import ANGULAR_IMPULSE, FIELDS
 from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.jit.decorators import inline
-from carom.physics.jit.index import from_front
+from carom.physics.jit.instructions import from_front
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024

@@ -14,8 +14,8 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.lanes import where
+from carom.physics.jit.instructions import from_front
+from carom.physics.jit.vectors import where
 from carom.physics.vector import Vector, between, nearest_image, vector
 
 

@@ -21,9 +21,8 @@ from carom.arrays import FloatArray, IntArray
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.intrinsics import lowest_bit
-from carom.physics.jit.lanes import WIDTH
+from carom.physics.jit.instructions import from_front, lowest_bit
+from carom.physics.jit.vectors import WIDTH
 
 OVERFLOW = 64  # colour of the contacts that do not fit into 64 stages: resolved last, one by one
 CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration

@@ -16,10 +16,9 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
 from carom.physics.contact.geometry import are_near
-from carom.physics.jit.atomics import atomic_load, atomic_max, atomic_replace
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
+from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes
 
 UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed

@@ -24,8 +24,7 @@ import numpy as np
 
 from carom.arrays import IntArray, Records
 from carom.physics.contact import coulomb
-from carom.physics.jit.decorators import inline, unowned
-from carom.physics.jit.foreign import chosen_by_type, identity_of
+from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, unowned
 from carom.scene.contact_laws import ContactLaw, law_called
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients

@@ -15,9 +15,9 @@ from carom.physics.contact.broad_phase.pairs import search_by
 from carom.physics.contact.broad_phase.planes import PlaneSearch
 from carom.physics.contact.islands import excess_square
 from carom.physics.contact.solver.prepare import TOUCHING
-from carom.physics.jit.atomics import atomic_max
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.instructions import atomic_max
+from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 

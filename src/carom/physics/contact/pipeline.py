@@ -37,7 +37,7 @@ from carom.physics.contact.solver.positions import BAUMGARTE
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closing
 from carom.physics.diagnostics.run_monitor import Profile
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
 from carom.registry import part_of_model
 from carom.scene.schema import ContactSettings

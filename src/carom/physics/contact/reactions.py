@@ -8,7 +8,7 @@ from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 
 MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # about 10 µs of work
 NO_SUPPORT = np.empty(0)  # m/s², if there are no lasting contacts

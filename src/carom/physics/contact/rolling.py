@@ -18,8 +18,7 @@ import numpy as np
 from carom.arrays import FloatArray, Records
 from carom.physics.aligned import columns
 from carom.physics.contact import law
-from carom.physics.jit.decorators import inline
-from carom.physics.jit.foreign import chosen_by_type
+from carom.physics.jit.decorators import chosen_by_type, inline
 
 ANGULAR_IMPULSE = ("angular_x", "angular_y", "angular_z")  # N m s, Λ
 FIELDS = (

@@ -18,8 +18,8 @@ from carom.physics.contact.events.drift import Impacts
 from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.instructions import from_front
+from carom.physics.jit.team import Team
 from carom.scene.schema import ContactSettings
 
 MIN_BLOCKS_PER_TASK = 2

@@ -14,7 +14,7 @@ from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.team import SOLO, Team
 from carom.plan.auto import integrator
 from carom.plan.features import require
 from carom.scene.schema import Scene

@@ -35,7 +35,7 @@ from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import DampedPath, DampedStep, Exchange
 from carom.physics.jit.decorators import kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
 

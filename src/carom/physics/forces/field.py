@@ -10,7 +10,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
 from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.scene.forces import UNIFORM_FIELD
 from carom.scene.schema import Scene
 

@@ -21,7 +21,7 @@ from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
 from carom.physics.forces.gravity import gravity_of
 from carom.physics.forces.kernel_forces import KernelForce, Parameters
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind

@@ -17,9 +17,8 @@ import numpy as np
 
 from carom.arrays import FloatArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.foreign import chosen_by_type, identity_of, leaf
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.decorators import chosen_by_type, identity_of, kernel, leaf, long_kernel
+from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import nearest_image
 from carom.scene.forces import ForceKind, PairForce, force_called, kind_called
 from carom.scene.schema import Scene

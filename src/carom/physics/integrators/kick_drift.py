@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from carom.arrays import FloatArray
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import minimum_image
 
 MIN_BODIES_PER_TASK = 5000

@@ -1,6 +1,14 @@
 """Decorators that compile kernels: strict IEEE arithmetic, cached on disk.
 
 No ``fastmath``: reassociated or fused arithmetic would make the bits depend on the processor.
+
+Options that Numba does not document are left out where kernels are plain. They save the wrappers that only Python
+needs, which take most of the compilation of a kernel with many arrays, and the atomic counts of references to arrays.
+
+Functions of installed packages are compiled into carom's kernels, chosen by the types of arguments (`chosen_by_type`).
+A record that is handed to kernels carries in its type which functions belong to it: the name of its first field has
+their `identity_of`. A kernel is thus compiled once for each set of functions, and `KernelCache` keeps each under its
+types.
 """
 
 from __future__ import annotations
@@ -11,11 +19,10 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba import types
-from numba.core import event
+import xxhash
 
-from carom.physics.jit import kernel_cache
-from carom.physics.jit.compilation import hasten
+from carom.physics.jit.cache import cache_of, folder_of, sources_of
+from carom.physics.jit.inside import PLAIN, compiler, event, extending, types
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -67,14 +74,42 @@ def inline(function: Function) -> Function:
     return _compiled(function, nogil=True, inline="always")
 
 
+class QuickFlags(compiler.Flags):  # type: ignore[misc] # untyped, like all of Numba's inside
+    """Options of a compilation that are quick to compare.
+
+    Numba compares options whenever a kernel calls one of Numba's own functions, such as ``max``, and asks for each of
+    some 40 options by its name. Without this class a compilation takes 1.2 times as long, and so does a first run.
+    """
+
+    __slots__ = ()
+
+    def values(self) -> dict[str, Any]:
+        """Return the value of each option."""
+        values: dict[str, Any] = _DEFAULTS | self._values
+        return values
+
+    def __hash__(self) -> int:
+        return _HASH
+
+
+_DEFAULTS: dict[str, Any] = compiler.Flags().values()
+_HASH = 0 if PLAIN else hash(compiler.Flags())  # Numba's options have one hash, whatever their values are
+
+
 def _compiled(function: Function, **options: Any) -> Function:
     """Compile for Python and other kernels, not for C; once for all literal arguments."""
     compile_as: Any = numba.njit  # its stub lacks some options
-    compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-    hasten(compiled)
-    kept = kernel_cache.cache_of(function)
+    if PLAIN:
+        documented = {name: value for name, value in options.items() if name in ("nogil", "inline")}
+        compiled = compile_as(error_model="numpy", **documented)(function)
+    else:
+        compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+        compiled._compiler._customize_flags = QuickFlags  # the hook for changes of the options
+    kept = cache_of(function)
     if kept is not None:
         compiled._cache = kept
+    if not hasattr(compiled, "get_call_template"):
+        return cast("Function", compiled)
     template_for = compiled.get_call_template
 
     def get_call_template(args: Sequence[Any], kws: dict[str, Any]) -> Any:
@@ -98,8 +133,10 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
 
     Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the entry
     takes 0.5 µs, or 2 µs if it counts references. It misreads arguments of other types, so it is only for arrays whose
-    types its owner sets.
+    types its owner sets. A step of few spheres at rest takes 1.3 times as long without. The plain form is the kernel.
     """
+    if PLAIN:
+        return function
     asked = function, layout_of(arguments)
     if asked not in _entries:
         kind_of: Any = numba.typeof
@@ -120,21 +157,21 @@ def layout_of(argument: Any) -> Any:
 
 def cache_folder() -> str:
     """Return the folder of the compiled kernels of this package; empty if none is writable."""
-    return str(kernel_cache.cache_folder(Path(__file__).parents[1]) or "")
+    return str(folder_of(Path(__file__).parents[1]) or "")
 
 
-class Compilations(event.Listener):
+class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
     """Counts the kernels that are compiled while it is active; kernels from the cache do not count."""
 
     def __init__(self) -> None:
         self.count = 0
 
     def __enter__(self) -> Compilations:
-        event.register("numba:compile", self)  # type: ignore[no-untyped-call]
+        event.register("numba:compile", self)
         return self
 
     def __exit__(self, *error: object) -> None:
-        event.unregister("numba:compile", self)  # type: ignore[no-untyped-call]
+        event.unregister("numba:compile", self)
 
     def on_start(self, event: object) -> None:
         """Count one."""
@@ -144,7 +181,7 @@ class Compilations(event.Listener):
         """Do nothing; Numba requires this method."""
 
 
-class _FirstCompilation(event.Listener):
+class _FirstCompilation(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
     """Calls back once, when the first kernel that is not in the cache is compiled."""
 
     def __init__(self, callback: Callable[[], None]) -> None:
@@ -161,4 +198,38 @@ class _FirstCompilation(event.Listener):
 
 def on_compilation(callback: Callable[[], None]) -> None:
     """Call back once, before the first kernel is compiled; never if all are in the cache."""
-    event.register("numba:compile", _FirstCompilation(callback))  # type: ignore[no-untyped-call]
+    event.register("numba:compile", _FirstCompilation(callback))
+
+
+def leaf(function: Function) -> Function:
+    """Compile a function into the kernels that call it; it is not kept on disk by itself."""
+    compile_as: Any = numba.njit
+    return cast("Function", compile_as(error_model="numpy", inline="always")(function))
+
+
+def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Let kernels that call a function compile what the decorated function returns for the types of its arguments."""
+    overload: Any = extending.overload
+    decorated: Callable[[Callable[..., Any]], Callable[..., Any]] = overload(
+        stub, jit_options={"error_model": "numpy"}, strict=False
+    )
+    return decorated
+
+
+def identity_of(*functions: Callable[..., Any]) -> str:
+    """Return a text that changes with the sources of functions, to stand in the name of a type.
+
+    A function within another one, or whose sources cannot be read, depends on more than its text. Its address is then
+    part of the name, so that `KernelCache` keeps no kernel with it.
+    """
+    whole = xxhash.xxh3_64()
+    for function in functions:
+        code = function.__code__
+        whole.update(f"{function.__module__} {function.__qualname__} {code.co_firstlineno}".encode())
+        try:
+            whole.update(sources_of(function.__module__, Path(code.co_filename)))
+        except (OSError, UnicodeDecodeError):
+            return f"{function.__qualname__} at 0x{id(function):x}"
+        if function.__closure__:
+            return f"{function.__qualname__} at 0x{id(function):x}"
+    return whole.hexdigest()

@@ -1,7 +1,11 @@
 """A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
-A helper that calls through the interpreter waits for its lock: 10 to 30 µs for half a dozen pieces. Numba can pass a
-kernel to another kernel as a value, but then compiles the other one again for each kernel and each set of arguments.
+A helper that calls through the interpreter waits for its lock: 10 to 30 µs for half a dozen pieces. A step of 10⁴
+bodies gained a factor of 1.2 from a second thread that way, and 1.65 by addresses. Numba can pass a kernel to another
+kernel as a value, but then compiles the other one again for each kernel and each set of arguments. The phases of the
+contact solver, called by name, would all be compiled into each of their callers.
+
+In the plain form a task is an object of Python, which calls its kernel; what leads tasks (`leading`) is Python, too.
 """
 
 from __future__ import annotations
@@ -12,16 +16,45 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numba
-from llvmlite import ir
-from numba import types
-from numba.core import callconv, cgutils
+import numpy as np
 
-from carom.physics.jit.decorators import compile_for
-from carom.physics.jit.intrinsics import instruction
+from carom.physics.jit.decorators import Function, compile_for, inline
+from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
+from carom.physics.jit.instructions import WORD, Code, instruction
 
-WORD = ir.IntType(64)
 PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])  # address of the job, first piece, one after the last
 FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job; error code (0: none), exception
+CODE: Any = np.object_ if PLAIN else np.int64  # the type of `code_for`, for arrays
+
+
+def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], Function]:
+    """Compile a function that calls kernels as tasks, but leave it to Python where kernels are plain."""
+    return (lambda function: function) if PLAIN else compile_as
+
+
+@inline
+def _unchanged(records: Any) -> Any:
+    return records
+
+
+def _with_attributes(records: Any) -> Any:
+    return records.view(np.recarray)
+
+
+led = _with_attributes if PLAIN else _unchanged  # records for `leading` functions, with fields as attributes
+
+
+class PlainJob:
+    """A kernel to be called on [0, count), cut into pieces."""
+
+    def __init__(self, kernel: Callable[..., None] | int, count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
+        self.kernel: Any = kernel
+        self._count, self._pieces, self._arguments = count, pieces, arguments
+
+    def do(self, first: int, end: int) -> None:
+        """Do the pieces [first, end)."""
+        edges = (self._count * piece // self._pieces for piece in (first, end))
+        self.kernel(*edges, *self._arguments)
 
 
 def address_of(kernel: Callable[..., None], kind: int) -> int:
@@ -33,8 +66,13 @@ def address_of(kernel: Callable[..., None], kind: int) -> int:
     raise TypeError(f"{kernel} has never been called with such arguments")
 
 
-def code_for(kernel: Callable[..., None], *arguments: Any) -> int:
-    """Compile a kernel for (lo, hi, *arguments), or load it; return the address of its machine code."""
+def code_for(kernel: Callable[..., None], *arguments: Any) -> Any:
+    """Compile a kernel for (lo, hi, *arguments), or load it; return the address of its machine code.
+
+    In the plain form this is the kernel itself.
+    """
+    if PLAIN:
+        return kernel
     compile_for(kernel, 0, 0, *arguments)
     return address_of(kernel, kind_for(*arguments))
 
@@ -46,21 +84,23 @@ def kind_for(*arguments: Any) -> int:
 
 
 def _kind(kinds: Sequence[Any]) -> int:
-    return zlib.crc32(repr(tuple(kinds)).encode()) + 1
+    return 0 if PLAIN else zlib.crc32(repr(tuple(kinds)).encode()) + 1
 
 
-@instruction
-def kind_of(typing: Any, arguments: Any) -> Any:
+@instruction(lambda arguments: 0, returns="int64")
+def kind_of(code: Code, arguments: Any) -> Any:
     """Return a number, not 0, that identifies the types of a tuple's members."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return WORD(_kind(list(arguments)))
-
-    return types.int64(arguments), generate
+    return WORD(_kind(list(code.kinds["arguments"])))
 
 
-@instruction
-def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -> Any:
+@instruction(
+    lambda kernel, count, pieces, arguments: (0, PlainJob(kernel, count, pieces, arguments)),
+    returns=("int64", "int64"),
+    kernel="int64",
+    count="int64",
+    pieces="int64",
+)
+def lay_out(code: Code, kernel: Any, count: Any, pieces: Any, arguments: Any) -> list[Any]:
     """Lay out a job, valid until the caller returns: a kernel to be called on [0, count), cut into pieces.
 
     Returns
@@ -68,19 +108,13 @@ def lay_out(typing: Any, kernel: Any, count: Any, pieces: Any, arguments: Any) -
     doer, job
         Addresses of the function that does pieces of such a job, and of the job.
     """
-    kinds = (types.int64, types.int64, *arguments)
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        layout = ir.LiteralStructType([WORD] * ARGUMENTS + [context.get_value_type(arguments)])
-        job = cgutils.alloca_once(builder, layout)  # type: ignore[no-untyped-call]
-        for k, value in enumerate((WORD(0), WORD(0), *args)):
-            builder.store(value, _member(builder, job, k))
-        doer = _doer(context, builder.module, layout, kinds)
-        addresses = [builder.ptrtoint(pointer, WORD) for pointer in (doer, job)]
-        return context.make_tuple(builder, signature.return_type, addresses)
-
-    pair = types.UniTuple(types.int64, 2)  # type: ignore[no-untyped-call]
-    return pair(types.int64, types.int64, types.int64, arguments), generate
+    kinds = (types.int64, types.int64, *code.kinds["arguments"])
+    layout = ir.LiteralStructType([WORD] * ARGUMENTS + [code.context.get_value_type(code.kinds["arguments"])])
+    job = cgutils.alloca_once(code.builder, layout)
+    for k, value in enumerate((WORD(0), WORD(0), kernel, count, pieces, arguments)):
+        code.builder.store(value, _member(code.builder, job, k))
+    doer = _doer(code.context, code.builder.module, layout, kinds)
+    return [code.builder.ptrtoint(pointer, WORD) for pointer in (doer, job)]
 
 
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
@@ -98,7 +132,7 @@ def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
     edges = [builder.sdiv(builder.mul(count, edge), pieces) for edge in doer.args[1:]]
     convention = context.call_conv
     callee = builder.inttoptr(kernel, convention.get_function_type(types.none, kinds).as_pointer())
-    members = cgutils.unpack_tuple(builder, arguments)  # type: ignore[no-untyped-call]
+    members = cgutils.unpack_tuple(builder, arguments)
     status, _ = convention.call_function(builder, callee, types.none, kinds, [*edges, *members])
     with builder.if_then(status.is_error, likely=False):
         code = builder.sext(status.code, WORD)
@@ -110,47 +144,32 @@ def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
 
 
 def _member(builder: Any, job: Any, k: int) -> Any:
-    return cgutils.gep_inbounds(builder, job, 0, k)  # type: ignore[no-untyped-call]
+    return cgutils.gep_inbounds(builder, job, 0, k)
 
 
-@instruction
-def raise_fault(typing: Any, job: Any) -> Any:
+@instruction(lambda job: None, job="int64")
+def raise_fault(code: Code, job: Any) -> None:
     """Raise the exception of a piece of a job, if there was one; all pieces must be done."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        words = builder.inttoptr(args[0], WORD.as_pointer())
-        code, info = (builder.load_atomic(builder.gep(words, [WORD(k)]), "seq_cst", 8) for k in (FAULT, INFO))
-        convention = context.call_conv
-        with builder.if_then(builder.icmp_signed("!=", code, WORD(0)), likely=False):
-            info = builder.inttoptr(info, callconv.excinfo_ptr_t)
-            status = convention._get_return_status(builder, builder.trunc(code, callconv.errcode_t), info)
-            convention.return_status_propagate(builder, status)
-        return context.get_dummy_value()
-
-    return types.void(types.int64), generate
+    builder, convention = code.builder, code.context.call_conv
+    words = builder.inttoptr(job, WORD.as_pointer())
+    fault, info = (builder.load_atomic(builder.gep(words, [WORD(k)]), "seq_cst", 8) for k in (FAULT, INFO))
+    with builder.if_then(builder.icmp_signed("!=", fault, WORD(0)), likely=False):
+        info = builder.inttoptr(info, callconv.excinfo_ptr_t)
+        status = convention._get_return_status(builder, builder.trunc(fault, callconv.errcode_t), info)
+        convention.return_status_propagate(builder, status)
 
 
-@instruction
-def assign(typing: Any, job: Any, kernel: Any) -> Any:
+@instruction(lambda job, kernel: setattr(job, "kernel", kernel), job="int64", kernel="int64")
+def assign(code: Code, job: Any, kernel: Any) -> None:
     """Give a job another kernel, which takes the same arguments."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        words = builder.inttoptr(args[0], WORD.as_pointer())
-        builder.store(args[1], builder.gep(words, [WORD(KERNEL)]))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64), generate
+    words = code.builder.inttoptr(job, WORD.as_pointer())
+    code.builder.store(kernel, code.builder.gep(words, [WORD(KERNEL)]))
 
 
-@instruction
-def do(typing: Any, doer: Any, job: Any, first: Any, end: Any) -> Any:
+@instruction(lambda doer, job, first, end: job.do(first, end), doer="int64", job="int64", first="int64", end="int64")
+def do(code: Code, doer: Any, job: Any, first: Any, end: Any) -> None:
     """Do the pieces [first, end) of a job, by one call of its kernel."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.call(builder.inttoptr(args[0], PIECES_OF.as_pointer()), args[1:])
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.int64, types.int64), generate
+    code.builder.call(code.builder.inttoptr(doer, PIECES_OF.as_pointer()), [job, first, end])
 
 
 def c_function(name: str) -> int:
@@ -158,12 +177,7 @@ def c_function(name: str) -> int:
     return ctypes.cast(getattr(ctypes.CDLL(None), name), ctypes.c_void_p).value or 0
 
 
-@instruction
-def call(typing: Any, function: Any) -> Any:
+@instruction(lambda function: None, function="int64")
+def call(code: Code, function: Any) -> None:
     """Call the C function at an address, without arguments."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        builder.call(builder.inttoptr(args[0], ir.FunctionType(ir.VoidType(), []).as_pointer()), [])
-        return context.get_dummy_value()
-
-    return types.void(types.int64), generate
+    code.builder.call(code.builder.inttoptr(function, ir.FunctionType(ir.VoidType(), []).as_pointer()), [])

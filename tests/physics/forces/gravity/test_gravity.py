@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from carom.physics.forces.gravity.direct import DirectGravity
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 
 FloatArray = NDArray[np.float64]
 

@@ -26,10 +26,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.jit.prefetch import AHEAD, prefetch
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
+from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
 
 Int32Array = NDArray[np.int32]

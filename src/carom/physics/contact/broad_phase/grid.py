@@ -20,9 +20,9 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError
 from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
 from carom.physics.contact.geometry import are_near
-from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import borrowing, inline, kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.instructions import atomic_add
+from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time

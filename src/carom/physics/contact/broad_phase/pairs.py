@@ -21,8 +21,8 @@ from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, Hierarchical
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import borrowing, kernel, long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.instructions import from_front
+from carom.physics.jit.team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.vector import between, is_periodic, minimum_image, sizes
 

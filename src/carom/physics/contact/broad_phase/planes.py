@@ -20,8 +20,8 @@ from carom.physics.contact.broad_phase.pairs import BLOCK, close_up
 from carom.physics.contact.geometry import height_above
 from carom.physics.contact.graph import first_of
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.instructions import from_front
+from carom.physics.jit.team import Team
 from carom.physics.vector import vector
 from carom.scene.start import HalfSpaces
 

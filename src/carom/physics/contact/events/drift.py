@@ -39,7 +39,7 @@ from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, kernel
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.scene.start import HalfSpaces
 
 FloatArray = NDArray[np.float64]

@@ -33,7 +33,7 @@ from carom.physics.contact.solver.prepare import ImpulseCache, begin_contacts, i
 from carom.physics.contact.statistics import NO_CONTACTS, ContactStatistics
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, TERMS
 from carom.physics.jit.decorators import kernel
-from carom.physics.jit.thread_team import SOLO
+from carom.physics.jit.team import SOLO
 from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces

@@ -13,10 +13,20 @@ import numpy as np
 
 from carom.physics.contact.constraints import SETTINGS, ConstraintSystem
 from carom.physics.jit.decorators import inline
-from carom.physics.jit.intrinsics import address_in
-from carom.physics.jit.lanes import BYTE, DOUBLE, NOTHING, WIDTH, WORD, Lanes, Mask, at_least, read_flags, spread
-from carom.physics.jit.prefetch import AHEAD, fetch_line
-from carom.physics.jit.record_lanes import RecordLanes
+from carom.physics.jit.instructions import AHEAD, Code, fetch_line
+from carom.physics.jit.vectors import (
+    BYTE,
+    DOUBLE,
+    NOTHING,
+    WIDTH,
+    WORD,
+    Lanes,
+    Mask,
+    RecordLanes,
+    at_least,
+    read_flags,
+    spread,
+)
 
 VELOCITY, CHANGE = range(2)  # lines of a body
 
@@ -33,20 +43,18 @@ class Block:
 
     Parameters
     ----------
-    context, builder
-        Of the code.
-    kind, system
-        Numba's type of the system, and its value in the code.
+    code
+        Of an instruction, with the argument ``system``.
     first
         Place of the first contact, a value of the code.
     """
 
-    def __init__(self, context: Any, builder: Any, kind: Any, system: Any, first: Any) -> None:
-        self.context, self.builder = context, builder
-        self._kind, self._system = kind, system
-        self.places = [builder.add(first, WORD(k)) for k in range(WIDTH)]
+    def __init__(self, code: Code, first: Any) -> None:
+        self.code, self.builder = code, code.builder
+        self._kind, self._system = code.kinds["system"], code.values["system"]
+        self.places = [self.builder.add(first, WORD(k)) for k in range(WIDTH)]
         self.ends = self._ends_from(first)
-        self.nothing = spread(builder, NOTHING)
+        self.nothing = spread(self.builder, NOTHING)
 
     def kind_of(self, name: str) -> Any:
         """Return Numba's type of an array of the system."""
@@ -58,8 +66,7 @@ class Block:
 
     def count(self, name: str) -> Any:
         """Return the number of rows of an array of the system."""
-        view = self.context.make_array(self.kind_of(name))(self.context, self.builder, self._array(name))
-        return self.builder.extract_value(view.shape, 0)
+        return self.code.length_of(self.kind_of(name), self._array(name))
 
     @property
     def body_count(self) -> Any:
@@ -68,7 +75,7 @@ class Block:
 
     def address(self, name: str, *indices: Any) -> Any:
         """Return the address of an element of an array of the system."""
-        return address_in(self.context, self.builder, self.kind_of(name), self._array(name), indices)
+        return self.code.element_of(self.kind_of(name), self._array(name), *indices)
 
     def setting(self, name: str) -> Lanes:
         """Return a double of the settings, in all lanes."""

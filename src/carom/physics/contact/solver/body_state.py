@@ -16,9 +16,8 @@ import numpy as np
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ends_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
-from carom.physics.jit.index import from_front
-from carom.physics.jit.lanes import where
-from carom.physics.jit.prefetch import AHEAD, prefetch_record
+from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
+from carom.physics.jit.vectors import where
 
 
 def active_bodies(pairs: IntArray, count: int) -> IntArray:

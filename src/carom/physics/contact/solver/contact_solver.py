@@ -49,7 +49,7 @@ from carom.physics.contact.solver.prepare import ImpulseCache, begin_contacts, i
 from carom.physics.contact.statistics import ContactStatistics
 from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.jit.decorators import entry_of, kernel
-from carom.physics.jit.thread_team import ALONE, Team
+from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 

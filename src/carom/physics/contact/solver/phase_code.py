@@ -43,7 +43,7 @@ from carom.physics.contact.solver.refine import (
 )
 from carom.physics.contact.solver.solve import solve_straight, solve_turning
 from carom.physics.jit.decorators import layout_of
-from carom.physics.jit.task import code_for, kind_for
+from carom.physics.jit.task import CODE, code_for, kind_for
 
 Phase = Callable[[int, int, ConstraintSystem], None]
 
@@ -77,7 +77,7 @@ class PhaseCode:
     """
 
     def __init__(self, spins: bool) -> None:
-        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=np.int64)  # by phase
+        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=CODE)  # by phase
         self.kind = 0  # of the systems, see `kind_of`
         self._spins = spins
         self._ready: set[int] = set()
@@ -99,11 +99,11 @@ class PhaseCode:
         self._ready.add(job)
 
 
-_addresses: dict[tuple[Phase, int], int] = {}
+_addresses: dict[tuple[Phase, int], Any] = {}
 _kinds: dict[tuple[Any, ...], int] = {}
 
 
-def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> int:
+def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> Any:
     """Return the address of a kernel's code, asking Numba once: that takes milliseconds, as long as a short run."""
     if (kernel, kind) not in _addresses:
         _addresses[kernel, kind] = code_for(kernel, system)

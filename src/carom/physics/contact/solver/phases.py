@@ -37,8 +37,8 @@ from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
 from carom.physics.contact.solver.refine import INTOLERABLE, step_length
 from carom.physics.contact.solver.solve import HOLD_CONVERGED
 from carom.physics.jit.decorators import borrowing, inline, inner
-from carom.physics.jit.task import assign, do, kind_of, lay_out, raise_fault
-from carom.physics.jit.thread_team import lead_phase
+from carom.physics.jit.task import assign, do, kind_of, lay_out, leading, led, raise_fault
+from carom.physics.jit.team import lead_phase
 
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round
@@ -60,7 +60,7 @@ class Phases(NamedTuple):
     settings: Records
 
 
-@borrowing
+@leading(borrowing)
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
@@ -78,7 +78,8 @@ def work(
     if kind != kind_of((system,)):
         raise TypeError("the phases are compiled for systems of another kind")
     doer, task = lay_out(0, 1, 1, (system,))  # piece k is the range [k, k + 1)
-    phases = Phases(addresses, doer, task, system.edges, system.found, system.sums, system.settings)
+    found, sums, settings = led(system.found), led(system.sums), led(system.settings)
+    phases = Phases(addresses, doer, task, system.edges, found, sums, settings)
     if job == POSITIONS:
         return _correct_positions(board, phases, max_iterations)
     if job == IMPACTS:
@@ -86,7 +87,7 @@ def work(
     return _hold(board, phases, max_iterations)
 
 
-@inline
+@leading(inline)
 def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Push resting contacts apart until they no longer overlap."""
     iterations, again = 0, 1.0
@@ -98,7 +99,7 @@ def _correct_positions(board: IntArray, phases: Phases, max_iterations: int) -> 
     return iterations
 
 
-@inline
+@leading(inline)
 def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Resolve impacts until an iteration changes velocities by less than `CONVERGED`."""
     iterations, first_change, change = 0, 0.0, 1.0
@@ -113,7 +114,7 @@ def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> in
     return iterations
 
 
-@inline
+@leading(inline)
 def _sum_up_approaches(phases: Phases) -> None:
     """Note the fastest approach of all pieces, and whether a contact is at rest."""
     fastest, any_rests = 0.0, False
@@ -122,7 +123,7 @@ def _sum_up_approaches(phases: Phases) -> None:
     phases.settings[0].fastest, phases.settings[0].any_rests = fastest, any_rests
 
 
-@inline
+@leading(inline)
 def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Find the impulses of resting contacts, starting from those given, and book them."""
     pieces, settings = len(phases.found), phases.settings[0]
@@ -146,7 +147,7 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     return iterations
 
 
-@inner
+@leading(inner)
 def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
     """Solve each contact once; before, extrapolate the previous iteration if ``again``."""
     if again:
@@ -158,7 +159,7 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
     return _largest_residual(phases)
 
 
-@inner
+@leading(inner)
 def _refine(board: IntArray, phases: Phases) -> int:
     """Solve for all contacts that carry a load together, until each is within its tolerance."""
     pieces, passes, rounds = len(phases.found), 0, 0
@@ -177,7 +178,7 @@ def _refine(board: IntArray, phases: Phases) -> int:
     return passes + _iterate_on(board, phases) if missed > 0.0 and phases.settings[0].keeps_iterating else passes
 
 
-@inner
+@leading(inner)
 def _iterate_on(board: IntArray, phases: Phases) -> int:
     """Iterate after conjugate gradients that did not converge; return the number of iterations.
 
@@ -195,7 +196,7 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
     return iterations
 
 
-@inner
+@leading(inner)
 def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     """Find the change of the free impulses; return the number of iterations."""
     pieces, settings = len(phases.found), phases.settings[0]
@@ -230,7 +231,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     return iterations
 
 
-@inline
+@leading(inline)
 def _largest_impulses(phases: Phases) -> tuple[float, float]:
     """Return the largest pushing and the largest pulling impulse in the last step of the search, in N s."""
     push, pull = 0.0, 0.0
@@ -239,14 +240,14 @@ def _largest_impulses(phases: Phases) -> tuple[float, float]:
     return push, pull
 
 
-@inner
+@leading(inner)
 def _forget_changes(board: IntArray, phases: Phases) -> None:
     """Clear the changes of the velocities."""
     phases.settings[0].alpha = 0.0
     _share(board, phases, EXTRAPOLATE, 0, len(phases.sums), True)
 
 
-@inner
+@leading(inner)
 def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
     """Do a phase colour by colour."""
     edges, independent = phases.edges, phases.settings[0].independent
@@ -257,7 +258,7 @@ def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
         _share(board, phases, phase, edges[colour], edges[colour + 1], colour < independent)
 
 
-@inner
+@leading(inner)
 def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, independent: bool) -> None:
     """Do the pieces of a phase, with the team if they are independent."""
     assign(phases.task, phases.addresses[phase])
@@ -270,7 +271,7 @@ def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, in
     raise_fault(phases.task)
 
 
-@inner
+@leading(inner)
 def _largest_residual(phases: Phases) -> float:
     largest = 0.0
     for k in range(len(phases.found)):
@@ -278,7 +279,7 @@ def _largest_residual(phases: Phases) -> float:
     return largest
 
 
-@inner
+@leading(inner)
 def _residual_norm(phases: Phases) -> float:
     norm = 0.0
     for k in range(len(phases.found)):

@@ -26,9 +26,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import types
-from numba.core import cgutils
-
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.constraints import (
     CONTACT_STATE,
@@ -44,9 +41,8 @@ from carom.physics.contact.law import material_index, restitution
 from carom.physics.contact.solver.block import Block, whole_blocks
 from carom.physics.contact.solver.body_state import prefetch_ends, velocity_along
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
-from carom.physics.jit.index import from_front
-from carom.physics.jit.intrinsics import instruction
-from carom.physics.jit.lanes import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
+from carom.physics.jit.instructions import Code, from_front, instruction
+from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
 from carom.physics.vector import is_periodic, nearest_image, vector, write
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
@@ -280,19 +276,23 @@ def scatter_positions(
             write(v, b, body.vx, body.vy, body.vz)
 
 
-@instruction
-def correct_block(typing: Any, system: Any, first: Any, again: Any) -> Any:
+@inline
+def _correct_in_turn(system: ConstraintSystem, first: int, again: float) -> float:
+    for c in range(first, first + WIDTH):
+        if ends_of(system.pairs, c)[1] < body_count(system):
+            again = max(again, _push_apart(c, system))
+    return again
+
+
+@instruction(_correct_in_turn, returns="float64", first="intp", again="float64")
+def correct_block(code: Code, system: Any, first: Any, again: Any) -> Any:
     """Push the contacts between bodies of a block apart once; return 1 if an overlap needs another iteration.
 
     Otherwise return ``again``. Contacts with planes are left out.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        result = cgutils.alloca_once_value(builder, args[2])  # type: ignore[no-untyped-call]
-        _Correction(Block(context, builder, system, *args[:2])).correct(result)
-        return builder.load(result)
-
-    return types.float64(system, types.intp, types.float64), generate
+    result = code.variable(again)
+    _Correction(Block(code, first)).correct(result)
+    return code.load(result)
 
 
 class _Correction:
@@ -367,13 +367,12 @@ class _Correction:
 
     def _restitution(self, approach: Lanes, rest_speed: Lanes) -> Lanes:
         """Return the restitution of each contact by the law."""
-        builder, context, block = self._builder, self._block.context, self._block
-        signature: Any = types.float64(block.kind_of("materials").dtype, types.float64, types.float64)
-        found = []
+        block, found = self._block, []
+        kinds = [block.kind_of("materials").dtype, "float64", "float64"]
         for k, material in enumerate(block.materials()):
             given = [material, approach.lane(k), rest_speed.lane(k)]
-            found.append(context.compile_internal(builder, _restitution_of_one, signature, given))
-        return gathered(builder, found)
+            found.append(block.code.call(_restitution_of_one, "float64", *zip(kinds, given, strict=True)))
+        return gathered(self._builder, found)
 
     def _note(self, ends: list[Any], pushed: Mask, moving: Mask) -> None:
         """Note the iteration in which moving ends were pushed."""
@@ -392,5 +391,5 @@ class _Correction:
 
 
 def _restitution_of_one(material: Any, approach: float, rest_speed: float) -> float:
-    """Call the law: ``compile_internal`` takes a plain function of Python, not a kernel."""
+    """Call the law: `Code.call` takes a plain function of Python, not a kernel."""
     return restitution(material, approach, rest_speed)

@@ -48,8 +48,8 @@ from carom.physics.contact.rolling import (
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends, relative_velocity, slip
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
-from carom.physics.jit.prefetch import AHEAD, prefetch_record
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.instructions import AHEAD, prefetch_record
+from carom.physics.jit.team import Team
 
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache

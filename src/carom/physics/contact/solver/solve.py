@@ -36,7 +36,6 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from numba import types
 
 from carom.physics.contact.constraints import BODY_STATE, CONTACT, ConstraintSystem, body_count, ends_of
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
@@ -64,10 +63,11 @@ from carom.physics.contact.solver.body_state import (
     turn,
 )
 from carom.physics.jit.decorators import inline, unowned
-from carom.physics.jit.intrinsics import instruction
-from carom.physics.jit.lanes import (
+from carom.physics.jit.instructions import Code, instruction
+from carom.physics.jit.vectors import (
     WIDTH,
     Lanes,
+    RecordLanes,
     added_in_order,
     either,
     gathered,
@@ -76,10 +76,8 @@ from carom.physics.jit.lanes import (
     read_doubles,
     spread,
 )
-from carom.physics.jit.record_lanes import RecordLanes
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
-DOUBLES: Any = types.UniTuple(types.float64, 3)  # type: ignore[no-untyped-call]
 Vector = Sequence[Lanes]
 
 
@@ -220,17 +218,19 @@ def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float,
     return float(max(abs(dx), abs(dy), abs(dz)) * K * max(contact.arm_i, contact.arm_j))
 
 
-@instruction
-def solve_block(typing: Any, system: Any, first: Any, found: Any, turning: Any) -> Any:
+@inline
+def _solve_in_turn(
+    system: ConstraintSystem, first: int, found: tuple[float, float, float], turning: tuple[()] | tuple[int]
+) -> tuple[float, float, float]:
+    return _solve_each(first, first + WIDTH, found, system, turning)
+
+
+@instruction(_solve_in_turn, returns=("float64",) * 3, first="intp")
+def solve_block(code: Code, system: Any, first: Any, found: Any, turning: Any) -> list[Any]:
     """Solve the contacts of a block; return what `solve` ``found`` with theirs. ``turning`` is as in `solve`."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        solution = _Solution(Block(context, builder, system, *args[:2]))
-        solution.solve(turns=len(turning) > 0)
-        before = [builder.extract_value(args[2], k) for k in range(3)]
-        return context.make_tuple(builder, signature.return_type, solution.found(*before))
-
-    return DOUBLES(system, first, found, turning), generate
+    solution = _Solution(Block(code, first))
+    solution.solve(turns=len(code.kinds["turning"]) > 0)
+    return solution.found(*(code.builder.extract_value(found, k) for k in range(3)))
 
 
 class _Solution:
@@ -299,16 +299,16 @@ class _Solution:
 
     def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
         """Return the friction that the law allows in place of the one that ends the slip, contact by contact."""
-        builder, block, context = self._builder, self._block, self._block.context
+        builder, block = self._builder, self._block
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
-        signature = DOUBLES(*records, types.boolean, *[types.float64] * 4)
+        kinds = [*records, "boolean", *["float64"] * 4]
         keeps_sliding = block.flag("keeps_sliding")
         found = []
         for k, material in enumerate(block.materials()):
             slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
-            given = [block.address("states", block.places[k]), material, slides]
             numbers = [value.lane(k) for value in (normal, *ending)]
-            allowed = context.compile_internal(builder, _friction_of_one, signature, [*given, *numbers])
+            given = [block.address("states", block.places[k]), material, slides, *numbers]
+            allowed = block.code.call(_friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
             found.append([builder.extract_value(allowed, axis) for axis in range(3)])
         return [gathered(builder, [allowed[axis] for allowed in found]) for axis in range(3)]
 
@@ -316,5 +316,5 @@ class _Solution:
 def _friction_of_one(
     state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, ...]:
-    """Call `friction`: ``compile_internal`` takes a plain function of Python, not a kernel."""
+    """Call `friction`: `Code.call` takes a plain function of Python, not a kernel."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)

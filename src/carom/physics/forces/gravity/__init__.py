@@ -12,7 +12,7 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.jit.thread_team import Team
+from carom.physics.jit.team import Team
 from carom.plan.auto import gravity_method
 from carom.scene.forces import GRAVITY
 from carom.scene.schema import Scene

@@ -20,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.instructions import atomic_add, atomic_load, atomic_store
+from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error

@@ -28,7 +28,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.jit.decorators import kernel, long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
 X, Y, Z, MASS = range(4)  # rows of the sources

@@ -31,10 +31,9 @@ from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.boxes import GROUP, RANGE, Boxes
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.pair import attraction, own_potential
-from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
-from carom.physics.jit.prefetch import prefetch_to_read
-from carom.physics.jit.thread_team import SOLO, Team
+from carom.physics.jit.instructions import atomic_add, prefetch_to_read
+from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
 BOXES_PER_TASK = 64  # about 10 µs

@@ -47,9 +47,9 @@ from carom.physics.forces.gravity.fast_multipole.taylor import (
     evaluate,
 )
 from carom.physics.forces.gravity.pair import own_potential
-from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel, unowned
-from carom.physics.jit.vectors import LANES
+from carom.physics.jit.instructions import atomic_add
+from carom.physics.jit.vectors import WIDTH as LANES
 
 FEW_PAIRS = 128  # of bodies, which take as long as a pair of boxes
 MANY_PAIRS = 1024  # 512 and 2048 are as fast at equal error

@@ -44,10 +44,10 @@ from carom.physics.forces.gravity.fast_multipole.taylor import (
     SHARE,
     TO,
 )
-from carom.physics.jit.atomics import atomic_add
 from carom.physics.jit.decorators import long_kernel
-from carom.physics.jit.thread_team import SOLO, Team
-from carom.physics.jit.vectors import LANES
+from carom.physics.jit.instructions import atomic_add
+from carom.physics.jit.team import SOLO, Team
+from carom.physics.jit.vectors import WIDTH as LANES
 from carom.scene.schema import Gravity
 
 BRANCH = 2048  # largest number of bodies whose boxes one thread takes; the walk to each repeats 2 % of the work

@@ -15,7 +15,8 @@ D_n follows from ψ^{(s)} = (-1)^s (2s-1)!! (d² + ε²)^{-s-1/2} by D^{(s)}_{n+
 
 The instructions compute eight boxes or bodies at a time, one in each lane of a vector, with every operation of the
 series written out: 728 products for the pairs (k, m). One pair of boxes takes 54 ns on a core with AVX-512. A loop over
-a table of the products would take 1.5 times as long, because it loads and stores each sum for each product.
+a table of the products would take 1.5 times as long, because it loads and stores each sum for each product. Such a loop
+is the plain form, one box or body after another.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import types
-from numba.core import cgutils
 
-from carom.physics.jit.intrinsics import instruction
-from carom.physics.jit.vectors import LANES, Vectors
+from carom.arrays import FloatArray, IntArray
+from carom.physics.forces.gravity.pair import attraction
+from carom.physics.jit.decorators import inner
+from carom.physics.jit.instructions import Code, instruction
+from carom.physics.jit.vectors import DOUBLE, Lanes, Sum, read_doubles, spread, transposed, write_doubles
+from carom.physics.jit.vectors import WIDTH as LANES
 
 Index = tuple[int, int, int]
 
@@ -91,10 +94,74 @@ MOVE_LOCAL = np.array(
 )
 
 
-@instruction
+# The plain forms read tables of what the instructions write out: the sums (k, k + m, m) of a local expansion, the steps
+# (s, n; axis, lower, second, factor) to the derivatives D^{(s)}_n, and the multi-indices that a slope needs.
+TERMS = np.array(
+    [
+        (_PLACE[k], _PLACE[_sum(k, m)], _PLACE[m])
+        for k in _LOCAL
+        for m in _POLES
+        if sum(m) != 1 and sum(k) + sum(m) <= ORDER
+    ]
+)
+RAISED = np.array([[_PLACE[_sum(k, axis)] for k in _POLES] for axis in AXES])
+
+
+def _step(n: Index) -> tuple[int, Index, int]:
+    """Return the axis of the last factor of D_n, the index that is lower by one along it, and n_e there."""
+    axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))  # 1 needs no second term
+    lower = _difference(n, AXES[axis])
+    return axis, lower, lower[axis]
+
+
+STEPS = np.array(
+    [
+        (s, _PLACE[n], axis, _PLACE[lower], _PLACE[_difference(lower, AXES[axis])] if factor else -1, factor)
+        for n in _LOCAL[1:]
+        for axis, lower, factor in [_step(n)]
+        for s in range(ORDER - sum(n) + 1)
+    ]
+)
+
+
+@inner
+def _attract_in_turn(
+    poles: FloatArray,
+    boxes: IntArray,
+    at: int,
+    x: float,
+    y: float,
+    z: float,
+    unit: float,
+    eps2: float,
+    sums: FloatArray,
+) -> None:
+    D = np.empty((ORDER + 1, LOCAL))
+    for lane in range(LANES):
+        M = poles[boxes[at + lane]]
+        dx, dy, dz = (x - M[CENTRE]) * unit, (y - M[CENTRE + 1]) * unit, (z - M[CENTRE + 2]) * unit
+        square = eps2 + dx * dx + dy * dy + dz * dz
+        inverse = 1.0 / square
+        power = np.sqrt(square) * inverse
+        D[0, 0] = power
+        for s in range(1, ORDER + 1):
+            power = power * inverse * float(1 - 2 * s)
+            D[s, 0] = power
+        for q in range(len(STEPS)):
+            s, axis, factor = STEPS[q, 0], STEPS[q, 2], STEPS[q, 5]
+            value = (dx if axis == 0 else (dy if axis == 1 else dz)) * D[s + 1, STEPS[q, 3]]
+            if factor > 0:
+                value = value + D[s + 1, STEPS[q, 4]] * float(factor)
+            D[s, STEPS[q, 1]] = value
+        for q in range(len(TERMS)):
+            k = LANES * TERMS[q, 0] + lane
+            sums[k] = sums[k] + D[0, TERMS[q, 1]] * M[TERMS[q, 2]]
+
+
+@instruction(_attract_in_turn, at="int64", x="float64", y="float64", z="float64", unit="float64", eps2="float64")
 def attract(
-    typing: Any, poles: Any, boxes: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, eps2: Any, sums: Any
-) -> Any:
+    code: Code, poles: Any, boxes: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, eps2: Any, sums: Any
+) -> None:
     """Add the local expansions of eight boxes about a point, each to a lane of its own.
 
     Parameters
@@ -112,59 +179,65 @@ def attract(
     sums
         (LOCAL × LANES,), increased.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        vectors = Vectors(builder)
-        address = _addresses(context, builder, signature, args)
-        chosen = address(1, args[2])
-        rows = [address(0, builder.load(builder.gep(chosen, [_word(s)])), _word(0)) for s in range(LANES)]
-        M: list[Any] = []
-        for first in range(0, POLES, LANES):
-            M += vectors.transpose([vectors.load(row, first) for row in rows])
-        scale = vectors.splat(args[6])
-        d = [
-            vectors.multiply(vectors.subtract(vectors.splat(args[3 + axis]), M[CENTRE + axis]), scale)
-            for axis in range(3)
-        ]
-        D = _derivatives(vectors, d, vectors.splat(args[7]))
-        total = address(8, _word(0))
-        for k in _LOCAL:
-            s = vectors.load(total, LANES * _PLACE[k])
-            for m in _POLES:
-                if sum(m) != 1 and sum(k) + sum(m) <= ORDER:
-                    s = vectors.add(s, vectors.multiply(D[_sum(k, m)], M[_PLACE[m]]))
-            vectors.store(s, total, LANES * _PLACE[k])
-        return context.get_dummy_value()
-
-    number = types.float64
-    return types.void(poles, boxes, types.int64, number, number, number, number, number, sums), generate
+    builder, chosen, total = code.builder, code.element("boxes", at), code.element("sums", 0)
+    rows = [code.element("poles", code.load(chosen, lane), 0) for lane in range(LANES)]
+    M: list[Lanes] = []
+    for first in range(0, POLES, LANES):
+        M += transposed([read_doubles(builder, row, first) for row in rows])
+    scale, point = spread(builder, unit), [spread(builder, along) for along in (x, y, z)]
+    d = [(along - M[CENTRE + axis]) * scale for axis, along in enumerate(point)]
+    D = _derivatives(d, spread(builder, eps2))
+    for k in _LOCAL:
+        s = read_doubles(builder, total, LANES * _PLACE[k])
+        for m in _POLES:
+            if sum(m) != 1 and sum(k) + sum(m) <= ORDER:
+                s = s + D[_sum(k, m)] * M[_PLACE[m]]
+        write_doubles(s, total, LANES * _PLACE[k])
 
 
-def _derivatives(vectors: Vectors, d: list[Any], eps2: Any) -> dict[Index, Any]:
+def _derivatives(d: list[Lanes], eps2: Lanes) -> dict[Index, Lanes]:
     """Return D_n(d) up to `ORDER`."""
     square = eps2
-    for axis in range(3):
-        square = vectors.add(square, vectors.multiply(d[axis], d[axis]))
-    inverse = vectors.divide(vectors.constant(1.0), square)
-    power = vectors.multiply(vectors.square_root(square), inverse)
+    for along in d:
+        square = square + along * along
+    inverse = 1.0 / square
+    power = square.sqrt() * inverse
     found = {(0, ZERO): power}
     for s in range(1, ORDER + 1):
-        power = vectors.multiply(vectors.multiply(power, inverse), vectors.constant(1 - 2 * s))
+        power = power * inverse * float(1 - 2 * s)
         found[s, ZERO] = power
     for n in _LOCAL[1:]:
-        axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))  # 1 needs no second term
-        lower = _difference(n, AXES[axis])
+        axis, lower, factor = _step(n)
         for s in range(ORDER - sum(n) + 1):
-            value = vectors.multiply(d[axis], found[s + 1, lower])
-            if lower[axis]:
-                second = found[s + 1, _difference(lower, AXES[axis])]
-                value = vectors.add(value, vectors.multiply(second, vectors.constant(lower[axis])))
+            value = d[axis] * found[s + 1, lower]
+            if factor:
+                value = value + found[s + 1, _difference(lower, AXES[axis])] * float(factor)
             found[s, n] = value
     return {n: found[0, n] for n in _LOCAL}
 
 
-@instruction
-def evaluate(typing: Any, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> Any:
+@inner
+def _evaluate_in_turn(local: FloatArray, at: int, x: float, y: float, z: float, unit: float, lanes: FloatArray) -> None:
+    L, powers = local[at], np.empty(LOCAL)
+    for lane in range(LANES):
+        ux, uy, uz = (lanes[X, lane] - x) * unit, (lanes[Y, lane] - y) * unit, (lanes[Z, lane] - z) * unit
+        powers[0] = 1.0
+        for n in range(1, LOCAL):
+            power = powers[LOWER[n]] * (ux if AXIS[n] == 0 else (uy if AXIS[n] == 1 else uz))
+            powers[n] = power * SHARE[n]
+        for axis in range(3):
+            slope = 0.0
+            for k in range(POLES):
+                slope = slope + L[RAISED[axis, k]] * powers[k]
+            lanes[AX + axis, lane] = lanes[AX + axis, lane] + slope * unit * unit
+        value = 0.0
+        for k in range(LOCAL):
+            value = value + L[k] * powers[k]
+        lanes[PHI, lane] = lanes[PHI, lane] + value * unit
+
+
+@instruction(_evaluate_in_turn, at="int64", x="float64", y="float64", z="float64", unit="float64")
+def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> None:
     """Add a local expansion at eight bodies.
 
     Parameters
@@ -178,38 +251,42 @@ def evaluate(typing: Any, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any
     lanes
         (7, LANES): rows `X` to `PHI`; the sums are increased.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        vectors = Vectors(builder)
-        address = _addresses(context, builder, signature, args)
-        rows = [address(6, _word(row), _word(0)) for row in range(PHI + 1)]
-        coefficient, scale = address(0, args[1], _word(0)), vectors.splat(args[5])
-        L = {k: vectors.splat(vectors.number(coefficient, _PLACE[k])) for k in _LOCAL}
-        u = [
-            vectors.multiply(vectors.subtract(vectors.load(rows[axis]), vectors.splat(args[2 + axis])), scale)
-            for axis in range(3)
-        ]
-        powers = {ZERO: vectors.constant(1.0)}
-        for n, (lower, axis) in zip(_LOCAL[1:], _factors(), strict=True):
-            power = vectors.multiply(powers[lower], u[axis])
-            powers[n] = vectors.multiply(power, vectors.constant(1.0 / n[axis])) if n[axis] > 1 else power
-        for axis in range(3):
-            slope = vectors.constant(0.0)
-            for k in _POLES:
-                slope = vectors.add(slope, vectors.multiply(L[_sum(k, AXES[axis])], powers[k]))
-            _increase(vectors, rows[AX + axis], vectors.multiply(vectors.multiply(slope, scale), scale))
-        value = vectors.constant(0.0)
-        for k in _LOCAL:
-            value = vectors.add(value, vectors.multiply(L[k], powers[k]))
-        _increase(vectors, rows[PHI], vectors.multiply(value, scale))
-        return context.get_dummy_value()
-
-    number = types.float64
-    return types.void(local, types.int64, number, number, number, number, lanes), generate
+    builder, coefficient = code.builder, code.element("local", at, 0)
+    rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
+    scale, centre = spread(builder, unit), [spread(builder, along) for along in (x, y, z)]
+    L = {k: spread(builder, code.load(coefficient, _PLACE[k])) for k in _LOCAL}
+    u = [(read_doubles(builder, row) - along) * scale for row, along in zip(rows[:AX], centre, strict=True)]
+    one = spread(builder, DOUBLE(1.0))
+    powers = {ZERO: one}
+    for n, (lower, axis) in zip(_LOCAL[1:], _factors(), strict=True):
+        power = powers[lower] * u[axis]
+        powers[n] = power * (1.0 / n[axis]) if n[axis] > 1 else power
+    for axis in range(3):
+        slope = spread(builder, DOUBLE(0.0))
+        for k in _POLES:
+            slope = slope + L[_sum(k, AXES[axis])] * powers[k]
+        write_doubles(read_doubles(builder, rows[AX + axis]) + slope * scale * scale, rows[AX + axis])
+    value = spread(builder, DOUBLE(0.0))
+    for k in _LOCAL:
+        value = value + L[k] * powers[k]
+    write_doubles(read_doubles(builder, rows[PHI]) + value * scale, rows[PHI])
 
 
-@instruction
-def attract_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> Any:
+@inner
+def _attract_bodies_in_turn(x: FloatArray, m: FloatArray, begin: int, end: int, eps2: float, lanes: FloatArray) -> None:
+    for lane in range(LANES):
+        for j in range(begin, end):
+            dx, dy, dz = x[X, j] - lanes[X, lane], x[Y, j] - lanes[Y, lane], x[Z, j] - lanes[Z, lane]
+            square = eps2 + dx * dx + dy * dy + dz * dz
+            s = attraction(m[j], square)
+            lanes[AX, lane] = lanes[AX, lane] + s * dx
+            lanes[AY, lane] = lanes[AY, lane] + s * dy
+            lanes[AZ, lane] = lanes[AZ, lane] + s * dz
+            lanes[PHI, lane] = lanes[PHI, lane] + s * square
+
+
+@instruction(_attract_bodies_in_turn, begin="int64", end="int64", eps2="float64")
+def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> None:
     """Add the gravity of bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
 
     Parameters
@@ -221,49 +298,19 @@ def attract_bodies(typing: Any, x: Any, m: Any, begin: Any, end: Any, eps2: Any,
     lanes
         (7, LANES): rows `X` to `PHI`; the sums are increased.
     """
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        vectors = Vectors(builder)
-        address = _addresses(context, builder, signature, args)
-        rows = [address(5, _word(row), _word(0)) for row in range(PHI + 1)]
-        targets, soft = [vectors.load(rows[axis]) for axis in range(3)], vectors.splat(args[4])
-        sums = [vectors.variable(vectors.load(row)) for row in rows[AX:]]
-        sources = [address(0, _word(axis), _word(0)) for axis in range(3)]
-        masses = address(1, _word(0))
-        loop: Any = cgutils.for_range_slice
-        with loop(builder, args[2], args[3], _word(1)) as (j, _):
-            d = [vectors.subtract(vectors.splat(vectors.number(sources[a], j)), targets[a]) for a in range(3)]
-            square = soft
-            for axis in range(3):
-                square = vectors.add(square, vectors.multiply(d[axis], d[axis]))
-            cube = vectors.multiply(square, vectors.square_root(square))
-            s = vectors.divide(vectors.splat(vectors.number(masses, j)), cube)
-            s = vectors.zero_unless_positive(square, s)
-            for axis in range(3):
-                vectors.increase(sums[axis], vectors.multiply(s, d[axis]))
-            vectors.increase(sums[3], vectors.multiply(s, square))
-        for row, total in zip(rows[AX:], sums, strict=True):
-            vectors.store(vectors.value(total), row)
-        return context.get_dummy_value()
-
-    return types.void(x, m, types.int64, types.int64, types.float64, lanes), generate
-
-
-def _increase(vectors: Vectors, address: Any, vector: Any) -> None:
-    vectors.store(vectors.add(vectors.load(address), vector), address)
-
-
-def _word(value: int) -> Any:
-    return cgutils.intp_t(value)
-
-
-def _addresses(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-    """Return a function from the number of an argument and indices to the address of an element."""
-
-    def address(number: int, *indices: Any) -> Any:
-        kind: Any = signature.args[number]
-        view = context.make_array(kind)(context, builder, args[number])
-        pointer: Any = cgutils.get_item_pointer
-        return pointer(context, builder, kind, view, list(indices))
-
-    return address
+    builder = code.builder
+    rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
+    targets, soft = [read_doubles(builder, row) for row in rows[:AX]], spread(builder, eps2)
+    sums = [Sum(read_doubles(builder, row)) for row in rows[AX:]]
+    with code.loop(begin, end) as (j, _):
+        sources = [spread(builder, code.load(code.element("x", axis, j))) for axis in range(3)]
+        d = [source - target for source, target in zip(sources, targets, strict=True)]
+        square = soft
+        for along in d:
+            square = square + along * along
+        s = spread(builder, code.load(code.element("m", j))) / (square * square.sqrt())
+        s = s.where(square > 0.0, 0.0)
+        for total, term in zip(sums, [*d, square], strict=True):
+            total.add(s * term)
+    for row, total in zip(rows[AX:], sums, strict=True):
+        write_doubles(total.value, row)

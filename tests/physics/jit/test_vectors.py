@@ -10,15 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from llvmlite import ir
-from numba import types
 from numpy.typing import NDArray
 
 from carom.physics.aligned import aligned_empty, record
 from carom.physics.jit.decorators import inline
-from carom.physics.jit.intrinsics import address_in, instruction
-from carom.physics.jit.lanes import WIDTH, WORD, added_in_order, in_lanes, read_doubles, read_flags, where
-from carom.physics.jit.record_lanes import RecordLanes
+from carom.physics.jit.inside import ir
+from carom.physics.jit.instructions import Code, instruction
+from carom.physics.jit.vectors import (
+    WIDTH,
+    WORD,
+    RecordLanes,
+    added_in_order,
+    in_lanes,
+    read_doubles,
+    read_flags,
+    where,
+    write_doubles,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -38,18 +46,16 @@ def branching(x: float, y: float) -> float:
     return x if x > y else y
 
 
-@instruction
-def choose_in_lanes(typing: Any, x: Any, y: Any, found: Any) -> Any:
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        first = [
-            address_in(context, builder, kind, array, [WORD(0)])
-            for kind, array in zip((x, y, found), args, strict=True)
-        ]
-        lanes = in_lanes(chosen)(*(read_doubles(builder, address) for address in first[:2]))
-        builder.store(lanes.value, builder.bitcast(first[2], lanes.value.type.as_pointer()), align=8)
-        return context.get_dummy_value()
+@numba.njit(error_model="numpy")
+def choose_in_loop(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
+    for k in range(len(x)):
+        found[k] = chosen(x[k], y[k])
 
-    return types.void(x, y, found), generate
+
+@instruction(choose_in_loop)
+def choose_in_lanes(code: Code, x: Any, y: Any, found: Any) -> None:
+    lanes = in_lanes(chosen)(*(read_doubles(code.builder, code.element(name, 0)) for name in ("x", "y")))
+    write_doubles(lanes, code.element("found", 0))
 
 
 @numba.njit(error_model="numpy")
@@ -58,26 +64,21 @@ def run_choice(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
 
 
 @numba.njit(error_model="numpy")
-def choose_in_loop(x: FloatArray, y: FloatArray, found: FloatArray) -> None:
-    for k in range(len(x)):
-        found[k] = chosen(x[k], y[k])
+def change_each(records: NDArray[np.void], mask: NDArray[np.bool_], total: float) -> float:
+    raise NotImplementedError
 
 
-@instruction
-def change_records(typing: Any, records: Any, mask: Any, total: Any) -> Any:
+@instruction(change_each, returns="float64", total="float64")
+def change_records(code: Code, records: Any, mask: Any, total: Any) -> Any:
     """Where the mask is set: add the second line's fields to both lines, then double "c"; return Σ a + b in order."""
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        addresses = [address_in(context, builder, records, args[0], [WORD(k)]) for k in range(WIDTH)]
-        held = read_flags(builder, address_in(context, builder, mask, args[1], [WORD(0)]))
-        lanes = RecordLanes(builder, PAIR, addresses, (0, 1))
-        lanes.add((0, 1), [getattr(lanes, name) for name in "ijklmnop"], held)
-        again = RecordLanes(builder, PAIR, addresses, (0,))
-        again.change(c=again.c * 2.0)
-        again.write(0, held)
-        return added_in_order(builder, args[2], again.a, again.b)
-
-    return types.float64(records, mask, total), generate
+    builder, addresses = code.builder, [code.element("records", k) for k in range(WIDTH)]
+    held = read_flags(builder, code.element("mask", 0))
+    lanes = RecordLanes(builder, PAIR, addresses, (0, 1))
+    lanes.add((0, 1), [getattr(lanes, name) for name in "ijklmnop"], held)
+    again = RecordLanes(builder, PAIR, addresses, (0,))
+    again.change(c=again.c * 2.0)
+    again.write(0, held)
+    return added_in_order(builder, total, again.a, again.b)
 
 
 @numba.njit(error_model="numpy")

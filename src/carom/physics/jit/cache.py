@@ -1,5 +1,8 @@
 """Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
 
+A run starts within a second in place of 20 to 60 s of compilation. Without a folder, or if Numba lacks a part that is
+used here, each process compiles the kernels again.
+
 Numba's own cache unpickles and links any file in its folder, and identifies a kernel by its source file. Here each file
 begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
 depend on. Damaged, exchanged or outdated files are compiled anew. There is one file per kernel and types, and no index
@@ -12,6 +15,7 @@ import contextlib
 import fcntl
 import os
 import pickle
+import re
 import sys
 import tempfile
 import time
@@ -25,23 +29,25 @@ import llvmlite
 import numba
 import numpy as np
 import xxhash
-from numba.core import caching, config, serialize
-from numba.core.compiler import CompileResult
 
-from carom.physics.jit.sources import sources_of
+from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
 CHECKSUM = 16  # bytes, before the others
 CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which normally takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
-_VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3])
+_FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
+_IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
+_VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], PLAIN)
 
 
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
     """Return the cache of a kernel, or None if there is no folder for it or its sources cannot be read."""
+    if MISSING:
+        return None
     file = Path(function.__code__.co_filename)
-    folder = cache_folder(file.parent)
+    folder = folder_of(file.parent)
     if folder is None:
         return None
     try:
@@ -51,14 +57,14 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
 
 
 @cache
-def cache_folder(package: Path) -> Path | None:
+def folder_of(package: Path) -> Path | None:
     """Return the folder for the compiled kernels of a package, or None if none is writable.
 
     The first of these: below ``NUMBA_CACHE_DIR``; beside the sources, where their byte code is; in the user's cache; in
     the system's temporary folder. All but the second must be the user's own, and nobody else may write there.
     """
     name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
-    chosen = config.CACHE_DIR  # type: ignore[attr-defined] # set when Numba is imported
+    chosen = config.CACHE_DIR
     if chosen and _is_own(given := Path(chosen).resolve()) and _is_own(given / name):
         return given / name
     if _is_writable(beside := package / "__pycache__"):
@@ -90,20 +96,15 @@ def _is_own(folder: Path) -> bool:
     return is_own(folder) and os.access(folder, os.W_OK | os.X_OK)
 
 
-class KernelCache(caching._Cache):
-    """The compiled forms of one kernel; replaces Numba's own cache."""
+class KernelCache:
+    """The compiled forms of one kernel, in the place of Numba's own cache."""
 
     def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
         code = function.__code__
-        version = sys.implementation.cache_tag
+        version = sys.implementation.cache_tag + (".plain" if PLAIN else "")
         self._folder = folder
         self._name = f"{Path(code.co_filename).stem}.{function.__qualname__}-{code.co_firstlineno}.{version}"
         self._made_of = repr((function.__module__, function.__qualname__, _VERSIONS)).encode() + sources
-
-    @property
-    def cache_path(self) -> str:
-        """The folder."""
-        return str(self._folder)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the code for a signature, or None if there is no valid file."""
@@ -120,7 +121,7 @@ class KernelCache(caching._Cache):
             content = pickle.loads(data)
         except (ImportError, AttributeError):  # a class that it names was moved, as by an upgrade of a library
             return None
-        return CompileResult._rebuild(target_context, *content)  # type: ignore[no-untyped-call]
+        return compiler.CompileResult._rebuild(target_context, *content)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the code for a signature; if that fails, it is compiled again next time."""
@@ -142,7 +143,7 @@ class KernelCache(caching._Cache):
     def _write(self, types: bytes, data: Any) -> None:
         if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # only of use to this process
             return
-        content: bytes = serialize.dumps(data._reduce())  # type: ignore[no-untyped-call]
+        content: bytes = serialize.dumps(data._reduce())
         path = self._path(types)
         begun = path.with_name(f"{path.name}.{uuid.uuid4().hex}")
         try:
@@ -161,15 +162,6 @@ class KernelCache(caching._Cache):
             whole.update(len(part).to_bytes(8, "little"))
             whole.update(part)
         return whole.digest()
-
-    def enable(self) -> None:
-        """Do nothing; Numba wants it."""
-
-    def disable(self) -> None:
-        """Do nothing; Numba wants it."""
-
-    def flush(self) -> None:
-        """Do nothing; Numba wants it."""
 
 
 @cache
@@ -232,3 +224,57 @@ def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
     own = [] if made_by is None else [(made_by.__module__, made_by.__qualname__, tuple(made_by._fields))]
     members: Any = kind  # iterates over the types of its members
     return own + [named for member in members for named in _named_tuples(member)]
+
+
+@cache
+def sources_of(module: str, file: Path) -> bytes:
+    """Return a checksum of a module and of all that it imports, directly or not, from its package and carom.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be read, as in a zip.
+    """
+    known = {str(file)}
+    unread = [file]
+    while unread:
+        for imported in imports_of(unread.pop(), module.partition(".")[0]):
+            if str(imported) not in known:
+                known.add(str(imported))
+                unread.append(imported)
+    whole = xxhash.xxh3_128()
+    for path in sorted(known):
+        whole.update(Path(path).name.encode())
+        whole.update(_checksum(Path(path)))
+    return whole.digest()
+
+
+@cache
+def imports_of(file: Path, package: str) -> tuple[Path, ...]:
+    """Return the files of a package and of carom that a file imports; too many do no harm."""
+    text = _text(file)
+    names = [name for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)]
+    for name, members in _FROM.findall(text):
+        names += [name, *(f"{name}.{member}" for member in re.findall(r"\w+", members))]
+    found = {_file_of(name) for name in names if name.partition(".")[0] in (package, "carom")}
+    return tuple(sorted(path for path in found if path is not None))
+
+
+@cache
+def _file_of(module: str) -> Path | None:
+    package, *below = module.split(".")
+    start = getattr(sys.modules.get(package), "__file__", None)
+    if start is None or Path(start).name != "__init__.py":
+        return None
+    path = Path(start).parent.joinpath(*below)
+    return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+
+
+@cache
+def _checksum(file: Path) -> bytes:
+    return xxhash.xxh3_128_digest(_text(file).encode())
+
+
+@cache
+def _text(file: Path) -> str:
+    return file.read_text(encoding="utf-8")

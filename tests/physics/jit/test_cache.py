@@ -18,9 +18,8 @@ from typing import Any
 import pytest
 
 import carom
-from carom.physics.jit import kernel_cache
-from carom.physics.jit.kernel_cache import CHECKSUM
-from carom.physics.jit.sources import imports_of
+from carom.physics.jit import cache
+from carom.physics.jit.cache import CHECKSUM, imports_of
 
 COUNT = 8
 KERNELS = "from carom.physics.jit.decorators import kernel\nfrom pack.part import {part}\n" + "".join(
@@ -79,19 +78,19 @@ def test_a_kernel_that_a_killed_process_had_begun_is_compiled_by_another(tmp_pat
     kernel = tmp_path / "kernel.nbc"
     claim = f"""
 import pathlib, sys
-from carom.physics.jit import kernel_cache
-print(kernel_cache._claim(pathlib.Path({str(kernel)!r})), flush=True)
+from carom.physics.jit import cache
+print(cache._claim(pathlib.Path({str(kernel)!r})), flush=True)
 sys.stdin.read()
 """
     with subprocess.Popen([sys.executable, "-c", claim], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
         assert other.stdout is not None and other.stdout.readline() == b"True\n"
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(kernel_cache, "PATIENCE", 0.1)
-            assert not kernel_cache._claim(kernel), "while the other process has it"
+            patch.setattr(cache, "PATIENCE", 0.1)
+            assert not cache._claim(kernel), "while the other process has it"
         other.kill()
         other.wait()
-        assert kernel_cache._claim(kernel)
-    kernel_cache._release(kernel)
+        assert cache._claim(kernel)
+    cache._release(kernel)
 
 
 def damage(rng: random.Random, files: list[Path]) -> None:
@@ -194,7 +193,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_a_folder_of_the_user_alone_is_made_and_used_again(root: Path) -> None:
-    assert kernel_cache._is_own(root / "mine") and kernel_cache._is_own(root / "mine")
+    assert cache._is_own(root / "mine") and cache._is_own(root / "mine")
     assert (root / "mine").stat().st_mode & 0o777 == 0o700
 
 
@@ -204,9 +203,9 @@ def test_a_folder_that_others_can_write_to_or_that_lies_elsewhere_is_not_used(ro
     (root / "elsewhere").mkdir(mode=0o700)
     (root / "link").symlink_to(root / "elsewhere")
     (root / "file").touch(mode=0o700)
-    assert not any(kernel_cache._is_own(root / name) for name in ("open", "link", "file"))
+    assert not any(cache._is_own(root / name) for name in ("open", "link", "file"))
     root.chmod(0o777)  # without the sticky bit, anybody can put another folder in its place
-    assert not kernel_cache._is_own(root / "mine")
+    assert not cache._is_own(root / "mine")
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
@@ -217,7 +216,7 @@ def test_a_folder_of_another_user_is_not_used(root: Path) -> None:
     os.chown(root / "above", 65534, 65534)
     os.chown(root / "group", -1, 65534)
     (root / "group").chmod(0o770)
-    assert not any(kernel_cache._is_own(root / name) for name in ("theirs", "above/below", "group"))
+    assert not any(cache._is_own(root / name) for name in ("theirs", "above/below", "group"))
 
 
 @pytest.mark.parametrize("fault", ["open to others", "of another user", "below a folder open to others"])
@@ -234,7 +233,7 @@ def test_a_cache_folder_that_is_not_the_users_own_is_not_used_though_it_was_aske
     else:
         (asked if fault == "open to others" else asked.parent).chmod(0o777)
     _, compiled, kept = call(package, env={"NUMBA_CACHE_DIR": str(asked)})
-    assert compiled and Path(kept) == Path(kernel_cache.__file__).parents[1] / "__pycache__"
+    assert compiled and Path(kept) == Path(cache.__file__).parents[1] / "__pycache__"
     assert not any(asked.iterdir()) and list((package / "__pycache__").glob("*.nbc"))
 
 

@@ -1,5 +1,7 @@
 """A team of threads that divides the work of a kernel: a leader and helpers.
 
+Two threads gain 1.5 to 1.9 × in steps of 10⁴ bodies or more (docs/performance.md). The plain form is a leader alone.
+
 The leader posts a phase of independent pieces on a board, takes pieces itself, and posts the next phase when all are
 done. Helpers take pieces while there are any. Any thread may do any piece, so the pieces of a phase must be
 independent. The bits then do not depend on the number of threads.
@@ -30,8 +32,9 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import IntArray
-from carom.physics.jit.atomics import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.decorators import kernel, long_kernel
+from carom.physics.jit.inside import PLAIN
+from carom.physics.jit.instructions import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.task import address_of, c_function, call, do, kind_of, lay_out, raise_fault
 
 LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
@@ -56,7 +59,7 @@ class Team:
     least = 2  # grains; smaller work is not shared
 
     def __init__(self, threads: int) -> None:
-        self.size = threads
+        self.size = threads = 1 if PLAIN else threads
         self._pool = ThreadPoolExecutor(threads - 1, "team") if threads > 1 else None
         self._board = np.zeros(WORDS, dtype=np.int64)
         self._falling_asleep = threading.Lock()
@@ -247,4 +250,5 @@ def sharing_all() -> Iterator[None]:
 
 def load_helpers() -> None:
     """Load the kernel in which helpers wait, as a run does when it first shares work."""
-    _look(np.zeros(WORDS, dtype=np.int64), OFFER, 0)
+    if not PLAIN:
+        _look(np.zeros(WORDS, dtype=np.int64), OFFER, 0)

@@ -1,0 +1,76 @@
+"""The parts of Numba and llvmlite that are not documented for users; nothing else imports them.
+
+`PLAIN` is true where kernels must do without them: with ``CAROM_PLAIN=1`` in the environment, or if the installed Numba
+lacks one of these parts. Plain kernels have the same bits and use what Numba documents. One thread does all the work,
+one contact and one body after another. Use plain kernels to find out whether a fault is in the code of this package,
+and to step through the phases of the contact solver, which plain Python then leads.
+
+`tests/physics/jit/test_numba.py` tries each part, and `tests/physics/jit/test_plain.py` compares the bits.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from importlib import import_module
+from typing import Any
+
+import numba
+
+MISSING: list[str] = []  # parts that the installed Numba lacks
+
+
+class Absent:
+    """Stands for a part that is missing, so that modules which use it can be imported."""
+
+    def __getattr__(self, name: str) -> Absent:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return self
+
+    def __call__(self, *arguments: object, **options: object) -> Absent:  # noqa: D102 - as what it stands for
+        return self
+
+    def __mul__(self, other: object) -> Absent:
+        return self
+
+    __rmul__ = __mul__
+
+    def __mro_entries__(self, bases: tuple[object, ...]) -> tuple[()]:
+        return ()
+
+
+def _module(name: str, *members: str) -> Any:
+    """Return a module, or `Absent` if it is missing or lacks one of these members."""
+    try:
+        module = import_module(name)
+    except ImportError:
+        MISSING.append(name)
+        return Absent()
+    missing = [f"{name}.{member}" for member in members if not hasattr(module, member)]
+    MISSING.extend(missing)
+    return Absent() if missing else module
+
+
+ir = _module("llvmlite.ir", "Constant", "Function", "FunctionType", "IRBuilder", "LiteralStructType", "VectorType")
+callconv = _module("numba.core.callconv", "errcode_t", "excinfo_ptr_t")
+cgutils = _module(
+    "numba.core.cgutils",
+    *("alloca_once", "alloca_once_value", "for_range_slice", "gep_inbounds", "get_item_pointer", "unpack_tuple"),
+)
+compiler = _module("numba.core.compiler", "CompileResult", "Flags")
+config = _module("numba.core.config", "CACHE_DIR")
+event = _module("numba.core.event", "Listener", "register", "unregister")
+extending = _module("numba.extending", "intrinsic", "overload")
+serialize = _module("numba.core.serialize", "dumps")
+types: Any = numba.types  # documented, without types of its own
+
+PLAIN = bool(MISSING) or os.environ.get("CAROM_PLAIN", "0") not in ("", "0")
+
+if MISSING:
+    warnings.warn(
+        f"numba {numba.__version__} lacks {', '.join(MISSING)}, so carom computes with plain kernels: with the same "
+        "results, but on one thread, more slowly, and compiled again in each process",
+        RuntimeWarning,
+        stacklevel=2,
+    )
