@@ -23,15 +23,12 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, Int32Array, IntArray, Records
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
 from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
-
-Int32Array = NDArray[np.int32]
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would approach that margin

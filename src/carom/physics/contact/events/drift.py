@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import BoolArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.pairs import Search
@@ -41,10 +41,6 @@ from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
 from carom.physics.jit.decorators import entry_of, kernel
 from carom.physics.jit.team import Team
 from carom.scene.start import HalfSpaces
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_CONTACTS = 16  # per body at one moment, on average

@@ -16,8 +16,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import Records
 from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
@@ -58,8 +58,6 @@ from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.rotation import rotate_one
 from carom.physics.vector import Vector, add, along, between, vector
-
-Records = NDArray[np.void]
 
 SLOW = 0.25  # of the rest speed; faster contacts are resolved where they touch, and rebound above the rest speed.
 # With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, marbles-in-a-box by 5 mm instead of 1 mm.

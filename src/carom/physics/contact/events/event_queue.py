@@ -7,12 +7,9 @@ in the queue: the one whose impact was predicted last. Impacts at the same time 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.physics.jit.decorators import kernel
-
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 
 @kernel

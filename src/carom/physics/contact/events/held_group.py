@@ -26,8 +26,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.events.trajectories import (
     ROUNDING,
     Neighbours,
@@ -42,10 +42,6 @@ from carom.physics.contact.events.trajectories import (
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 MOST_BODIES = 48  # in a group; others are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES

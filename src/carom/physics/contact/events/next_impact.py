@@ -9,14 +9,12 @@ contacts, an error of second order.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import FloatArray
 from carom.physics.contact.events.time_of_impact import time_of_impact
 from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.jit.decorators import inline, kernel
 from carom.physics.vector import between, vector
-
-FloatArray = NDArray[np.float64]
 
 PASSES = 3  # each uses the mean velocity until the impact that the pass before found
 SLOW = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts

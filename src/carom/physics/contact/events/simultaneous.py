@@ -10,8 +10,8 @@ event loop, pairs are taken in their order.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from carom.arrays import IntArray, Records
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.events.event_loop import MAX_ELASTIC, MAX_IN_COLLAPSE, collide
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
@@ -19,10 +19,6 @@ from carom.physics.contact.events.trajectories import MOST_HOLDS, ROUNDING, Traj
 from carom.physics.contact.law import dissipates, material_index
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.vector import between, vector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 TOUCHING = 16 * 2.0**-53  # of the coordinates and of the sum of radii: a gap that is rounding
 

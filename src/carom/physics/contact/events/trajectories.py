@@ -22,18 +22,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import BoolArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.geometry import height_above, normal_and_distance
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-Records = NDArray[np.void]
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
 TOUCHING = 1e-9  # of the radius, the first standoff of an exhausted body
