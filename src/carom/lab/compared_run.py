@@ -310,7 +310,8 @@ class _Watch:
         dt = frame.time - begin
         struck = np.zeros((self._ends, 1), dtype=np.bool_)
         struck[graph.pairs] = True
-        impacts, flight = self._space.impacts, _Flight(v, a, (frame.acceleration - a) / dt)
+        impacts = self._space.impacts
+        flight = _Flight(v, a, (frame.acceleration - a) / dt, self._space.scene)
         flown = 0  # impacts so far
         way = frame.position - x
         if self._space.box is not None:
@@ -340,17 +341,27 @@ class _Watch:
 
 
 class _Flight:
-    """The paths of all bodies from the beginning of a step, with their impacts."""
+    """The paths of all bodies from the beginning of a step, with their impacts.
 
-    def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray) -> None:
+    Accelerations are those of all forces but -v/τ of a drag, and change evenly; the drag has its closed form.
+    """
+
+    def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray, scene: Scene) -> None:
         self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
         self._since = np.zeros((len(v), 1))  # s, the last impact of each
+        self._drag = scene.drag
 
     def at(self, h: float | FloatArray, bodies: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
         """Return displacements and velocities h after the beginning, in s."""
         since, v, jerk = self._since[bodies], self._v[bodies], self._jerk[bodies]
         s, a = h - since, self._a[bodies] + since * jerk
-        return self._way[bodies] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
+        if self._drag is None:
+            return self._way[bodies] + s * v + s * s / 2 * a + s**3 / 6 * jerk, v + s * a + s * s / 2 * jerk
+        tau = self._drag.relaxation_time
+        final = tau * a  # m/s
+        lost = -np.expm1(-s / tau)  # fraction of the velocity relative to the final one
+        moved = s * final + tau * lost * (v - final) + s**3 / 6 * jerk
+        return self._way[bodies] + moved, v + lost * (final - v) + s * s / 2 * jerk
 
     def bend(self, pair: IntArray, moment: float, after: FloatArray) -> None:
         """Add an impact at a time in s, with the velocities of the pair right after it."""
