@@ -218,7 +218,6 @@ def test_a_scene_names_the_integrator_gravity_method_or_force_that_was_removed(
 ) -> None:
     run = without(part)
     assert run("--help").returncode == 0
-    assert run("explain", "two-spheres").returncode == 0  # plans without it; kernels are compiled in the next test only
     overrides, called = PHYSICS[part]
     given = [word for override in overrides for word in ("--set", override)]
     said = refusal(run("run", "two-spheres", *SHORT, *given, "-o", "needs.rrd"))
