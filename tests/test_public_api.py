@@ -17,6 +17,8 @@ import carom
 from carom import extend
 from carom.physics.simulation import StepStatus
 
+ROOT = Path(__file__).parents[1]
+
 
 def test_a_person_who_explores_the_package_finds_what_it_offers() -> None:
     functions = ["replay", "resume", "run"]
@@ -69,7 +71,7 @@ def test_a_run_finds_a_place_for_its_recording_and_shows_a_progress_bar_when_ask
 
 
 def test_every_name_for_extensions_can_be_imported_and_is_documented_in_its_section() -> None:
-    page = (Path(carom.__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
     documented = {
         row[1]: re.findall(r"`(\w+)`", row[2]) for row in re.finditer(r"^\| ([^|`]+) \| (`.*) \|$", page, re.M)
     }
@@ -82,8 +84,7 @@ def test_every_name_for_extensions_can_be_imported_and_is_documented_in_its_sect
 
 
 def test_no_name_for_extensions_is_there_without_a_use() -> None:
-    root = Path(carom.__file__).parents[2]
-    files = [*root.glob("src/carom/lab/**/*.py"), *root.glob("examples/**/*.py"), *root.glob("docs/*.md")]
+    files = [*ROOT.glob("src/carom/lab/**/*.py"), *ROOT.glob("examples/**/*.py"), *ROOT.glob("docs/*.md")]
     text = "\n".join(file.read_text(encoding="utf-8") for file in files if file.name != "extending.md")
     tools = [names for section, homes in extend.SECTIONS.items() if "Tools" in section for names in homes.values()]
     assert not [name for name in " ".join(tools).split() if not re.search(rf"\b{name}\b", text)]

@@ -70,7 +70,7 @@ def remove_private_folder() -> None:
 
 
 def is_own(folder: Path) -> bool:
-    """Tell whether a folder is this user's and nobody else can write to it or exchange it; a link is no folder."""
+    """Return whether a folder is this user's and nobody else can write to it or exchange it; a link is no folder."""
     try:
         status = folder.lstat()
     except OSError:
@@ -80,7 +80,7 @@ def is_own(folder: Path) -> bool:
 
 
 def is_fixed(path: Path) -> bool:
-    """Tell whether nobody but this user and the system can exchange what is at a path, by writing above it."""
+    """Return whether nobody but this user and the system can exchange what is at a path, by writing above it."""
     try:
         trusted = (
             0,

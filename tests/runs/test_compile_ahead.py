@@ -111,7 +111,7 @@ def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tm
         "solve_turning",
         "warm_start",
     }
-    assert phases | {"search", "_pull", "turn", "_join", "write_contacts", "draw_edges"} <= taken
+    assert phases | {"search", "_sum_blocks", "rotate_rows", "_join", "write_contacts", "draw_edges"} <= taken
     assert not phases & set(compiled)
     space = Space(Scene.from_dict(PILE))
     for step in range(STEPS):

@@ -72,11 +72,11 @@ def new(
         raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
-    if source not in bundled:  # cradle stands for newtons-cradle
-        matches = [name for name in bundled_scenes() if source and source in name]
-        source = matches[0] if len(matches) == 1 else source
-    if source and source not in bundled:
-        raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
+    if source and source not in bundled:  # cradle stands for newtons-cradle
+        matches = [name for name in bundled_scenes() if source in name]
+        if len(matches) != 1:
+            raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
+        source = matches[0]
     if path.exists() and not force:
         raise SceneError(f"{path}: exists; give --force to replace it, or another name")
     text = without_schema_line(bundled[source].read_text(encoding="utf-8")) if source else starter()

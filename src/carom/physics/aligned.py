@@ -47,7 +47,7 @@ class Buffer:
         return self._rows
 
     def holds(self, taken: NDArray[Any]) -> bool:
-        """Tell whether rows were taken from this memory."""
+        """Return whether rows were taken from this memory."""
         return taken.base is self._rows.base
 
 

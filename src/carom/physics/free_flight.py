@@ -177,7 +177,7 @@ class FreeFlight:
 
 
 def can_fly(world: World) -> bool:
-    """Tell whether a world has few enough bodies, and forces that a kernel can sum."""
+    """Return whether a world has few enough bodies, and forces that a kernel can sum."""
     is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
     loses_turns = world.is_periodic and world.contact is None  # which a step refuses; contacts are nearer
     known = world.forces.laws is not None

@@ -26,7 +26,7 @@ class Every:
     interval: float
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Tell whether a step passes a multiple."""
+        """Return whether a step passes a multiple."""
         return self.interval == 0.0 or _multiples(time, self.interval) > _multiples(before, self.interval)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -44,7 +44,7 @@ class At:
     steps: tuple[int, ...]  # in order
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Tell whether it is one of them."""
+        """Return whether it is one of them."""
         place = bisect_left(self.steps, step)
         return place < len(self.steps) and self.steps[place] == step
 
@@ -77,7 +77,7 @@ class Checks:
     others: Schedule
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Tell whether a step is scheduled."""
+        """Return whether a step is scheduled."""
         return step % self.steps == 0 or self.others(step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
@@ -105,7 +105,7 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 
 
 def looks_before(schedule: Schedule) -> bool:
-    """Tell whether a schedule may look at the state before each step.
+    """Return whether a schedule may look at the state before each step.
 
     Those of this module do not; schedules of other types may, so no step is taken before they are asked.
     """

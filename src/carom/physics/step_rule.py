@@ -152,7 +152,7 @@ def smooth_and_cut(
 
 @inline
 def ends_run(dt: float, remaining: float) -> bool:
-    """Tell whether a step of dt is the last one, where so much time remains, both in s."""
+    """Return whether a step of dt is the last one, where so much time remains, both in s."""
     return remaining <= dt * (1.0 + END_TOLERANCE)
 
 

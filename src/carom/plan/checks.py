@@ -77,12 +77,12 @@ def refuse_impossible(scene: Scene) -> None:
 def _refuse_missing_parts(scene: Scene) -> None:
     """Refuse a scene that needs a part which was removed from this installation (`carom.registry`)."""
     chosen, method = integrator(scene), gravity_method(scene)
-    by_radau = 'set time.integrator = "leapfrog"'
+    without_radau = 'set time.integrator = "leapfrog"'
     needed: list[tuple[str, str, KeyPath, str]] = []
     if chosen.controls_error:
-        needed.append(("integrators", chosen.name, INTEGRATOR, by_radau))
+        needed.append(("integrators", chosen.name, INTEGRATOR, without_radau))
     if chosen.hierarchical:  # close encounters are left to it
-        needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, by_radau))
+        needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, without_radau))
     if method != "none":
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
     if scene.drag is not None:

@@ -68,7 +68,7 @@ class Mismatch:
 
 
 def same(recorded: pa.Array, replayed: pa.Array) -> bool:
-    """Tell whether two columns have the same bits in rows of the same lengths."""
+    """Return whether two columns have the same bits in rows of the same lengths."""
     if pa.types.is_list(recorded.type):
         lengths = [pc.list_value_length(column) for column in (recorded, replayed)]
         if not lengths[0].equals(lengths[1]):
@@ -240,7 +240,7 @@ def _few(recording: Recording, header: Header) -> Selection:
 
 
 def _is_data(path: str, name: str) -> bool:
-    """Tell whether a component is about the run, and not about how it is shown."""
+    """Return whether a component is about the run, and not about how it is shown."""
     if path == IDENTITY:
         return not name.startswith(_DRAWING)
     return path in _STATES or name in _SHAPES

@@ -227,7 +227,7 @@ class FrameCheck:
         return []
 
     def _skips(self, path: str, name: str, first: bool) -> bool:
-        """Tell whether a component cannot be compared, and remember that it was not."""
+        """Return whether a component cannot be compared, and remember that it was not."""
         if name == "impact_count":  # `ImpactCheck` looks at it
             return True
         if path in self._relative and not self.all_frames and name in (self._relative[path] or (name,)):
@@ -310,14 +310,14 @@ def told_of(events: Sequence[Event], clock: TimeScale) -> list[Told]:
 
 
 def _same_but_words(recorded: list[Told], replayed: list[Told]) -> bool:
-    """Tell whether events are the same but for their words; older recordings lack kinds."""
+    """Return whether events are the same but for their words; older recordings lack kinds."""
     pairs = zip(recorded, replayed, strict=False)
     alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
     return len(recorded) == len(replayed) and alike
 
 
 def is_whole(recording: Recording) -> bool:
-    """Tell whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
+    """Return whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
     return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
 
 

@@ -98,7 +98,7 @@ def refuse_output(path: Path, force: bool) -> None:
 
 
 def is_link_of_another(path: Path) -> bool:
-    """Tell whether a path is a link that neither this user nor the system made."""
+    """Return whether a path is a link that neither this user nor the system made."""
     return path.is_symlink() and path.lstat().st_uid not in (0, os.getuid())
 
 

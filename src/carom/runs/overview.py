@@ -98,7 +98,7 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
 
 
 def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
-    """Tell whether a moment of a recording's summary shows anything.
+    """Return whether a moment of a recording's summary shows anything.
 
     An overlap by rounding, an error of 0 and the fastest approach of contacts at rest, which are no impacts, do not.
     """

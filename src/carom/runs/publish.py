@@ -203,5 +203,5 @@ def _remove(path: Path) -> None:
 
 
 def _is_folder(path: Path) -> bool:
-    """Tell whether a path is a folder other than that of a publication that was killed."""
+    """Return whether a path is a folder other than that of a publication that was killed."""
     return path.is_dir() and not path.is_symlink() and not _PART.fullmatch(path.name)

@@ -12,16 +12,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from carom import registry
+from carom.scene.forces import numbers_of
 
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
 
 Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
-
-
-def numbers_of(section: Any) -> Numbers:
-    """Return the numbers of a section, which are the coefficients of a law by default."""
-    return {name: float(value) for name, value in dict(section).items() if type(value) in (int, float)}
 
 
 def geometric_means(one: Numbers, other: Numbers) -> Numbers:

@@ -124,7 +124,7 @@ FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerat
 
 
 def numbers_of(section: Any) -> Mapping[str, float]:
-    """Return the numbers of a section, which are the parameters of a force by default."""
+    """Return the numbers of a section: by default the parameters of a force, or the coefficients of a contact law."""
     values = dict(section)
     return {name: float(value) for name, value in values.items() if type(value) in (int, float)}
 

@@ -25,7 +25,7 @@ def restitution(material: Any, approach: float, rest_speed: float) -> float:
 
 @inline
 def dissipates(material: Any) -> bool:
-    """Tell whether e < 1."""
+    """Return whether e < 1."""
     e: float = material.restitution
     return e < 1.0
 
@@ -60,7 +60,7 @@ def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
 
 @inline
 def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Tell whether a tangential impulse is inside the friction cone."""
+    """Return whether a tangential impulse is inside the friction cone."""
     most: float = material.static_friction * normal
     return tx * tx + ty * ty + tz * tz < most * most
 

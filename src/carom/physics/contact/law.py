@@ -72,7 +72,7 @@ def _mark_of(name: str, law: ContactLaw) -> str:
 
 
 def has_torque(kind: Any) -> bool:
-    """Tell whether contacts whose materials are of this type (of NumPy or of Numba) resist rolling or twisting."""
+    """Return whether contacts whose materials are of this type (of NumPy or of Numba) resist rolling or twisting."""
     functions = _laws.get(next(iter(kind.fields)), {})
     return "rolling" in functions or "twisting" in functions
 
@@ -93,7 +93,7 @@ def restitution(material: Any, approach: float, rest_speed: float) -> float:
 
 
 def dissipates(material: Any) -> bool:
-    """Tell whether an impact may rebound more slowly than it closed."""
+    """Return whether an impact may rebound more slowly than it closed."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -136,12 +136,12 @@ def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
 
 
 def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Tell whether the contact sticks with these totals of the normal and tangential impulse."""
+    """Return whether the contact sticks with these totals of the normal and tangential impulse."""
     raise NotImplementedError("only kernels call it")
 
 
 def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Tell whether a contact that exerted these totals slid, for reports of the step."""
+    """Return whether a contact that exerted these totals slid, for reports of the step."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -168,7 +168,7 @@ def twisting(material: Any, normal: float, radius: float, stopping: float) -> fl
 
 
 def exerts_torque(material: Any) -> bool:
-    """Tell whether the law resists rolling or twisting, a constant of the compiled kernel."""
+    """Return whether the law resists rolling or twisting, a constant of the compiled kernel."""
     raise NotImplementedError("only kernels call it")
 
 

@@ -29,7 +29,7 @@ FIELDS = (
 
 
 def has_angular_impulse(records: Records) -> bool:
-    """Tell whether records have an angular impulse."""
+    """Return whether records have an angular impulse."""
     return ANGULAR_IMPULSE[0] in (records.dtype.names or ())
 
 

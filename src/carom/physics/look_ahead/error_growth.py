@@ -151,7 +151,7 @@ def extrapolate(
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
-    """Tell whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
+    """Return whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
     k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
     return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 

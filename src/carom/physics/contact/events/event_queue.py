@@ -14,7 +14,7 @@ from carom.physics.jit.decorators import kernel
 
 @kernel
 def is_sooner(i: int, j: int, body: Records) -> bool:
-    """Tell whether body i's next impact comes before body j's."""
+    """Return whether body i's next impact comes before body j's."""
     one, other = body[i], body[j]
     if one.impact_time != other.impact_time:
         return bool(one.impact_time < other.impact_time)

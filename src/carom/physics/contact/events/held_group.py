@@ -174,7 +174,7 @@ def _standoff(i: int, T: Trajectories) -> float:
 
 @inner
 def _is_near(i: int, j: int, T: Trajectories) -> bool:
-    """Tell whether the gap between two bodies is so small that their contact is held."""
+    """Return whether the gap between two bodies is so small that their contact is held."""
     clock = T.drift[0].clock
     xi, yi, zi = along(T.x, T.v, i, clock - T.body[i].now)
     xj, yj, zj = along(T.x, T.v, j, clock - T.body[j].now)

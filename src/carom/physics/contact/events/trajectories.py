@@ -273,7 +273,7 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
 
 @inner
 def leaves_reach(i: int, T: Trajectories) -> bool:
-    """Tell whether the rest of a body's path leaves its reach."""
+    """Return whether the rest of a body's path leaves its reach."""
     body, drift = T.body[i], T.drift[0]
     s = drift.dt - body.now
     x, y, z = along(T.x, T.v, i, s)

@@ -211,7 +211,7 @@ def audit_corrections(
 
 @inline
 def separates(vn: float, rest_speed: float, e: float) -> bool:
-    """Tell whether a contact clears itself, and is not pushed: it separates, or rebounds with e.
+    """Return whether a contact clears itself, and is not pushed: it separates, or rebounds with e.
 
     Parameters
     ----------

@@ -171,7 +171,7 @@ def _converge(motion: Motion, run: Any, dt: float) -> None:
 
 @inline
 def stops(iteration: int, error: float, before: float, tolerance: float) -> bool:
-    """Tell whether a residual is small enough, or would be after another iteration with the same gain, or stays."""
+    """Return whether a residual is small enough, or would be after another iteration with the same gain, or stays."""
     return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
 
 

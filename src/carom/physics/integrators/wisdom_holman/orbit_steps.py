@@ -216,7 +216,7 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
 
 @unowned
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
-    """Tell whether two bodies come close from a time after ``place`` until another, on straight lines, both in s.
+    """Return whether two bodies come close from a time after ``place`` until another, on straight lines, both in s.
 
     Close is nearer than ``apart`` times `OrbitArrays.near`.
     """
@@ -248,7 +248,7 @@ def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: floa
 def _passes(
     speed: FloatArray, i: int, j: int, dx: float, dy: float, dz: float, close: float, after: float, until: float
 ) -> bool:
-    """Tell whether the distance of two bodies falls below a length ``close`` in m."""
+    """Return whether the distance of two bodies falls below a length ``close`` in m."""
     ux, uy, uz = between(speed, i, j)
     u2 = ux * ux + uy * uy + uz * uz
     t = -(dx * ux + dy * uy + dz * uz) / u2 if u2 > 0.0 else after
@@ -313,7 +313,7 @@ def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, s
 
 @long_kernel
 def meets_soon(o: OrbitArrays, until: float) -> bool:
-    """Tell whether bodies come close in a time in s from now."""
+    """Return whether bodies come close in a time in s from now."""
     x, v = o.x_spare, o.v_spare
     to_jacobi(o.position, o.order, o.share, x)
     to_jacobi(o.velocity, o.order, o.share, v)
