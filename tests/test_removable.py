@@ -28,40 +28,52 @@ TOOLS = ("crosscheck", "diff", "fork", "hunt", "shrink", "sweep", "tradeoff", "w
 Carom = Callable[..., subprocess.CompletedProcess[str]]
 
 
+def remove(folder: Path, parts: tuple[str, ...]) -> Carom:
+    """Copy the package into a folder, delete files or folders of it with their rows; return what runs `carom` there."""
+    copy = folder / "src" / "carom"
+    try:
+        shutil.copytree(HOUSE, copy, copy_function=os.link)  # with the compiled kernels
+    except shutil.Error:  # the temporary folder lies on another disk
+        shutil.copytree(HOUSE, copy, dirs_exist_ok=True)
+    (folder / "configs").symlink_to(HOUSE.parents[1] / "configs")
+    for part in parts:
+        path = copy / part
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    modules = [f"carom.{part.removesuffix('.py').replace('/', '.')}" for part in parts]
+    for name in filter(lambda name: (copy / name).exists(), ROWS):
+        lines = (copy / name).read_text(encoding="utf-8").splitlines(keepends=True)
+        (copy / name).unlink()  # the link, not the file of the house
+        kept = [line for line in lines if not any(f'"{module}' in line for module in modules)]
+        (copy / name).write_text("".join(kept), encoding="utf-8")
+
+    def run(*arguments: str, script: str = "") -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, *(("-c", script) if script else ("-m", "carom")), *arguments],
+            cwd=folder,
+            env=os.environ | {"PYTHONPATH": str(copy.parent), "COLUMNS": "200"},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    return run
+
+
 @pytest.fixture
 def without(tmp_path: Path) -> Callable[..., Carom]:
-    """Return what removes folders or files with their rows from a copy, and returns a function that runs `carom`."""
+    """Return a function that removes parts from a copy, and returns what runs `carom` in it."""
+    return lambda *parts: remove(tmp_path, parts)
 
-    def remove(*parts: str) -> Carom:
-        copy = tmp_path / "src" / "carom"
-        try:
-            shutil.copytree(HOUSE, copy, copy_function=os.link)  # with the compiled kernels
-        except shutil.Error:  # the temporary folder lies on another disk
-            shutil.copytree(HOUSE, copy, dirs_exist_ok=True)
-        (tmp_path / "configs").symlink_to(HOUSE.parents[1] / "configs")
-        for part in parts:
-            path = copy / part
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-        modules = [f"carom.{part.removesuffix('.py').replace('/', '.')}" for part in parts]
-        for name in filter(lambda name: (copy / name).exists(), ROWS):
-            lines = (copy / name).read_text(encoding="utf-8").splitlines(keepends=True)
-            (copy / name).unlink()  # the link, not the file of the house
-            kept = [line for line in lines if not any(f'"{module}' in line for module in modules)]
-            (copy / name).write_text("".join(kept), encoding="utf-8")
 
-        def run(*arguments: str, script: str = "") -> subprocess.CompletedProcess[str]:
-            return subprocess.run(
-                [sys.executable, *(("-c", script) if script else ("-m", "carom")), *arguments],
-                cwd=tmp_path,
-                env=os.environ | {"PYTHONPATH": str(copy.parent), "COLUMNS": "200"},
-                capture_output=True,
-                text=True,
-                check=False,
-            )
+@pytest.fixture(scope="module")
+def bare_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("bare")
 
-        return run
 
-    return remove
+@pytest.fixture(scope="module")
+def bare(bare_folder: Path) -> Carom:
+    """Remove all formats, placements and optional physics at once: the kernels of a changed copy take a minute."""
+    return remove(bare_folder, (*OPTIONAL, *PHYSICS))
 
 
 def refusal(done: subprocess.CompletedProcess[str]) -> str:
@@ -121,29 +133,29 @@ for name in sys.argv[1:]:
 """
 
 
-def test_formats_and_placements_can_be_removed(without: Callable[..., Carom], tmp_path: Path) -> None:
-    run = without(*OPTIONAL)
-    (tmp_path / "random.toml").write_text(GROUP.format(group=ARRANGED.format(name="random")), encoding="utf-8")
-    ended = run("run", "random.toml", "-o", "run.rrd")
+def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -> None:
+    run, folder = bare, bare_folder
+    (folder / "random.toml").write_text(GROUP.format(group=ARRANGED.format(name="random")), encoding="utf-8")
+    ended = run("run", "random.toml", "-o", "random.rrd")
     assert ended.returncode == 0, ended.stderr
     scenes = dict[str, str]()  # file → what its message says
     for part, name in OPTIONAL.items():
         if part.startswith("scene/"):
-            (tmp_path / f"bodies.{name}").write_text("", encoding="utf-8")
+            (folder / f"bodies.{name}").write_text("", encoding="utf-8")
             text, missing = f'[[bodies]]\nfile = "bodies.{name}"\n', f'no format has the ending ".{name}"'
         else:
             region = 'region = { shape = "plummer", scale = 1.0 }'
             text = GROUP.format(group=region if name == "plummer" else ARRANGED.format(name=name))
             missing = f'no placement of bodies "{name}"'
         if not part.startswith("recording/"):
-            (tmp_path / f"{name}.toml").write_text(text, encoding="utf-8")
+            (folder / f"{name}.toml").write_text(text, encoding="utf-8")
             scenes[f"{name}.toml"] = missing
     messages = run(*scenes, script=READ).stdout.splitlines()
     for message, (scene, missing) in zip(messages, scenes.items(), strict=True):
         assert missing in message, scene
     for scene in ("npz.toml", "cubic.toml"):  # as a command says it, and its exit code
         assert "there " in refusal(run("run", scene, "-o", "needs.rrd"))
-    assert 'the format ".vtk" is unknown' in refusal(run("export", "run.rrd", "-o", "run.vtk"))
+    assert 'the format ".vtk" is unknown' in refusal(run("export", "random.rrd", "-o", "run.vtk"))
 
 
 def test_nothing_imports_a_format_or_a_placement_but_the_registry() -> None:
@@ -179,14 +191,6 @@ def test_movies_and_the_web_viewer_can_be_removed(without: Callable[..., Carom])
     assert "carom.show.web" in refusal(run("publish", "run.rrd"))
 
 
-def test_sleep_can_be_removed(without: Callable[..., Carom]) -> None:
-    run = without("physics/contact/sleep")
-    asks_for_it = ("--set", "contact.sleep.speed=0.01")
-    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
-    assert run("replay", "run.rrd").returncode == 0
-    assert "contact.sleep: this installation" in refusal(run("run", "two-spheres", *asks_for_it, "-o", "other.rrd"))
-
-
 def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
     built_on = {"crosscheck": {"engines", "tradeoff"}, "fork": {"diff"}, "hunt": {"shrink"}, "tradeoff": {"engines"}}
     for tool in (path for path in (HOUSE / "lab").iterdir() if path.is_dir() and path.name != "__pycache__"):
@@ -203,33 +207,31 @@ def test_an_engine_can_be_removed(engine: str, without: Callable[..., Carom]) ->
 
 
 SHORT = ("--set", "time.duration=0.05", "--set", "gravity.constant=1e-9")
-PHYSICS = {  # part → a scene that needs it, and how the refusal calls it
+PHYSICS = {  # part → a scene that needs it, and what the refusal names
     "physics/integrators/gauss_radau": (["time.integrator=gauss-radau15"], 'integrator "gauss-radau15"'),
     "physics/integrators/wisdom_holman": (["time.integrator=wisdom-holman"], 'integrator "wisdom-holman"'),
     "physics/forces/gravity/tree.py": (["gravity.method=tree"], 'gravity method "tree"'),
     "physics/forces/gravity/fast_multipole": (["gravity.method=fast-multipole"], 'gravity method "fast-multipole"'),
     "physics/forces/drag.py": (["drag.relaxation_time=1.0"], 'force "drag"'),
+    "physics/contact/sleep": (["contact.sleep.speed=0.01"], "contact.sleep"),
 }
 
 
 @pytest.mark.parametrize("part", PHYSICS)
-def test_a_scene_names_the_integrator_gravity_method_or_force_that_was_removed(
-    part: str, without: Callable[..., Carom]
-) -> None:
+def test_a_scene_that_needs_a_removed_part_of_the_physics_names_it(part: str, without: Callable[..., Carom]) -> None:
     run = without(part)
     assert run("--help").returncode == 0
-    overrides, called = PHYSICS[part]
+    overrides, named = PHYSICS[part]
     given = [word for override in overrides for word in ("--set", override)]
     said = refusal(run("run", "two-spheres", *SHORT, *given, "-o", "needs.rrd"))
-    assert called in said and "removed from this installation" in said
+    assert named in said and "this installation" in said
 
 
-def test_scenes_run_without_the_optional_physics(without: Callable[..., Carom]) -> None:
-    """Together, since the kernels of a changed copy take a minute; one at a time in the test above."""
-    run = without(*PHYSICS)
-    ended = run("run", "two-spheres", *SHORT, "-o", "run.rrd")
+def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:
+    ended = bare("run", "two-spheres", *SHORT, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr
-    ahead = run("run", "two-spheres", *SHORT[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
+    assert bare("replay", "run.rrd").returncode == 0
+    ahead = bare("run", "two-spheres", *SHORT[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
     assert ahead.returncode == 0, ahead.stderr
 
 
