@@ -177,10 +177,27 @@ def test_the_quick_search_finds_the_imports_that_python_finds() -> None:
                 names |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
                 assert node.level == 0, f"{file}: a relative import is not followed"
-                names |= {str(node.module), *(f"{node.module}.{alias.name}" for alias in node.names)}
+                members = {f"{node.module}.{alias.name}" for alias in node.names}
+                names |= members if all(is_module(root, name) for name in members) else {str(node.module), *members}
         paths = [root.joinpath(*name.split(".")[1:]) for name in names if name.split(".")[0] == "carom"]
         files = {path.with_suffix(".py") for path in paths} | {path / "__init__.py" for path in paths}
         assert {path for path in files if path.is_file()} <= set(imports_of(file, "carom")), file
+
+
+def is_module(root: Path, name: str) -> bool:
+    """Return whether a dotted name is a module or package of carom."""
+    path = root.joinpath(*name.split(".")[1:])
+    return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
+
+
+def test_a_kernel_of_contacts_does_not_depend_on_the_planner_or_the_pipeline() -> None:
+    """Else each change of the outer packages compiles every kernel again, for minutes."""
+    root = Path(carom.__file__).parent
+    known = unread = {root / "physics" / "contact" / "solver" / "solve.py"}
+    while unread:
+        unread = {imported for file in unread for imported in imports_of(file, "carom")} - known
+        known = known | unread
+    assert not known & {root / "__init__.py", root / "plan" / "checks.py", root / "physics" / "contact" / "pipeline.py"}
 
 
 @pytest.fixture

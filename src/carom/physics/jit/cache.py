@@ -251,19 +251,22 @@ def sources_of(module: str, file: Path) -> bytes:
 
 @cache
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
-    """Return the files of a package and of carom that a file imports; too many do no harm."""
-    text = _text(file)
-    names = [name for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)]
+    """Return the files of a package and of carom that a file imports; too many do no harm.
+
+    ``from carom import registry`` counts as an import of the module only: `carom` itself imports nearly everything.
+    """
+    text, among = _text(file), (package, "carom")
+    files = {_file_of(name, among) for line in _IMPORT.findall(text) for name in re.findall(r"[\w.]+", line)}
     for name, members in _FROM.findall(text):
-        names += [name, *(f"{name}.{member}" for member in re.findall(r"\w+", members))]
-    found = {_file_of(name) for name in names if name.partition(".")[0] in (package, "carom")}
-    return tuple(sorted(path for path in found if path is not None))
+        modules = [_file_of(f"{name}.{member}", among) for member in re.findall(r"\w+", members)]
+        files.update(modules if all(modules) else [_file_of(name, among), *modules])
+    return tuple(sorted(path for path in files if path is not None))
 
 
 @cache
-def _file_of(module: str) -> Path | None:
+def _file_of(module: str, packages: tuple[str, ...]) -> Path | None:
     package, *below = module.split(".")
-    start = getattr(sys.modules.get(package), "__file__", None)
+    start = getattr(sys.modules.get(package), "__file__", None) if package in packages else None
     if start is None or Path(start).name != "__init__.py":
         return None
     path = Path(start).parent.joinpath(*below)
