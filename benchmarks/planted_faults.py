@@ -17,7 +17,8 @@ import numpy as np
 from carom.physics import step as stepping
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
-from carom.physics.contact.events.drift import EventDrivenDrift, Impacts
+from carom.physics.contact.events.drift import EventDrivenDrift
+from carom.physics.contact.impact_log import Impacts
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.bookkeeper import BalanceAudit, Bookkeeper

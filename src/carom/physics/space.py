@@ -9,7 +9,7 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.event import Event
 from carom.physics.contact.contact_tap import Impulses
-from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
+from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.diagnostics.energy import Energy
 from carom.physics.diagnostics.extremes import Extremes
 from carom.physics.diagnostics.ledger import Ledger

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from carom.physics.contact.constraints import CONTACT_STATE
-from carom.physics.contact.events.next_impact import step_by_impacts
+from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.islands import Islands
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.space import Space

@@ -37,7 +37,7 @@ CONTACT = record(_CONTACT, size=2 * CACHE_LINE)
 ROLLING_CONTACT = record(" ".join((_CONTACT, *FIELDS)), size=4 * CACHE_LINE)  # where the law resists rolling
 
 CONTACT_STATE = record(
-    "overlap found_overlap"  # m: now (negative for a gap); before the position correction (0 for a gap)
+    "overlap detected_overlap"  # m: now (negative for a gap); before the position correction (0 for a gap)
     " rest_speed approach_speed"  # m/s, largest approach speed at rest; approach before the impulses
     " normal_before slip_x slip_y slip_z"  # m/s, v_n and u before `hold`
     f" {LEDGER_TERMS}"  # J, its ledger
@@ -75,7 +75,7 @@ _RECORDED = (  # only for recorded contacts
 RECORDED = record(_RECORDED, size=CACHE_LINE)
 ROLLING_RECORDED = record(" ".join((_RECORDED, *ANGULAR_IMPULSE)), size=2 * CACHE_LINE)
 
-PIECE_FINDINGS = record(  # results of a phase for a piece of contacts
+PIECE_RESULTS = record(  # results of a phase for a piece of contacts
     "residual"  # m/s, the largest change or violation; of position corrections 1 if another iteration is needed
     " residual_norm largest_push largest_pull"  # of conjugate gradients: r·z; N s, the largest impulses of either sign
     " slope step_limit"  # of the line search: J, s·c; the largest α that lets no contact pull
@@ -99,7 +99,7 @@ SETTINGS = np.dtype(
         ("iteration", "i8"),  # number of iterations before this one
         ("dt", "f8"),  # s, the step for which the rest speeds were found; before a drift, the previous one
         ("drift", "f8"),  # s, the drift to come; 0 after the last kick
-        ("share", "f8"),  # s, part of the drift for which the work of the forces is already booked
+        ("booked", "f8"),  # s, part of the drift for which the work of the forces is already booked
         ("bias_rate", "f8"),  # 1/s, Baumgarte: separation speed for each metre of overlap
         ("alpha", "f8"),  # α, of the line search and of conjugate gradients
         ("beta", "f8"),  # β of conjugate gradients, weight of the last direction in the next one
@@ -166,7 +166,7 @@ class ConstraintSystem(NamedTuple):
     islands: Records  # (n + p,) ISLAND, workspace
     active: IntArray  # (b,) bodies and planes with a contact
     pressed: BoolArray  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
-    found: Records  # (k,) PIECE_FINDINGS
+    piece_results: Records  # (k,) PIECE_RESULTS
     sums: Records  # (b / BODIES_PER_BLOCK,) BLOCK_SUMS
     settings: Records  # (1,) SETTINGS
 

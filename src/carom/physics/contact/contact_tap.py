@@ -21,8 +21,8 @@ from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import CONTACT
-from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import comes_before, empty_graph
+from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
 from carom.physics.contact.rolling import angular_impulses_of
 from carom.physics.contact.solver.contact_solver import ContactSolver

@@ -50,8 +50,8 @@ def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: 
         As in `Search`; skin in m.
     """
     dx, dy, dz = nearest_image(dx, dy, dz, box)
-    reach = radii * scale + skin
-    return dx * dx + dy * dy + dz * dz <= reach * reach
+    limit = radii * scale + skin
+    return dx * dx + dy * dy + dz * dz <= limit * limit
 
 
 @inline
@@ -87,6 +87,6 @@ def update_geometry(
         dx, dy, dz = between(x, i, j)
         dx, dy, dz = nearest_image(dx, dy, dz, box)
         contact.nx, contact.ny, contact.nz, d = normal_and_distance(dx, dy, dz)
-        share = d / (radius[i] + radius[j])
-        contact.arm_i, contact.arm_j = share * radius[i], share * radius[j]
+        ratio = d / (radius[i] + radius[j])
+        contact.arm_i, contact.arm_j = ratio * radius[i], ratio * radius[j]
         state.overlap = radius[i] + radius[j] - d

@@ -212,7 +212,7 @@ def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
 
 
 @inline
-def restitution_at_depth(e: float, vn: float, overlap: float, pull: float) -> float:
+def restitution_at_depth(e: float, vn: float, overlap: float, acceleration: float) -> float:
     """Return the restitution coefficient of an impact found after its time; see `solver.impacts`.
 
     Parameters
@@ -223,10 +223,10 @@ def restitution_at_depth(e: float, vn: float, overlap: float, pull: float) -> fl
         m/s, normal velocity where the impact was found.
     overlap
         m
-    pull
+    acceleration
         m/s², relative acceleration that presses the bodies together.
     """
-    at_depth: float = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * pull / (vn * vn)))
+    at_depth: float = np.sqrt(e * e + (1.0 - e * e) * min(1.0, 2.0 * overlap * acceleration / (vn * vn)))
     return at_depth
 
 

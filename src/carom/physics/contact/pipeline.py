@@ -25,9 +25,9 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneGuard
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
-from carom.physics.contact.events.drift import NO_IMPACTS, EventDrivenDrift, Impacts
-from carom.physics.contact.events.next_impact import step_by_impacts
+from carom.physics.contact.events.drift import EventDrivenDrift
 from carom.physics.contact.graph import OrderedContacts, empty_graph
+from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import Materials
 from carom.physics.contact.near_pairs import NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
@@ -94,7 +94,6 @@ class ContactPipeline:
         sleep = part_of_model("contact.sleep") if contact.sleep else None
         self._settings = contact
         self._bodies = bodies
-        self._planes = planes
         self._field = field
         self._team = team
         self._needs = requirements
@@ -110,12 +109,11 @@ class ContactPipeline:
         self._torques = Torques(bodies, team)
         self._contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
         self._snapshots = SnapshotSource(self._solver, bodies.ends.inverse_mass)
-        self._event_drift = None
+        self._event_drift: EventDrivenDrift | None = None
         if requirements.impact_time.modelled:
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            fields = (field, bending)
             self._event_drift = EventDrivenDrift(
-                bodies, planes, materials, box, *fields, *drift, self._near.search, team
+                bodies, planes, materials, box, field, bending, *drift, self._near.search, team
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
         self._sleepers: Sleepers | None = None
@@ -191,14 +189,14 @@ class ContactPipeline:
         if self._lasts:
             self._order_contacts(self._near.find(dt), dt)
 
-    def hold(self, kick: float, dt: float, share: float, against: FloatArray | None = None) -> None:
+    def hold(self, kick: float, dt: float, booked: float, against: FloatArray | None = None) -> None:
         """Hold the contacts of the previous step after the first kick, so that they do not close during the drift.
 
         Parameters
         ----------
         kick, dt
             s, lengths of the kick and of the drift.
-        share
+        booked
             s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
             there is drag.
         against
@@ -225,7 +223,7 @@ class ContactPipeline:
         if self._is_at_rest():
             if self.tap:  # its step begins; the entries are those of the previous step, which are booked
                 self._solver.ledger[:] = 0.0
-            self._hold_contacts(self._dt, kick, dt, 0.0, share, against)
+            self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self._solver.audited
             if self.tap:
                 self.tap.add_hold(self._contacts.pairs, self._solver)
@@ -260,9 +258,8 @@ class ContactPipeline:
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
-        bodies, planes = self._bodies, self._planes
-        moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
-        return step_by_impacts(*moving, planes.normal, planes.offset, span)
+        assert self._event_drift is not None, "the integrator ends its steps at impacts"
+        return self._event_drift.step_by_impacts(span)
 
     def add_quiet_steps(self) -> None:
         """Account for steps in which nothing touched, after a step that was quiet."""
@@ -436,7 +433,7 @@ class ContactPipeline:
         return self._lasts and self._presses
 
     def _hold_contacts(
-        self, dt: float, kick: float, drift: float, bias_rate: float, share: float, against: FloatArray | None = None
+        self, dt: float, kick: float, drift: float, bias_rate: float, booked: float, against: FloatArray | None = None
     ) -> int:
         """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._contacts.pairs
@@ -444,7 +441,7 @@ class ContactPipeline:
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
             self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
-        return solver.hold(dt, share, drift, bias_rate, self._most_sweeps, against)
+        return solver.hold(dt, booked, drift, bias_rate, self._most_sweeps, against)
 
     @property
     def snapshot(self) -> ContactSnapshot:

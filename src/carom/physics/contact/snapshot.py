@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.events.drift import NO_IMPACTS, Impacts
 from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
+from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.jit.decorators import kernel
 
@@ -234,7 +234,7 @@ def _copy_touching(
             kept_pairs[count, 0], kept_pairs[count, 1] = pairs[c, 0], pairs[c, 1]
             for k in range(3):
                 kept_normals[count, k] = normals[p, k]
-            overlaps[count], kept_colours[count] = state.found_overlap, colours[c]
+            overlaps[count], kept_colours[count] = state.detected_overlap, colours[c]
             approach[count], rest_speed[count] = state.approach_speed, state.rest_speed
             kept_place[count] = p
             count += 1

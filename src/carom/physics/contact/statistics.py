@@ -14,8 +14,8 @@ from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.aligned import record
 from carom.physics.bodies import Ends
 from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
-from carom.physics.contact.events.drift import Impacts
 from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
+from carom.physics.contact.impact_log import Impacts
 from carom.physics.diagnostics.ledger import clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
@@ -140,7 +140,7 @@ def _count(
                 impacts += 1
                 struck += energy
                 _keep_hardest(block, energy, i, j)
-            _keep_deepest(block, state.found_overlap / min(radius[i], radius[j]), i, j)
+            _keep_deepest(block, state.detected_overlap / min(radius[i], radius[j]), i, j)
         block.restitution_loss, block.friction_loss, block.stabilisation_gain = restitution, friction, stabilisation
         block.contacts, block.impacts, block.struck = count, impacts, struck
 

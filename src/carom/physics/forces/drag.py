@@ -30,7 +30,7 @@ import numpy as np
 from carom.arrays import FloatArray, Records
 from carom.physics.aligned import columns, record
 from carom.physics.bodies import Bodies
-from carom.physics.contact.events.drift import Impacts
+from carom.physics.contact.impact_log import Impacts
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import DampedPath, DampedStep, Exchange

@@ -16,7 +16,7 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.events.drift import Impacts
+from carom.physics.contact.impact_log import Impacts
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.forces import kernel_forces
 from carom.physics.forces.gravity import gravity_of

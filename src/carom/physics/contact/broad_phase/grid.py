@@ -70,13 +70,13 @@ class HierarchicalGrid:
             m = _all_pairs(position, self._radius, self._box, scale, skin, self._buffer[0])
             return self._buffer[0, :m].copy()
         table = self._cells.sort(position, scale, skin)
-        m = self._find(table, self._cells.layout, scale, skin)
+        m = self._list_pairs(table, self._cells.layout, scale, skin)
         if self._claimed[0] > self._buffer.shape[1]:
             self._buffer = _buffer_for(int(self._claimed[0]))
-            m = self._find(table, self._cells.layout, scale, skin)
+            m = self._list_pairs(table, self._cells.layout, scale, skin)
         return self._buffer[0, :m].copy()
 
-    def _find(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
+    def _list_pairs(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
         """Fill the first half of the buffer; return the number of pairs, if they fitted."""
         claimed, buffer = self._claimed, self._buffer
         claimed[0] = 0
@@ -148,10 +148,10 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
     sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
     periodic = is_periodic(scope.layout.box)
     ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
-    reach = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
-    fx, lx, once_x = _cells_along(ox, reach, grid.kx, grid.nx, periodic)
-    fy, ly, once_y = _cells_along(oy, reach, grid.ky, grid.ny, periodic)
-    fz, lz, once_z = _cells_along(oz, reach, grid.kz, grid.nz, periodic)
+    search_radius = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
+    fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, periodic)
+    fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, periodic)
+    fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, periodic)
     # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
     half = K == L and not (periodic and _meets_itself(grid, scope.scale, scope.skin))
     later = K == L and not half
@@ -166,16 +166,16 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
             first, after = cx if is_own else fx, a + 1 if later or is_own else 0
             row = Row(first, lx, iy, iz)
             if wide and not is_own:
-                row = _chord(row, ox, oy, oz, reach, grid)
+                row = _chord(row, ox, oy, oz, search_radius, grid)
             m, end = _search_row(a, row, after, half, grid, scope, m, end)
     return m, end
 
 
 @inline
-def _chord(row: Row, ox: float, oy: float, oz: float, reach: float, grid: Any) -> Row:
+def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid: Any) -> Row:
     """Return the cells of a row within reach of a point, in m from the corner of the grid; none if it is too far."""
     gy, gz = _gap_to_cell(oy, row.y, grid.ky), _gap_to_cell(oz, row.z, grid.kz)
-    squared = reach * reach - gy * gy - gz * gz
+    squared = search_radius * search_radius - gy * gy - gz * gz
     if squared < 0.0:
         return Row(row.first, row.first, row.y, row.z)
     half = np.sqrt(squared)
@@ -233,9 +233,9 @@ def _is_in(sphere: Any, row: Row, grid: Any, layout: Layout) -> bool:
 
 
 @inline
-def _cells_along(o: float, reach: float, density: float, cells: int, periodic: bool) -> tuple[int, int, bool]:
+def _cells_along(o: float, search_radius: float, density: float, cells: int, periodic: bool) -> tuple[int, int, bool]:
     """Return the first cell within reach along an axis, the one after the last, and whether no cell comes twice."""
-    first, end = math.floor((o - reach) * density), math.floor((o + reach) * density) + 1
+    first, end = math.floor((o - search_radius) * density), math.floor((o + search_radius) * density) + 1
     if periodic:
         return first, min(end, first + cells), end - first <= cells
     return max(first, 0), min(end, cells), True

@@ -1,94 +1,62 @@
 """The drift of a step in which impacts happen at their own times.
 
-Neighbours are searched once per drift, within a reach around the start of each body. A body that an impact throws
-beyond its reach has strayed: from then on its impacts are predicted with every other body.
+Neighbours are searched once per drift, within a search radius around the start of each body. A body that an impact
+throws beyond it is a stray: from then on its impacts are predicted with every other body.
 
-Rejected: reaches that no impact can exceed, which make all bodies neighbours as soon as one is fast.
+Rejected: search radii that no impact can exceed, which make all bodies neighbours as soon as one is fast.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.pairs import Search
-from carom.physics.contact.events.event_loop import IMPACT, ROLLING_IMPACT, SLOW, SLOW_IN_SPACE, predict, resolve
-from carom.physics.contact.events.event_queue import put
-from carom.physics.contact.events.simultaneous import resolve_touching
+from carom.physics.contact.constraints import ends_of
+from carom.physics.contact.events.event_loop import (
+    MAX_ELASTIC,
+    MAX_IN_COLLAPSE,
+    SLOW,
+    SLOW_IN_SPACE,
+    collide,
+    predict,
+    resolve,
+)
+from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
+from carom.physics.contact.events.time_of_impact import step_by_impacts
 from carom.physics.contact.events.trajectories import (
     DRIFT,
+    MOST_HOLDS,
     TRAJECTORY,
     Neighbours,
     Trajectories,
+    arrive,
     begin,
     both_ways,
     finish,
+    put,
     straighten,
-    write_reaches,
+    write_search_radii,
 )
+from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
 from carom.physics.contact.islands import island_rest_speeds
-from carom.physics.contact.law import Materials, has_torque
+from carom.physics.contact.law import Materials, dissipates, has_torque, material_index
 from carom.physics.contact.solver.prepare import ImpulseCache
-from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.integrators.kick_drift import MIN_BODIES_PER_TASK, drift
-from carom.physics.jit.decorators import entry_of, kernel
+from carom.physics.jit.decorators import entry_of, inline, kernel, long_kernel
 from carom.physics.jit.team import Team
+from carom.physics.vector import between, vector
 from carom.scene.start import HalfSpaces
 
 LOG_ROWS = 4096  # largest number of impacts in one call
-MOST_CONTACTS = 16  # per body at one moment, on average
+MOST_TOUCHING = 16  # contacts per body at one moment, on average
+GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
 WIDEST = 2.0  # times the radii; up to this width the contact grids also find neighbours
-
-
-@dataclass(frozen=True, slots=True)
-class Impacts:
-    """The impacts of a drift, in the order of time."""
-
-    pairs: IntArray  # (k, 2), i < j
-    time: FloatArray  # (k,) s from the beginning of the drift
-    normal: FloatArray  # (k, 3) from i to j
-    approach: FloatArray  # (k,) m/s
-    rest_speed: FloatArray  # (k,) m/s, of each impact
-    ledger: FloatArray  # (k, 3) J
-    after: FloatArray  # (k, 2, 3) m/s, velocities of both right after it
-    log: Records  # (k,) `IMPACT`, the source of the other fields
-
-    def __len__(self) -> int:
-        return len(self.pairs)
-
-    def followed_by(self, later: Impacts) -> Impacts:
-        """Add later impacts."""
-        return Impacts.of(np.concatenate((self.log, later.log))) if len(self) else later
-
-    @classmethod
-    def of(cls, log: Records) -> Impacts:
-        """Read a log, (k,) `IMPACT`."""
-        after = _columns(log, "vix", "viy", "viz", "vjx", "vjy", "vjz")
-        return cls(
-            pairs=_columns(log, "i", "j"),
-            time=log["time"],
-            normal=_columns(log, "nx", "ny", "nz"),
-            approach=log["approach"],
-            rest_speed=log["rest_speed"],
-            ledger=terms_of(log),
-            after=after.reshape(-1, 2, 3),
-            log=log,
-        )
-
-
-def _columns(records: Records, *names: str) -> NDArray[Any]:
-    """Return fields of records side by side, (k, number of names)."""
-    return np.stack([records[name] for name in names], axis=-1)
-
-
-NO_IMPACTS = Impacts.of(np.empty(0, dtype=IMPACT))
 
 
 class _Kernels(NamedTuple):
@@ -130,7 +98,7 @@ class EventDrivenDrift:
     bending
         (3,) m/s², the uniform field if it accelerates bodies towards something fixed; otherwise zeros.
     friction, anchored, forces
-        Whether impulses turn bodies, something is fixed, and a force presses contacts together.
+        Whether impulses change spins, something is fixed, and a force presses contacts together.
     search, team
         The broad phase, and the threads that work.
     """
@@ -189,7 +157,7 @@ class EventDrivenDrift:
         self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
-            self._find_rest_speeds(nobody, 1.0, 1.0, 0.0)
+            self._write_rest_speeds(nobody, 1.0, 1.0, 0.0)
         self._resolve(nobody, T)
 
     @property
@@ -231,15 +199,15 @@ class EventDrivenDrift:
             T.drift["field_x"], T.drift["field_y"], T.drift["field_z"] = field
             T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
-        farthest = write_reaches(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
-        pairs = self._neighbours(farthest, scale, skin)
+        largest = write_search_radii(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
+        pairs = self._neighbours(largest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
             bends = bool(self._bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
             self._kernels.begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
-                self._find_rest_speeds(pairs, dt, scale, skin)
+                self._write_rest_speeds(pairs, dt, scale, skin)
             ends = np.searchsorted(pairs[:, 0], np.arange(n + 1))
             later = Neighbours(ends[:-1], ends[1:], np.ascontiguousarray(pairs[:, 1]))
             self._team.divide(n, MIN_BODIES_PER_TASK, predict, later, T, alone=self._kernels.predict)
@@ -261,20 +229,26 @@ class EventDrivenDrift:
         drift = T.drift[0]
         drift["dt"] = drift["kick"] = drift["clock"] = dt
         drift["exhausted"] = drift["strays"] = 0
-        pairs = np.empty((MOST_CONTACTS * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
+        pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
         count = resolve_touching(T, pairs, self._log)
         return Impacts.of(self._log[:count].copy())
 
+    def step_by_impacts(self, span: float) -> float:
+        """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
+        T, bodies = self._trajectories, self._bodies
+        moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
+        return step_by_impacts(*moving, T.surface, T.offset, span)
+
     def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
-        """Make the paths of bodies that contacts hold, and of sleepers, straight; they are not free."""
+        """Make the paths of held bodies and of sleepers straight, and mark held bodies as not free."""
         body = self._trajectories.body
         straighten(held.pairs, held.place, held.contacts, body)
         if asleep is not None:
             body["is_straight"][asleep] = True
 
-    def _find_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
-        """Find the rest speed of each body."""
+    def _write_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
+        """Compute the rest speed of each body."""
         T = self._trajectories
         island_rest_speeds(
             pairs,
@@ -290,13 +264,13 @@ class EventDrivenDrift:
             T.rest_speed,
         )
 
-    def _neighbours(self, farthest: float, scale: float, skin: float) -> IntArray:
-        """Return the pairs whose reaches meet, given the largest reach in radii; small reaches are widened to it."""
+    def _neighbours(self, largest: float, scale: float, skin: float) -> IntArray:
+        """Return the pairs whose search radii meet, given the largest in radii; if that is small, all get it."""
         T, radius = self._trajectories, self._bodies.radius
-        if farthest <= WIDEST - 1.0:
-            T.body["reach"] = farthest * radius
-            return self._search.pairs(T.x, scale * (1.0 + farthest), skin)
-        return HierarchicalGrid(radius + T.body["reach"], T.box, self._team).pairs(T.x, scale, skin)
+        if largest <= WIDEST - 1.0:
+            T.body["search_radius"] = largest * radius
+            return self._search.pairs(T.x, scale * (1.0 + largest), skin)
+        return HierarchicalGrid(radius + T.body["search_radius"], T.box, self._team).pairs(T.x, scale, skin)
 
     def _resolve(self, pairs: IntArray, T: Trajectories) -> Impacts:
         n = len(self._bodies)
@@ -321,3 +295,98 @@ def _fill_queue(T: Trajectories) -> int:
             size = put(i, size, T.queue, T.body)
     T.drift[0].queued = size
     return size
+
+
+@long_kernel
+def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
+    """Resolve the impacts of all pairs that touch at one moment; return their number.
+
+    An integrator that ends its steps at impacts calls this there. The pairs are resolved one by one, in their order as
+    in the event loop, until none closes; rigid bodies have no unique answer where several pairs meet at once. If that
+    does not end, contacts are held (`held_group`).
+
+    Parameters
+    ----------
+    T
+        The bodies at the impact; `DRIFT` has the same time for clock and kick, and ``exhausted`` and ``strays`` 0.
+    pairs
+        (m, 2) buffer for the pairs that touch; the first row is one that does, whatever its gap. If it is empty,
+        nothing is done.
+    log
+        (k,) `IMPACT`, buffer for their log.
+    """
+    count, row = _touching_pairs(T, pairs), 0
+    for i in range(len(T.x) if count > 0 else 0):
+        arrive(i, T)
+    for sweep in range(MAX_ELASTIC + MOST_HOLDS):
+        before = row
+        for c in range(count):
+            i, j = ends_of(pairs, c)
+            speed, speeds = _closing(i, j, T)
+            if not (speed > ROUNDING * speeds or (sweep == 0 and c == 0)):
+                continue
+            lossy = dissipates(T.materials[material_index(i, j, len(T.x), T.places)])
+            if sweep < (MAX_IN_COLLAPSE if lossy else MAX_ELASTIC) and row < len(log) // 2:
+                collide(i, j, log[row], T)
+                row += 1
+            elif row + MOST_CONTACTS <= len(log):
+                _exhaust(i, T)
+                _exhaust(j, T)
+                row = hold_group(i, j, T.everyone, T, log, row)[1]
+            else:
+                T.drift[0].exhausted = 1
+                return row
+        if row == before:
+            return row
+    T.drift[0].exhausted = 1
+    return row
+
+
+@inline
+def _exhaust(i: int, T: Trajectories) -> None:
+    """Mark a body as exhausted: its contacts are held from now on."""
+    if i < len(T.x):
+        T.body[i].exhausted = T.inverse_mass[i] > 0.0
+
+
+@inline
+def _touching_pairs(T: Trajectories, pairs: IntArray) -> int:
+    """Write the other pairs that touch behind the first one; return the number of all."""
+    x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
+    count = min(1, len(pairs))
+    for i in range(n if count > 0 else 0):
+        xi, yi, zi = vector(x, i)
+        size = abs(xi) + abs(yi) + abs(zi)
+        for j in range(i + 1, n):
+            dx, dy, dz = between(x, i, j)
+            R = radius[i] + radius[j]
+            limit = R + GAP_ROUNDING * (R + size)
+            if dx * dx + dy * dy + dz * dz <= limit * limit and T.inverse_mass[i] + T.inverse_mass[j] > 0.0:
+                count = _add(i, j, count, pairs)
+        for p in range(len(offset) if T.inverse_mass[i] > 0.0 else 0):
+            nx, ny, nz = vector(surface, p)
+            height = nx * xi + ny * yi + nz * zi - offset[p]
+            if height - radius[i] <= GAP_ROUNDING * (radius[i] + size):
+                count = _add(i, n + p, count, pairs)
+    return count
+
+
+@inline
+def _add(i: int, j: int, count: int, pairs: IntArray) -> int:
+    """Add a pair, unless it is the first one or the buffer is full."""
+    if (i == pairs[0, 0] and j == pairs[0, 1]) or count == len(pairs):
+        return count
+    pairs[count, 0], pairs[count, 1] = i, j
+    return count + 1
+
+
+@inline
+def _closing(i: int, j: int, T: Trajectories) -> tuple[float, float]:
+    """Return the closing speed of a pair, and the sum of its speeds, in m/s."""
+    x, v, n = T.x, T.v, len(T.x)
+    rate, length, speeds = 0.0, 0.0, 0.0
+    for k in range(3):
+        d = -T.surface[j - n, k] if j >= n else x[j, k] - x[i, k]
+        rate, length = rate + d * (v[j, k] - v[i, k]), length + d * d
+        speeds += abs(v[i, k]) + abs(v[j, k])
+    return -rate / np.sqrt(length), speeds

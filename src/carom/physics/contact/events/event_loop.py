@@ -1,8 +1,8 @@
 """The event loop: impacts at their own times within a drift, in the order of time.
 
-Each body stores its next impact. The earliest impact is resolved with the velocities at its time, the two bodies
-predict their next impacts along their new paths, and the loop continues. If the partner of a body has been struck in
-the meantime, its impact is predicted again.
+Each body stores its next impact. The earliest impact is resolved with the velocities at its time, the next impacts of
+both bodies are predicted along their new paths, and the loop continues. If the partner of a body has had an impact in
+the meantime, the body's own impact is predicted again.
 
 Velocities at the time τ are v + a (τ - h), with h the kick before the drift. The energies that follow are exact: the
 kicks before and after the drift do gravity's work on the actual path, with its bend, if the impulse J takes out
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from carom.arrays import Records
-from carom.physics.contact.events.event_queue import put
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
     time_of_impact,
@@ -28,7 +27,6 @@ from carom.physics.contact.events.time_of_impact import (
 )
 from carom.physics.contact.events.trajectories import (
     MOST_HOLDS,
-    ROUNDING,
     Neighbours,
     Trajectories,
     advance,
@@ -36,11 +34,13 @@ from carom.physics.contact.events.trajectories import (
     contact_geometry,
     elapsed,
     lag,
-    leaves_reach,
+    leaves_search_radius,
+    put,
     rest_speed,
     slowing,
     velocity,
 )
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
@@ -51,9 +51,8 @@ from carom.physics.contact.law import (
     restitution,
     tangential_loss,
 )
-from carom.physics.contact.rolling import ANGULAR_IMPULSE, angular_loss, limited, set_angular_impulse
+from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
-from carom.physics.diagnostics.ledger import TERMS
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.rotation import rotate_one
@@ -61,46 +60,15 @@ from carom.physics.vector import Vector, add, along, between, vector
 
 SLOW = 0.25  # of the rest speed; faster contacts are resolved where they touch, and rebound above the rest speed.
 # With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, marbles-in-a-box by 5 mm instead of 1 mm.
-SLOW_IN_SPACE = 1.0  # likewise where nothing is fixed. With 0.25, rubble-collision has 2.7 times as many impacts and
+SLOW_IN_SPACE = 1.0  # the same where nothing is fixed. With 0.25, rubble-collision has 2.7 times as many impacts and
 # takes 1.3 times as long; the deepest overlap is 5 × 10⁻⁴ r instead of 1.4 × 10⁻³ r.
 
 # Impacts of a body in a drift; then its contacts are held. A collapse (e < 1) has infinitely many in a finite time.
 # Where a force presses, a light ball stops one of 300 times its mass by itself. Without dissipation, there are always
-# finitely many; a light ball turns one of 10⁷ times its mass.
+# finitely many; a light ball reverses one of 10⁷ times its mass.
 MAX_IMPACTS = 1000
 MAX_IN_COLLAPSE = 100  # with e < 1, where no force presses
 MAX_ELASTIC = 10_000
-
-IMPACT = np.dtype(
-    [
-        ("i", np.int64),  # i < j
-        ("j", np.int64),
-        ("time", np.float64),  # s from the beginning of the drift
-        ("clock", np.float64),  # s, the time σ of the straight paths, see `trajectories`
-        ("nx", np.float64),  # the normal, from i to j
-        ("ny", np.float64),
-        ("nz", np.float64),
-        ("approach", np.float64),  # m/s, closing speed
-        ("rest_speed", np.float64),  # m/s, closing speed up to which a contact is at rest
-        *((term, np.float64) for term in TERMS),  # J
-        ("vix", np.float64),  # m/s, velocities right after it
-        ("viy", np.float64),
-        ("viz", np.float64),
-        ("vjx", np.float64),
-        ("vjy", np.float64),
-        ("vjz", np.float64),
-        ("normal_impulse", np.float64),  # N s
-        ("friction_x", np.float64),  # N s, the tangential impulse that acts on j
-        ("friction_y", np.float64),
-        ("friction_z", np.float64),
-        ("arm_i", np.float64),  # m, from each centre to the contact point
-        ("arm_j", np.float64),
-        ("x", np.float64),  # m, the contact point
-        ("y", np.float64),
-        ("z", np.float64),
-    ]
-)
-ROLLING_IMPACT = np.dtype([*IMPACT.descr, *((name, np.float64) for name in ANGULAR_IMPULSE)])  # N m s, with torques
 
 
 @long_kernel
@@ -143,7 +111,7 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
     """Move the two bodies of the next impact to it; return the body that predicted it, -1 if there is none.
 
-    An impact is stale if its partner has been struck since it was predicted.
+    An impact is stale if its partner has had another one since it was predicted.
     """
     n, drift = len(T.x), T.drift[0]
     while drift.queued > 0:
@@ -162,7 +130,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
 
 @inner
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
-    """Count an impact of a body; note if it is the last one before it is held, and if its new path leaves its reach."""
+    """Count an impact of a body; note if the body is exhausted now, and if its new path leaves its search radius."""
     if T.inverse_mass[i] == 0.0:
         return
     body, drift = T.body[i], T.drift[0]
@@ -175,7 +143,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     if body.impacts >= most and not body.exhausted:
         body.exhausted = body.is_straight = True  # `hold_group` knows straight paths only
         drift.exhausted += 0 if collapses else 1
-    if not body.strays and leaves_reach(i, T):
+    if not body.strays and leaves_search_radius(i, T):
         body.strays = True
         T.strays.bodies[drift.strays] = i
         drift.strays += 1
@@ -205,7 +173,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
     for i in range(lo, hi):
-        one, rest = T.body[i], rest_speed(i, T)
+        one, own = T.body[i], rest_speed(i, T)
         for m in range(neighbours.first[i], neighbours.last[i]):
             j = neighbours.bodies[m]
             other = T.body[j]
@@ -220,7 +188,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             vx, vy, vz = between(T.v, i, j)
             ax, ay, az = _acceleration(i, j, vx, vy, vz, T)
             R = T.radius[i] + T.radius[j]
-            slow = drift.slow * max(rest, 0.0 if other.is_free else T.rest_speed[j])
+            slow = drift.slow * max(own, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
             if one.is_straight != other.is_straight:
                 tau = _time_on_parabola(i, j, dx, dy, dz, vx, vy, vz, slow, T)
@@ -292,11 +260,11 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
         s = clock - body.now
         slow = drift.slow * rest_speed(i, T) + body.negligible_speed
         for p in range(len(offset)):
-            gap, rate, pull = -offset[p] - T.radius[i], 0.0, 0.0
+            gap, rate, acceleration = -offset[p] - T.radius[i], 0.0, 0.0
             for k in range(3):
                 gap += N[p, k] * (x[i, k] + v[i, k] * s)
                 rate += N[p, k] * v[i, k]
-                pull += N[p, k] * a[i, k]
+                acceleration += N[p, k] * a[i, k]
             bend = 0.0
             if not body.is_straight:
                 bend = N[p, 0] * drift.field_x + N[p, 1] * drift.field_y + N[p, 2] * drift.field_z
@@ -309,8 +277,8 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
                 wait = _time_to_plane(gap - behind * bend, rate + bend * (clock - kick), bend)
             if wait < np.inf:
                 when = clock + wait
-                pull -= damping * rate
-                if when <= min(dt, body.impact_time) and -(rate + pull * (when - kick)) > slow:
+                acceleration -= damping * rate
+                if when <= min(dt, body.impact_time) and -(rate + acceleration * (when - kick)) > slow:
                     if when == body.impact_time and body.partner < len(x) + p:
                         continue
                     body.impact_time, body.partner, body.partner_impacts = when, len(x) + p, 0
@@ -397,10 +365,10 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
 
 @inner
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
-    """Return the normal velocity at which two bodies part now so that they touch again at the end of the drift.
+    """Return the normal velocity at which two bodies must separate to touch again at the end of the drift.
 
     In m/s, for a relative acceleration an in m/s² that presses them together; -infinity if it does not. Bodies that
-    part more slowly would overlap at the end: the force acts on, and nothing holds them until then.
+    separate more slowly would overlap at the end, since the force acts on, and nothing holds them until then.
     """
     if not an < 0.0:
         return -np.inf
@@ -409,9 +377,9 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
     bend = (0.0 if T.body[i].is_straight else pressing) - (0.0 if j >= n or T.body[j].is_straight else pressing)
     rise = 0.5 * drift.clock  # s, `lag` over the remaining time
     if drift.damping > 0.0:
-        left = drift.dt - drift.clock
+        remaining = drift.dt - drift.clock
         rise = 1.0 / (1.0 - drift.damping * (drift.dt - drift.kick)) / drift.damping - 1.0 / drift.damping
-        rise = min(rise, lag(T) / left) if left > 0.0 else rise
+        rise = min(rise, lag(T) / remaining) if remaining > 0.0 else rise
     return float(an * (drift.clock - drift.kick) + slowing(T) * rise * bend)
 
 
@@ -419,13 +387,13 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
     """Change a body's spin by an impulse times a lever arm, and its orientation at the end of the drift accordingly.
 
-    All orientations have already been turned for the whole step, so the rest of that turn is undone and made with the
-    new spin.
+    All orientations have already been rotated for the whole step, so the remaining rotation is undone and made again
+    with the new spin.
     """
     s = arm * T.inverse_inertia[i]
     if s == 0.0:
         return
-    left = T.drift[0].dt - elapsed(T)
-    rotate_one(i, T.q, T.omega, -left)
+    remaining = T.drift[0].dt - elapsed(T)
+    rotate_one(i, T.q, T.omega, -remaining)
     add(T.omega, i, s, tx, ty, tz)
-    rotate_one(i, T.q, T.omega, left)
+    rotate_one(i, T.q, T.omega, remaining)

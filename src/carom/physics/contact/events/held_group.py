@@ -1,17 +1,17 @@
-"""Contacts that are held through what is left of a drift, where impacts have no end.
+"""Contacts that are held for the remaining drift, where impacts have no end.
 
 A light ball between a heavy one and a floor rattles: it needs about as many impacts as the ratio of the masses to stop
 the heavy ball, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither close
 nor rebound. A body that has had its largest number of impacts in a drift is exhausted, and its contacts go to the limit
-at once. Each further impact is that of a group: the pair, the bodies that touch its exhausted ends, the bodies that
-touch those of them that are exhausted, too, and so on. For each contact of the group,
+at once. Each further impact is that of a group: the pair, all bodies that touch an exhausted body of the pair, those
+that touch an exhausted one of these, and so on. For each contact of the group,
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
-so that none of them closes further than that in this drift. Of all velocities that satisfy this, those after the
-impulses are the nearest to those before, by kinetic energy. They are found by the dual method of Goldfarb & Idnani
-(1983), which is finite. It works with orthogonal directions of the velocities √m v. The matrix of the contacts would
-lose a light body between heavy ones to rounding, from ratios of 10¹² on.
+so that gaps do not become negative, and overlaps do not grow, in this drift. Of all velocities that satisfy this, those
+after the impulses differ least from those before, by kinetic energy. The dual method of Goldfarb & Idnani (1983) finds
+them in finitely many steps. It works with orthogonal directions of the velocities √m v. The matrix of the contacts
+would lose a light body between heavy ones to rounding, from ratios of 10¹² on.
 
 Bodies that separate and meet again could be held without end as well. Each time, the gap up to which their contacts are
 held doubles, until it covers the whole drift.
@@ -29,7 +29,6 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, Records
 from carom.physics.contact.events.trajectories import (
-    ROUNDING,
     Neighbours,
     Trajectories,
     advance,
@@ -39,14 +38,15 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
 
 MOST_BODIES = 48  # in a group; others are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES
-DEPENDENT = 1e-29  # of the square of a direction: what is left of it beside the others is rounding
-SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body, left closing
+DEPENDENT = 1e-29  # of the square of a direction; a smaller part that is orthogonal to the others is rounding
+SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
 
 
 class Group(NamedTuple):
@@ -65,16 +65,16 @@ class Group(NamedTuple):
 
 @inner
 def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Records, row: int) -> tuple[IntArray, int]:
-    """Hold the contacts of a pair that meets and of its group.
+    """Hold the contacts of a pair that meets, and those of its group.
 
     Parameters
     ----------
     i, j
         Body, and body or plane; one of the bodies is exhausted.
     neighbours
-        The possible partners of each body that did not stray.
+        The possible partners of each body that is no stray.
     log, row
-        (k,) `IMPACT`, and its first free row. There must be room for `MOST_CONTACTS`.
+        (k,) `IMPACT`, and its first free row. At least `MOST_CONTACTS` rows are free.
 
     Returns
     -------
@@ -126,7 +126,7 @@ def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Rec
 
 @inner
 def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Group) -> tuple[int, int]:
-    """Find the group of a pair that meets; return the numbers of its bodies and contacts."""
+    """Collect the group of a pair that meets; return the numbers of its bodies and contacts."""
     n, drift = len(T.x), T.drift[0]
     bodies = _join(i, 0, T, group)
     if j < n:
@@ -211,19 +211,19 @@ def _add(i: int, j: int, bodies: int, contacts: int, T: Trajectories, group: Gro
         advance(i, T)
         advance(j, T)
     nx, ny, nz, ri, rj = contact_geometry(i, j, T)
-    gap, left = ri + rj - T.radius[i] - T.radius[j], T.drift[0].dt - T.drift[0].clock
+    gap, remaining = ri + rj - T.radius[i] - T.radius[j], T.drift[0].dt - T.drift[0].clock
     group.ends[contacts, 0], group.ends[contacts, 1] = i, j
     group.place[contacts, 0], group.place[contacts, 1] = _place(i, bodies, group), _place(j, bodies, group)
     group.normal[contacts, 0], group.normal[contacts, 1], group.normal[contacts, 2] = nx, ny, nz
     vx, vy, vz = between(T.v, i, j)
     group.before[contacts] = vx * nx + vy * ny + vz * nz
-    group.allowed[contacts] = gap / left if gap > 0.0 and left > 0.0 else 0.0
+    group.allowed[contacts] = gap / remaining if gap > 0.0 and remaining > 0.0 else 0.0
     return contacts + 1
 
 
 @kernel
 def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -> None:
-    """Find the impulses, and the velocities after them.
+    """Compute the impulses, and the velocities after them.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
     most = min(contacts, 3 * bodies)
     active, count = np.empty(most, np.int64), 0  # contacts that are held
     Q, R = np.empty((most, 3 * bodies)), np.empty((most, most))  # of their directions
-    load, share, z = np.empty(most), np.empty(most), np.empty(3 * bodies)  # load: √kg m/s
+    load, weight, z = np.empty(most), np.empty(most), np.empty(3 * bodies)  # load: √kg m/s
     scale, ignored = np.empty(contacts), np.zeros(contacts, np.bool_)
     for c in range(contacts):
         square = 0.0
@@ -255,14 +255,14 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
             break
         added = 0.0
         while True:
-            square = _project(c, count, scale[c], group, Q, R, share, z)
+            square = _project(c, count, scale[c], group, Q, R, weight, z)
             full = np.inf
             if square > DEPENDENT and count < most:
                 full = (-_normal_velocity(c, group) - group.allowed[c]) / (scale[c] * square)
-            partial, gone = np.inf, -1
+            partial, opened = np.inf, -1
             for k in range(count):
-                if share[k] > 0.0 and load[k] < partial * share[k]:
-                    partial, gone = load[k] / share[k], k
+                if weight[k] > 0.0 and load[k] < partial * weight[k]:
+                    partial, opened = load[k] / weight[k], k
             step = min(full, partial)
             if step == np.inf:  # it depends on contacts that no impulse opens
                 ignored[c] = True
@@ -272,25 +272,25 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                     for d in range(3):
                         group.v[k, d] += step * z[3 * k + d] * group.root[k]
             for k in range(count):
-                load[k] = max(0.0, load[k] - step * share[k])
+                load[k] = max(0.0, load[k] - step * weight[k])
             added += step
             if full <= partial:
-                _extend(count, square, Q, R, share, z)
+                _extend(count, square, Q, R, weight, z)
                 active[count], load[count] = c, added
                 count += 1
                 break
-            for k in range(gone, count - 1):
+            for k in range(opened, count - 1):
                 active[k], load[k] = active[k + 1], load[k + 1]
             count -= 1
             for k in range(count):  # from the first: a group is small, and contacts seldom open
-                _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, share, z), Q, R, share, z)
+                _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, weight, z), Q, R, weight, z)
     for k in range(count):
         group.impulse[active[k]] = load[k] / scale[active[k]]
 
 
 @inline
 def _normal_velocity(c: int, group: Group) -> float:
-    """Return v_n of a contact in the drift, in m/s; what does not move is at rest."""
+    """Return v_n of a contact in the drift, in m/s; an end that does not move has no velocity."""
     vn = 0.0
     for end in range(2):
         k = group.place[c, end]
@@ -302,12 +302,12 @@ def _normal_velocity(c: int, group: Group) -> float:
 
 @inner
 def _project(
-    c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, share: FloatArray, z: FloatArray
+    c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray
 ) -> float:
-    """Find what is left of the direction of a contact beside those of the first ``count`` held; return its square.
+    """Write the part of a contact's direction that is orthogonal to those of the first ``count`` held to ``z``.
 
-    Writes it to ``z``. The last column of ``share`` gets the coefficients R of the others; before, by how much their
-    loads fall as that of the contact rises.
+    Return its square. The column ``count`` of ``R`` gets the components along the others, and ``weight`` the rates at
+    which their loads fall as that of the contact rises.
     """
     z[:] = 0.0
     for end in range(2):
@@ -316,22 +316,22 @@ def _project(
             for d in range(3):
                 z[3 * k + d] += (2 * end - 1) * group.normal[c, d] * group.root[k] / scale
     for k in range(count):
-        share[k] = 0.0
-    for _ in range(2):  # twice, since the first leaves rounding
+        weight[k] = 0.0
+    for _ in range(2):  # twice, since rounding remains after the first
         for k in range(count):
             component = 0.0
             for d in range(len(z)):
                 component += Q[k, d] * z[d]
-            share[k] += component
+            weight[k] += component
             for d in range(len(z)):
                 z[d] -= component * Q[k, d]
     if count < len(R):
         for k in range(count):
-            R[k, count] = share[k]
+            R[k, count] = weight[k]
     for k in range(count - 1, -1, -1):
         for later in range(k + 1, count):
-            share[k] -= R[k, later] * share[later]
-        share[k] /= R[k, k]
+            weight[k] -= R[k, later] * weight[later]
+        weight[k] /= R[k, k]
     square = 0.0
     for d in range(len(z)):
         square += z[d] * z[d]
@@ -339,8 +339,8 @@ def _project(
 
 
 @inline
-def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, share: FloatArray, z: FloatArray) -> None:
-    """Add the direction that `_project` found last."""
+def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray) -> None:
+    """Add the direction that `_project` has written."""
     length = np.sqrt(square)
     R[count, count] = length
     for d in range(len(z)):

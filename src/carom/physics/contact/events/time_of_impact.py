@@ -26,12 +26,20 @@ from __future__ import annotations
 
 import numpy as np
 
+from carom.arrays import FloatArray
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inline, kernel
-from carom.physics.vector import nearest_image
+from carom.physics.vector import between, nearest_image, vector
 
 MOST_PASSES = 100
-TOUCHING = 2.0**-50  # of the sum of radii; a smaller gap is rounding
+GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
+
+# of `step_by_impacts`
+PASSES = 3  # each uses the mean velocity until the impact of the pass before
+SLOW_CONTACT = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts
+APPROACH = 0.9  # of the time until the impact
+SHORT = 1e-4  # of the span; a step passes an impact that is nearer by as much
 
 
 @kernel
@@ -73,10 +81,10 @@ def time_of_impact(
         v2 = vx * vx + vy * vy + vz * vz
         tau = -b / v2
         px, py, pz = dx + vx * tau, dy + vy * tau, dz + vz * tau
-        room = R * R - (px * px + py * py + pz * pz)
-        if not room > 0.0:  # a graze does not close
+        half_chord2 = R * R - (px * px + py * py + pz * pz)
+        if not half_chord2 > 0.0:  # a graze does not close
             return np.inf
-        tau = max(0.0, tau - np.sqrt(room / v2))
+        tau = max(0.0, tau - np.sqrt(half_chord2 / v2))
         if tau > span:
             return np.inf
     nx, ny, nz, s = dx + vx * tau, dy + vy * tau, dz + vz * tau, since_kick + tau
@@ -133,7 +141,7 @@ def time_of_impact_on_parabola(
         vx, vy, vz = decay * wx + phi1 * t * bx, decay * wy + phi1 * t * by, decay * wz + phi1 * t * bz
         closing = -(vx * px + vy * py + vz * pz) / distance
         gap = distance - R
-        if gap <= TOUCHING * R and closing > 0.0:
+        if gap <= GAP_TOLERANCE * R and closing > 0.0:
             return t
         further = _open_for(gap, closing, decay * b)
         if not t + further > t:
@@ -163,13 +171,13 @@ def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float
         if not t <= span:
             return np.inf
         decay, phi1, phi2 = exponentials(damping * t)
-        left = gap + t * (phi1 * rate + phi2 * t * bend)
+        remaining = gap + t * (phi1 * rate + phi2 * t * bend)
         closing = -(decay * rate + phi1 * t * bend)
-        if left <= TOUCHING * R and closing > 0.0:
+        if remaining <= GAP_TOLERANCE * R and closing > 0.0:
             return t
         if falls == 0.0 and not closing > 0.0:
             return np.inf
-        further = _open_for(left, closing, decay * falls)
+        further = _open_for(remaining, closing, decay * falls)
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
@@ -178,7 +186,7 @@ def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float
 
 @inline
 def _open_for(gap: float, closing: float, b: float) -> float:
-    """Return how long in s a gap stays open at least that closes at a speed, and that b m/s² close faster at most."""
+    """Return a lower bound in s for the time until a gap closes, whose closing speed grows by b m/s² at most."""
     gap = max(0.0, gap)
     root = np.sqrt(closing * closing + 2.0 * b * gap)
     return float(2.0 * gap / (closing + root) if closing > 0.0 else (root - closing) / b)
@@ -203,15 +211,15 @@ def time_of_impact_in_box(
     Ly: float,
     Lz: float,
 ) -> float:
-    """Return the same in a periodic box of (Lx, Ly, Lz) m, for any number of passes through the box.
+    """Return `time_of_impact` in a periodic box of (Lx, Ly, Lz) m, for any number of passes through the box.
 
     The path is cut into legs of at most half a box. On a leg a body can meet the nearest image of another or, in each
     direction, the image that approaches.
     """
-    gone = 0.0
+    passed = 0.0
     while True:
         dx, dy, dz = nearest_image(dx, dy, dz, (Lx, Ly, Lz))
-        leg = span - gone
+        leg = span - passed
         leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
         leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg
         leg = min(leg, 0.5 * Lz / abs(vz)) if vz != 0.0 else leg
@@ -221,20 +229,87 @@ def time_of_impact_in_box(
             for ky in range(2 if sy != 0.0 else 1):
                 for kz in range(2 if sz != 0.0 else 1):
                     x, y, z = dx + kx * sx, dy + ky * sy, dz + kz * sz
-                    tau = time_of_impact(x, y, z, vx, vy, vz, ax, ay, az, R, leg, since_kick + gone, slow)
+                    tau = time_of_impact(x, y, z, vx, vy, vz, ax, ay, az, R, leg, since_kick + passed, slow)
                     first = min(first, tau)
         if first < np.inf:
-            return gone + first
-        if not gone < gone + leg < span:
+            return passed + first
+        if not passed < passed + leg < span:
             return np.inf
-        dx, dy, dz, gone = dx + vx * leg, dy + vy * leg, dz + vz * leg, gone + leg
+        dx, dy, dz, passed = dx + vx * leg, dy + vy * leg, dz + vz * leg, passed + leg
 
 
 @kernel
 def _next_image(d: float, v: float, L: float, R: float, leg: float) -> float:
-    """Return the offset of the approaching image from the nearest one; 0 if it is out of reach."""
+    """Return the offset of the approaching image from the nearest one; 0 if it stays too far away."""
     if v > 0.0:
         return -L if L - d - v * leg <= R else 0.0
     if v < 0.0:
         return L if L + d + v * leg <= R else 0.0
     return 0.0
+
+
+@kernel
+def step_by_impacts(
+    x: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    radius: FloatArray,
+    surface: FloatArray,
+    offset: FloatArray,
+    span: float,
+) -> float:
+    """Return the longest step in s by the next impact of bodies and planes; infinite if there is none in a span.
+
+    A held contact pushes its bodies with one impulse for the whole step. An impact in the middle of the step meets
+    velocities that lack a part of it, and bodies that separate there keep too much of it: errors of first order in the
+    step. Each step therefore covers nine tenths of the time to the impact, until a very short one passes it. The
+    forecast ignores held contacts, an error of second order.
+
+    Parameters
+    ----------
+    x, v, a, radius
+        (n, 3) m, m/s and m/s²; (n,) m.
+    surface, offset
+        (p, 3) normals of planes and (p,) m.
+    span
+        s.
+    """
+    first = np.inf
+    for i in range(len(radius)):
+        for j in range(i + 1, len(radius)):
+            dx, dy, dz = between(x, i, j)
+            vx, vy, vz = between(v, i, j)
+            ax, ay, az = between(a, i, j)
+            first = min(first, _time_to_impact(dx, dy, dz, vx, vy, vz, ax, ay, az, radius[i] + radius[j], span))
+        for p in range(len(offset)):
+            nx, ny, nz = vector(surface, p)
+            h = nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2] - offset[p]
+            u = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
+            g = nx * a[i, 0] + ny * a[i, 1] + nz * a[i, 2]
+            first = min(first, _time_to_impact(h, 0.0, 0.0, u, 0.0, 0.0, g, 0.0, 0.0, radius[i], span))
+    return APPROACH * first if first > SHORT * span else first + SHORT * span
+
+
+@inline
+def _time_to_impact(
+    dx: float,
+    dy: float,
+    dz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    ax: float,
+    ay: float,
+    az: float,
+    R: float,
+    span: float,
+) -> float:
+    """Return the time in s until two meet in an impact, on their parabolas without contacts."""
+    tau = span
+    for _ in range(PASSES):
+        h = 0.5 * tau
+        slow = SLOW_CONTACT * span * np.sqrt(ax * ax + ay * ay + az * az) + ROUNDING * R / span
+        tau = time_of_impact(dx, dy, dz, vx + ax * h, vy + ay * h, vz + az * h, ax, ay, az, R, span, -h, slow)
+        if tau == np.inf:
+            break
+    return tau

@@ -13,8 +13,12 @@ Under linear drag with the relaxation time τ, paths are straight in a time σ t
 
 An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 
-The record of each body has its own time, its next impact, and its reach: how far it may move before it can meet bodies
-that were not found as neighbours.
+The record of each body has its own time, its next impact, and its search radius: how far it may move before it can meet
+bodies that are not in its list of neighbours.
+
+The event queue is a binary heap of the bodies with a predicted impact, the earliest first. Each body is in it at most
+once, with its own next impact. For an impact of two bodies it is enough that one of them is in the queue: the one whose
+impact was predicted last. Impacts at the same time come in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -25,15 +29,15 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.geometry import height_above, normal_and_distance
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
 
-ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
-TOUCHING = 1e-9  # of the radius, the first standoff of an exhausted body
+FIRST_STANDOFF = 1e-9  # of the radius, of an exhausted body
 MOST_HOLDS = 100  # of an exhausted body in a drift; then only others meet it. Its standoff is beyond any gap by then.
-FARTHEST = 1e150  # m, largest reach, whose square is finite
+MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 TRAJECTORY = np.dtype(
     [
@@ -44,13 +48,13 @@ TRAJECTORY = np.dtype(
         ("partner", np.int64),  # the other end of that impact: body j, or n + p for plane p
         ("partner_impacts", np.int64),  # impacts of the partner when that impact was predicted
         ("queue_place", np.int64),  # in the event queue; -1 outside
-        ("reach", np.float64),  # m, distance from its start relative to the bulk within which neighbours are known
+        ("search_radius", np.float64),  # m, from its start, relative to the bulk: neighbours are known up to there
         ("start_x", np.float64),  # m, where it was at the beginning of the drift
         ("start_y", np.float64),
         ("start_z", np.float64),
         ("standoff", np.float64),  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
         ("holds", np.int64),  # how often its contacts were held in this drift
-        ("strays", np.bool_),  # whether its path leaves that reach
+        ("strays", np.bool_),  # whether its path leaves that radius
         ("is_straight", np.bool_),  # whether its path does not bend with the field: it is held or does not move
         ("is_free", np.bool_),  # whether it has touched nothing since the last step: it bounces at any speed
         ("exhausted", np.bool_),  # whether it has had its largest number of impacts
@@ -68,11 +72,11 @@ DRIFT = np.dtype(
         ("field_x", np.float64),  # m/s², the uniform field that bends paths; zeros where no path bends
         ("field_y", np.float64),
         ("field_z", np.float64),
-        ("bulk_x", np.float64),  # m/s, the velocity that reaches are relative to
+        ("bulk_x", np.float64),  # m/s, the velocity that search radii are relative to
         ("bulk_y", np.float64),
         ("bulk_z", np.float64),
         ("queued", np.int64),  # bodies in the event queue
-        ("strays", np.int64),  # bodies that left their reach
+        ("strays", np.int64),  # bodies that left their search radius
         ("exhausted", np.int64),  # bodies that reached the largest number of impacts
     ],
     align=True,
@@ -106,19 +110,19 @@ class Trajectories(NamedTuple):
     offset: FloatArray  # (p,) m
     materials: Records  # (k,) `MATERIAL`, coefficients by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
-    queue: IntArray  # (n,) bodies by the time of their next impact, see `event_queue`
+    queue: IntArray  # (n,) the event queue
     everyone: Neighbours  # all bodies
-    strays: Neighbours  # the bodies that left their reach
+    strays: Neighbours  # the bodies that left their search radius
 
 
 @kernel
-def write_reaches(
+def write_search_radii(
     v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, body: Records, drift: Records
 ) -> float:
-    """Write the reaches of all bodies in dt, and the velocity they are relative to; return the largest in radii.
+    """Write the search radii of all bodies in dt, and the velocity they are relative to; return the largest in radii.
 
-    A reach is the distance that a body covers at its own speed plus the mean speed of all, relative to the centre of
-    mass or to fixed objects. It is enough after most impacts, and one fast body does not widen the reach of others.
+    A search radius is the distance that a body covers at its own speed plus the mean speed of all, relative to the
+    centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the others'.
     """
     ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
@@ -127,12 +131,12 @@ def write_reaches(
         vx, vy, vz = vector(v, i)
         wx, wy, wz = vx - ux, vy - uy, vz - uz
         speed = np.sqrt(wx * wx + wy * wy + wz * wz)
-        body[i].reach = speed
+        body[i].search_radius = speed
         mean += speed / len(body)
     for i in range(len(body)):
-        reach = min(FARTHEST, dt * (body[i].reach + mean))
-        body[i].reach = reach
-        largest = max(largest, reach / radius[i])
+        search_radius = min(MAX_SEARCH_RADIUS, dt * (body[i].search_radius + mean))
+        body[i].search_radius = search_radius
+        largest = max(largest, search_radius / radius[i])
     return largest
 
 
@@ -171,15 +175,12 @@ def arrive(i: int, T: Trajectories) -> None:
     """Begin the path of a body at the present time; it has had no impacts."""
     body = T.body[i]
     body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
-    body.standoff, body.holds = TOUCHING * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
+    body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
 
 
 @kernel
 def straighten(pairs: IntArray, place: IntArray, contacts: Records, body: Records) -> None:
-    """Make the paths straight of bodies that contacts hold: those of the contacts ``contacts[place]`` with impulses.
-
-    They touch something, so they are not free.
-    """
+    """Make the paths of held bodies straight, those with an impulse in ``contacts[place]``; they are not free."""
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
             for end in range(2):
@@ -209,7 +210,7 @@ def elapsed(T: Trajectories) -> float:
 
 @inner
 def slowing(T: Trajectories) -> float:
-    """Return by which factor velocities at the present time differ from those of the straight paths; 1 without drag."""
+    """Return the ratio of velocities at the present time to those of the straight paths; 1 without drag."""
     drift = T.drift[0]
     return float(1.0 - drift.damping * (drift.clock - drift.kick))
 
@@ -224,7 +225,7 @@ def velocity(i: int, T: Trajectories) -> Vector:
 
 @inner
 def lag(T: Trajectories) -> float:
-    """Return by how much a unit of the field sets a path back from its straight line at the present time, in s²."""
+    """Return the lag of a path behind its straight line at the present time, per unit of the field, in s²."""
     drift = T.drift[0]
     if drift.damping == 0.0:
         return float(0.5 * drift.clock * (drift.dt - drift.clock))
@@ -235,7 +236,7 @@ def lag(T: Trajectories) -> float:
 
 @inner
 def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
-    """Return where a body at the present time is, in m: on its parabola."""
+    """Return the position of a body at the present time, in m: on its parabola."""
     x, y, z = vector(T.x, i)
     if T.body[i].is_straight:
         return x, y, z
@@ -267,20 +268,20 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
         dx, dy, dz = dx - behind * drift.field_x, dy - behind * drift.field_y, dz - behind * drift.field_z
     dx, dy, dz = nearest_image(dx, dy, dz, T.box)
     nx, ny, nz, d = normal_and_distance(dx, dy, dz)
-    share = d / (T.radius[i] + T.radius[j])
-    return nx, ny, nz, share * T.radius[i], share * T.radius[j]
+    ratio = d / (T.radius[i] + T.radius[j])
+    return nx, ny, nz, ratio * T.radius[i], ratio * T.radius[j]
 
 
 @inner
-def leaves_reach(i: int, T: Trajectories) -> bool:
-    """Return whether the rest of a body's path leaves its reach."""
+def leaves_search_radius(i: int, T: Trajectories) -> bool:
+    """Return whether a body leaves its search radius before the end of the drift."""
     body, drift = T.body[i], T.drift[0]
     s = drift.dt - body.now
     x, y, z = along(T.x, T.v, i, s)
     x = x - drift.bulk_x * drift.dt - body.start_x
     y = y - drift.bulk_y * drift.dt - body.start_y
     z = z - drift.bulk_z * drift.dt - body.start_z
-    return bool(x * x + y * y + z * z > body.reach * body.reach)
+    return bool(x * x + y * y + z * z > body.search_radius * body.search_radius)
 
 
 @long_kernel
@@ -305,3 +306,63 @@ def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
             i = pairs[c, end]
             ends[i] -= 1
             others[ends[i]] = pairs[c, 1 - end]
+
+
+@kernel
+def is_sooner(i: int, j: int, body: Records) -> bool:
+    """Return whether body i's next impact comes before body j's."""
+    one, other = body[i], body[j]
+    if one.impact_time != other.impact_time:
+        return bool(one.impact_time < other.impact_time)
+    first, second = min(i, one.partner), min(j, other.partner)
+    if first != second:
+        return bool(first < second)
+    return bool(max(i, one.partner) < max(j, other.partner))
+
+
+@kernel
+def put(i: int, size: int, queue: IntArray, body: Records) -> int:
+    """Update the place of body i after its next impact has changed; remove it if there is none.
+
+    Parameters
+    ----------
+    size
+        Number of bodies in the queue.
+    queue
+        (n,) the heap.
+    body
+        (n,) `TRAJECTORY`.
+
+    Returns
+    -------
+    size
+        Number of bodies in the queue now.
+    """
+    k, placed = body[i].queue_place, i
+    if body[i].impact_time == np.inf:
+        if k < 0:
+            return size
+        size -= 1
+        body[i].queue_place = -1
+        if k == size:
+            return size
+        placed = queue[size]  # the last body of the heap fills the gap
+    elif k < 0:
+        k = size
+        size += 1
+    while k > 0 and is_sooner(placed, queue[(k - 1) // 2], body):
+        queue[k] = queue[(k - 1) // 2]
+        body[queue[k]].queue_place = k
+        k = (k - 1) // 2
+    while 2 * k + 1 < size:
+        child = 2 * k + 1
+        if child + 1 < size and is_sooner(queue[child + 1], queue[child], body):
+            child += 1
+        if not is_sooner(queue[child], placed, body):
+            break
+        queue[k] = queue[child]
+        body[queue[k]].queue_place = k
+        k = child
+    queue[k] = placed
+    body[placed].queue_place = k
+    return size

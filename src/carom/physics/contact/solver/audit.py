@@ -49,7 +49,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
     pairs, a, bodies = system.pairs, system.acceleration, system.bodies
     settings = system.settings[0]
     spins, measures = settings.spins, settings.measures
-    share = settings.share if settings.drift > 0.0 else 0.0
+    booked = settings.booked if settings.drift > 0.0 else 0.0
     restitution, friction, stabilisation = 0.0, 0.0, 0.0
     for c in range(lo, hi):
         prefetch_ends(bodies, pairs, c)
@@ -64,7 +64,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         body_i, body_j = bodies[i], bodies[j]
         nx, ny, nz = contact.nx, contact.ny, contact.nz
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
-        kx, ky, kz = (a[j, 0] - a[i, 0]) * share, (a[j, 1] - a[i, 1]) * share, (a[j, 2] - a[i, 2]) * share
+        kx, ky, kz = (a[j, 0] - a[i, 0]) * booked, (a[j, 1] - a[i, 1]) * booked, (a[j, 2] - a[i, 2]) * booked
         kn = kx * nx + ky * ny + kz * nz
         if state.biased:  # without the bias v_n' would be 0; the bias put in the rest
             lost = -Jn * (0.5 * state.normal_before - kn)
@@ -102,8 +102,8 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             if measures:
                 measured.slope += slope
                 measured.curvature += curvature
-    found = system.found[piece]
-    found.restitution_loss, found.friction_loss, found.stabilisation_gain = restitution, friction, stabilisation
+    results = system.piece_results[piece]
+    results.restitution_loss, results.friction_loss, results.stabilisation_gain = restitution, friction, stabilisation
 
 
 @unowned

@@ -238,7 +238,7 @@ def bias_of(contact: Any, between_bodies: bool, tx: float, ty: float, tz: float,
 
 
 @inline
-def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, drift: float) -> float:
+def bias_along_arc(bias: float, distance: float, tx: float, ty: float, tz: float, drift: float) -> float:
     """Return the speed c at which a contact may close so that it just touches after a drift, in m/s.
 
     Spheres that roll about each other separate along the tangent by R - √(R² - v_t² dt²) in a drift of dt, where R is
@@ -248,14 +248,14 @@ def bias_along_arc(bias: float, reach: float, tx: float, ty: float, tz: float, d
     ----------
     bias
         m/s
-    reach
+    distance
         m, sum of the lever arms.
     tx, ty, tz
         m/s, v_t.
     drift
         s
     """
-    R = reach - bias * drift
+    R = distance - bias * drift
     t2 = (tx * tx + ty * ty + tz * tz) * drift * drift
     more = t2 / ((R + np.sqrt(R * R - t2)) * drift)
     return bias + where((t2 > 0.0) & (t2 < R * R), more, 0.0)

@@ -20,7 +20,7 @@ from carom.physics.contact.constraints import (
     ISLAND,
     MEASURED,
     MIN_PER_TASK,
-    PIECE_FINDINGS,
+    PIECE_RESULTS,
     PUSHED_BODY,
     RECORDED,
     ROLLING_CONTACT,
@@ -35,7 +35,7 @@ from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import Islands
 from carom.physics.contact.law import Materials, has_torque
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
-from carom.physics.contact.solver.impacts import CONVERGED, look_for_closing
+from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
 from carom.physics.contact.solver.phases import work
 from carom.physics.contact.solver.positions import (
@@ -172,9 +172,9 @@ class ContactSolver:
 
     def rest_speeds_by_pair(self) -> FloatArray:
         """Return `rest_speed` in the order of the pairs, (m,) m/s, a copy."""
-        found = np.empty(len(self.order.place))
-        _gather_rest_speeds(self.order.place, self._system.states, found)
-        return found
+        speeds = np.empty(len(self.order.place))
+        _gather_rest_speeds(self.order.place, self._system.states, speeds)
+        return speeds
 
     @property
     def approach(self) -> FloatArray:
@@ -189,7 +189,7 @@ class ContactSolver:
     @property
     def audited(self) -> FloatArray:
         """(k, 3) J: the same of the last `hold`, summed over each piece."""
-        return terms_of(self._system.found)
+        return terms_of(self._system.piece_results)
 
     def statistics(self) -> ContactStatistics:
         """Count the contacts that touched or carry an impulse, and sum their ledgers."""
@@ -267,7 +267,7 @@ class ContactSolver:
     def hold(
         self,
         dt: float,
-        share: float,
+        booked: float,
         drift: float,
         bias_rate: float,
         max_iterations: int,
@@ -281,7 +281,7 @@ class ContactSolver:
         ----------
         dt
             s, the step for which the rest speeds were found; before a drift, the previous one.
-        share
+        booked
             s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
             there is drag.
         drift
@@ -294,7 +294,7 @@ class ContactSolver:
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
         """
         settings = self._settings
-        settings["dt"], settings["share"], settings["drift"] = dt, share, drift
+        settings["dt"], settings["booked"], settings["drift"] = dt, booked, drift
         settings["bias_rate"] = bias_rate
         system = self._system
         if against is not None:
@@ -306,7 +306,7 @@ class ContactSolver:
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * float(self._settings["fastest"][0])
-        self._team.divide(len(system.pairs), MIN_PER_TASK, look_for_closing, *contacts, negligible, dt, closing)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, negligible, dt, closing)
         return bool(closing[0])
 
     def _geometry(self) -> tuple[NDArray[Any], ...]:
@@ -335,9 +335,9 @@ class ContactSolver:
 
 
 @kernel
-def _gather_rest_speeds(place: IntArray, states: Records, found: FloatArray) -> None:
+def _gather_rest_speeds(place: IntArray, states: Records, speeds: FloatArray) -> None:
     for c in range(len(place)):
-        found[c] = states[place[c]].rest_speed
+        speeds[c] = states[place[c]].rest_speed
 
 
 class Workspace:
@@ -430,7 +430,7 @@ class Workspace:
             islands=self._islands,
             active=active,
             pressed=self.pressed,
-            found=np.empty(len(order.pieces), PIECE_FINDINGS),
+            piece_results=np.empty(len(order.pieces), PIECE_RESULTS),
             sums=np.empty(-(-len(active) // BODIES_PER_BLOCK), BLOCK_SUMS),
             settings=settings,
         )

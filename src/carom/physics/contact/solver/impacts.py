@@ -24,8 +24,8 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
-from carom.physics.contact.events.trajectories import ROUNDING
 from carom.physics.contact.geometry import smaller_arm
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
     exerts_torque,
     impact_friction,
@@ -87,7 +87,7 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
             continue  # `hold` takes resting contacts; an open gap may close in the next step
         material = system.materials[material_index(i, j, count, places)]
         e = restitution(material, -vn, state.rest_speed)
-        overlap = state.found_overlap
+        overlap = state.detected_overlap
         if first and e > 0.0 and overlap > 0.0:
             ax, ay, az = between(a, j, i)
             an = ax * nx + ay * ny + az * nz
@@ -134,10 +134,10 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
                     sx, sy, sz = angular_impulse(given)
                     set_angular_impulse(given, sx + lx, sy + ly, sz + lz)
         push(body_i, body_j, Jx, Jy, Jz)
-    found = system.found[piece]
-    found.residual = largest_change
+    results = system.piece_results[piece]
+    results.residual = largest_change
     if first:
-        found.fastest, found.any_rests = fastest, any_rests
+        results.fastest, results.any_rests = fastest, any_rests
 
 
 @inline
@@ -155,7 +155,7 @@ def _record_friction(given: Any, tx: float, ty: float, tz: float) -> None:
 
 
 @long_kernel
-def look_for_closing(
+def check_closing(
     lo: int,
     hi: int,
     pairs: IntArray,

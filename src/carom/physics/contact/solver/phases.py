@@ -55,7 +55,7 @@ class Phases(NamedTuple):
     doer: int  # address of the function that does a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
     edges: IntArray  # this and the rest as in `ConstraintSystem`
-    found: Records
+    piece_results: Records
     sums: Records
     settings: Records
 
@@ -78,8 +78,8 @@ def work(
     if kind != kind_of((system,)):
         raise TypeError("the phases are compiled for systems of another kind")
     doer, task = lay_out(0, 1, 1, (system,))  # piece k is the range [k, k + 1)
-    found, sums, settings = led(system.found), led(system.sums), led(system.settings)
-    phases = Phases(addresses, doer, task, system.edges, found, sums, settings)
+    results, sums, settings = led(system.piece_results), led(system.sums), led(system.settings)
+    phases = Phases(addresses, doer, task, system.edges, results, sums, settings)
     if job == POSITIONS:
         return _correct_positions(board, phases, max_iterations)
     if job == IMPACTS:
@@ -118,15 +118,16 @@ def _resolve_impacts(board: IntArray, phases: Phases, max_iterations: int) -> in
 def _sum_up_approaches(phases: Phases) -> None:
     """Note the fastest approach of all pieces, and whether a contact is at rest."""
     fastest, any_rests = 0.0, False
-    for k in range(len(phases.found)):
-        fastest, any_rests = max(fastest, phases.found[k].fastest), any_rests or phases.found[k].any_rests
+    for k in range(len(phases.piece_results)):
+        results = phases.piece_results[k]
+        fastest, any_rests = max(fastest, results.fastest), any_rests or results.any_rests
     phases.settings[0].fastest, phases.settings[0].any_rests = fastest, any_rests
 
 
 @leading(inline)
 def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
     """Find the impulses of resting contacts, starting from those given, and book them."""
-    pieces, settings = len(phases.found), phases.settings[0]
+    pieces, settings = len(phases.piece_results), phases.settings[0]
     _share(board, phases, PREPARE, 0, pieces, True)
     largest = _largest_residual(phases)
     _share_colours(board, phases, WARM_START)
@@ -153,7 +154,7 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
     if again:
         blocks = len(phases.sums)
         _share(board, phases, LINE_SEARCH, 0, blocks, True)
-        phases.settings[0].alpha = step_length(phases.found, phases.sums)
+        phases.settings[0].alpha = step_length(phases.piece_results, phases.sums)
         _share(board, phases, EXTRAPOLATE, 0, blocks, True)
     _share_colours(board, phases, SOLVE)
     return _largest_residual(phases)
@@ -162,7 +163,7 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
 @leading(inner)
 def _refine(board: IntArray, phases: Phases) -> int:
     """Solve for all contacts that carry a load together, until each is within its tolerance."""
-    pieces, passes, rounds = len(phases.found), 0, 0
+    pieces, passes, rounds = len(phases.piece_results), 0, 0
     phases.settings[0].tolerance = INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     phases.settings[0].tolerance = 1.0
@@ -185,7 +186,7 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
     If kinetic friction is less than static friction, contacts may stick and slide in alternation without end. Here a
     contact that has slid once keeps sliding.
     """
-    pieces, settings, iterations = len(phases.found), phases.settings[0], 0
+    pieces, settings, iterations = len(phases.piece_results), phases.settings[0], 0
     settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
     while _largest_residual(phases) > 0.0 and iterations < MAX_FURTHER_ITERATIONS:
@@ -199,7 +200,7 @@ def _iterate_on(board: IntArray, phases: Phases) -> int:
 @leading(inner)
 def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
     """Find the change of the free impulses; return the number of iterations."""
-    pieces, settings = len(phases.found), phases.settings[0]
+    pieces, settings = len(phases.piece_results), phases.settings[0]
     settings.beta = 0.0
     _forget_changes(board, phases)
     settings.iteration = 0
@@ -235,8 +236,8 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
 def _largest_impulses(phases: Phases) -> tuple[float, float]:
     """Return the largest pushing and the largest pulling impulse in the last step of the search, in N s."""
     push, pull = 0.0, 0.0
-    for k in range(len(phases.found)):
-        push, pull = max(push, phases.found[k].largest_push), max(pull, phases.found[k].largest_pull)
+    for k in range(len(phases.piece_results)):
+        push, pull = max(push, phases.piece_results[k].largest_push), max(pull, phases.piece_results[k].largest_pull)
     return push, pull
 
 
@@ -274,14 +275,14 @@ def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, in
 @leading(inner)
 def _largest_residual(phases: Phases) -> float:
     largest = 0.0
-    for k in range(len(phases.found)):
-        largest = max(largest, phases.found[k].residual)
+    for k in range(len(phases.piece_results)):
+        largest = max(largest, phases.piece_results[k].residual)
     return largest
 
 
 @leading(inner)
 def _residual_norm(phases: Phases) -> float:
     norm = 0.0
-    for k in range(len(phases.found)):
-        norm += phases.found[k].residual_norm
+    for k in range(len(phases.piece_results)):
+        norm += phases.piece_results[k].residual_norm
     return norm

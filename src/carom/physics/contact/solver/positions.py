@@ -91,7 +91,7 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     needed no push: they do not overlap, or are not at rest.
     """
     for piece in range(first, end):
-        system.found[piece].residual = _correct(piece, system)
+        system.piece_results[piece].residual = _correct(piece, system)
 
 
 @inline
@@ -124,8 +124,8 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         return 0.0
     prefetch_ends(system.pushed, system.pairs, c)
     state, a, b = system.states[c], system.pushed[i], system.pushed[j]
-    nx, ny, nz, d, reach = _geometry(a, b, j - n, system)
-    overlap = reach - d
+    nx, ny, nz, d, radii = _geometry(a, b, j - n, system)
+    overlap = radii - d
     if overlap <= 0.0:
         return 0.0
     vn, tx, ty, tz = velocity_along(nx, ny, nz, a, b)
@@ -149,7 +149,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
         if mj > 0.0:
             _accelerate(b, mj * sigma, tx, ty, tz)
         _book(c, reduced, sigma, tx, ty, tz, system)
-    return 1.0 if overlap > _enough(system) * reach else 0.0
+    return 1.0 if overlap > _enough(system) * radii else 0.0
 
 
 @inline
@@ -311,12 +311,12 @@ class _Correction:
             self._block.fetch_bodies_ahead("pushed", (0,))
             self._a, self._b = a, b = self._block.bodies("pushed", PUSHED_BODY, (0,))
             *self._n, self._d = in_lanes(normal_and_distance)(b.x - a.x, b.y - a.y, b.z - a.z)
-            reach = a.radius + b.radius
-            overlap = reach - self._d
+            radii = a.radius + b.radius
+            overlap = radii - self._d
             overlaps = visited & (overlap > 0.0)
             with self._builder.if_then(overlaps.any):
                 pushed = self._push(overlap, overlaps)
-                with self._builder.if_then((pushed & (overlap > self._enough * reach)).any):
+                with self._builder.if_then((pushed & (overlap > self._enough * radii)).any):
                     self._builder.store(DOUBLE(1.0), result)
 
     def _visited(self) -> Mask:
@@ -367,12 +367,12 @@ class _Correction:
 
     def _restitution(self, approach: Lanes, rest_speed: Lanes) -> Lanes:
         """Return the restitution of each contact by the law."""
-        block, found = self._block, []
+        block, coefficients = self._block, []
         kinds = [block.kind_of("materials").dtype, "float64", "float64"]
         for k, material in enumerate(block.materials()):
             given = [material, approach.lane(k), rest_speed.lane(k)]
-            found.append(block.code.call(_restitution_of_one, "float64", *zip(kinds, given, strict=True)))
-        return gathered(self._builder, found)
+            coefficients.append(block.code.call(_restitution_of_one, "float64", *zip(kinds, given, strict=True)))
+        return gathered(self._builder, coefficients)
 
     def _note(self, ends: list[Any], pushed: Mask, moving: Mask) -> None:
         """Note the iteration in which moving ends were pushed."""

@@ -88,9 +88,9 @@ def begin_contacts(
             contact, state = contacts[c], states[c]
             normals[c, 0], normals[c, 1], normals[c, 2] = contact.nx, contact.ny, contact.nz
             overlap = state.overlap
-            state.found_overlap = max(0.0, overlap)
-            reach = contact.arm_i + contact.arm_j + overlap
-            state.apart = overlap < -(TOUCHING * reach + rounding)
+            state.detected_overlap = max(0.0, overlap)
+            distance = contact.arm_i + contact.arm_j + overlap
+            state.apart = overlap < -(TOUCHING * distance + rounding)
 
 
 @inline
@@ -113,7 +113,7 @@ def _clear(contact: Any, state: Any) -> None:
 def prepare(first: int, end: int, system: ConstraintSystem) -> None:
     """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
     for piece in range(first, end):
-        system.found[piece].residual = _prepare(piece, system)
+        system.piece_results[piece].residual = _prepare(piece, system)
 
 
 @inline
@@ -123,7 +123,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins = settings.spins
-    dt, drift, share, bias_rate = settings.dt, settings.drift, settings.share, settings.bias_rate
+    dt, drift, booked, bias_rate = settings.dt, settings.drift, settings.booked, settings.bias_rate
     largest = 0.0
     for c in range(lo, hi):
         prefetch_ends(bodies, pairs, c)
@@ -143,7 +143,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         if drift > 0.0:
             bias = max(0.0, gap) / drift
             # a resting contact closes no faster than this kick and half the drift's fall can cause
-            fastest = rest_speed * ((share + 0.5 * drift) / dt)
+            fastest = rest_speed * ((booked + 0.5 * drift) / dt)
             is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
@@ -195,16 +195,16 @@ class ImpulseCache:
     @property
     def impulse(self) -> FloatArray:
         """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; of a law that resists rolling also Λ, (m, 7)."""
-        found = np.empty((len(self.place), len(IMPULSES)))
-        _gather_impulses(self.place, self.contacts, found)
+        impulses = np.empty((len(self.place), len(IMPULSES)))
+        _gather_impulses(self.place, self.contacts, impulses)
         angular = angular_impulses_of(self.contacts)
-        return np.concatenate((found, angular[self.place]), axis=1) if angular.shape[1] else found
+        return np.concatenate((impulses, angular[self.place]), axis=1) if angular.shape[1] else impulses
 
     def impulse_of(self, contacts: Records) -> FloatArray:
         """Return `impulse`, with angular impulses if these contacts have them: 0 where none were found yet."""
-        found = self.impulse
-        missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - found.shape[1]
-        return np.pad(found, ((0, 0), (0, missing))) if missing else found
+        impulses = self.impulse
+        missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - impulses.shape[1]
+        return np.pad(impulses, ((0, 0), (0, missing))) if missing else impulses
 
     def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
         """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
@@ -243,12 +243,12 @@ def mark_pressed(
 
 
 @kernel
-def _gather_impulses(place: IntArray, contacts: Records, found: FloatArray) -> None:
+def _gather_impulses(place: IntArray, contacts: Records, impulses: FloatArray) -> None:
     for c in range(len(place)):
         contact = contacts[place[c]]
-        found[c, NORMAL] = contact.normal_impulse
-        found[c, FRICTION_X], found[c, FRICTION_Y] = contact.friction_x, contact.friction_y
-        found[c, FRICTION_Z] = contact.friction_z
+        impulses[c, NORMAL] = contact.normal_impulse
+        impulses[c, FRICTION_X], impulses[c, FRICTION_Y] = contact.friction_x, contact.friction_y
+        impulses[c, FRICTION_Z] = contact.friction_z
 
 
 @long_kernel

@@ -92,12 +92,12 @@ def _sum_up(block: int, system: ConstraintSystem) -> None:
 
 
 @unowned
-def step_length(found: Records, sums: Records) -> float:
+def step_length(piece_results: Records, sums: Records) -> float:
     """Return α; 0 if repeating the change would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
-    for k in range(len(found)):
-        slope += found[k].slope
-        step_limit = min(step_limit, found[k].step_limit)
+    for k in range(len(piece_results)):
+        slope += piece_results[k].slope
+        step_limit = min(step_limit, piece_results[k].step_limit)
     for k in range(len(sums)):
         slope += sums[k].slope
         curvature += sums[k].curvature
@@ -145,7 +145,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
     """Find by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 if none does."""
     for piece in range(first, end):
-        system.found[piece].residual = _violation(piece, system)
+        system.piece_results[piece].residual = _violation(piece, system)
 
 
 @inline
@@ -229,8 +229,8 @@ def _step(piece: int, system: ConstraintSystem) -> None:
         norm += search.residual_normal * search.residual_normal * contact.normal_mass
         rx, ry, rz = search.residual_x, search.residual_y, search.residual_z
         norm += (rx * rx + ry * ry + rz * rz) * contact.tangent_mass
-    found = system.found[piece]
-    found.residual_norm, found.largest_push, found.largest_pull = norm, most, -least
+    results = system.piece_results[piece]
+    results.residual_norm, results.largest_push, results.largest_pull = norm, most, -least
 
 
 @unowned
@@ -308,5 +308,5 @@ def _project(piece: int, system: ConstraintSystem) -> None:
             body_i, body_j = system.bodies[i], system.bodies[j]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
-    found = system.found[piece]
-    found.step_limit, found.slope = 1.0, slope
+    results = system.piece_results[piece]
+    results.step_limit, results.slope = 1.0, slope

@@ -108,27 +108,27 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # by `contacts_of`, blocks take 3 % longer
     blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
-    found = 0.0, np.inf, 0.0
+    totals = 0.0, np.inf, 0.0
     for block in range(blocks):
-        found = solve_block(system, lo + block * WIDTH, found, turning)
-    found = _solve_each(lo + blocks * WIDTH, hi, found, system, turning)
-    findings = system.found[piece]
-    findings.residual, findings.step_limit, findings.slope = found
+        totals = solve_block(system, lo + block * WIDTH, totals, turning)
+    totals = _solve_each(lo + blocks * WIDTH, hi, totals, system, turning)
+    results = system.piece_results[piece]
+    results.residual, results.step_limit, results.slope = totals
 
 
 @inline
 def _solve_each(
-    lo: int, hi: int, found: tuple[float, float, float], system: ConstraintSystem, turning: tuple[()] | tuple[int]
+    lo: int, hi: int, totals: tuple[float, float, float], system: ConstraintSystem, turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
     """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope.
 
-    ``found`` are those of the contacts before.
+    ``totals`` are those of the contacts before.
     """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
     spins, alpha, drift, keeps_sliding = len(turning) > 0, settings.alpha, settings.drift, settings.keeps_sliding
     count, places = body_count(system), system.places
-    change, step_limit, slope = found
+    change, step_limit, slope = totals
     for c in range(lo, hi):
         prefetch_records(bodies, pairs, c)
         if not system.held[c]:
@@ -220,17 +220,17 @@ def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float,
 
 @inline
 def _solve_in_turn(
-    system: ConstraintSystem, first: int, found: tuple[float, float, float], turning: tuple[()] | tuple[int]
+    system: ConstraintSystem, first: int, totals: tuple[float, float, float], turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
-    return _solve_each(first, first + WIDTH, found, system, turning)
+    return _solve_each(first, first + WIDTH, totals, system, turning)
 
 
 @instruction(_solve_in_turn, returns=("float64",) * 3, first="intp")
-def solve_block(code: Code, system: Any, first: Any, found: Any, turning: Any) -> list[Any]:
-    """Solve the contacts of a block; return what `solve` ``found`` with theirs. ``turning`` is as in `solve`."""
+def solve_block(code: Code, system: Any, first: Any, totals: Any, turning: Any) -> list[Any]:
+    """Solve the contacts of a block; return the ``totals`` of `solve` with theirs. ``turning`` is as in `solve`."""
     solution = _Solution(Block(code, first))
     solution.solve(turns=len(code.kinds["turning"]) > 0)
-    return solution.found(*(code.builder.extract_value(found, k) for k in range(3)))
+    return solution.totals(*(code.builder.extract_value(totals, k) for k in range(3)))
 
 
 class _Solution:
@@ -263,7 +263,7 @@ class _Solution:
         block.apply(contact, bodies, (VELOCITY, CHANGE), self._held, J, torque)
         contact.write(1, self._held)
 
-    def found(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
+    def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
         """Return the largest change, the limit of the step, and the slope, given those before."""
         largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
         small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
@@ -303,14 +303,14 @@ class _Solution:
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         kinds = [*records, "boolean", *["float64"] * 4]
         keeps_sliding = block.flag("keeps_sliding")
-        found = []
+        impulses = []
         for k, material in enumerate(block.materials()):
             slides = builder.and_(keeps_sliding, self._held.bit(k))  # contacts that are not held are not marked
             numbers = [value.lane(k) for value in (normal, *ending)]
             given = [block.address("states", block.places[k]), material, slides, *numbers]
             allowed = block.code.call(_friction_of_one, ("float64",) * 3, *zip(kinds, given, strict=True))
-            found.append([builder.extract_value(allowed, axis) for axis in range(3)])
-        return [gathered(builder, [allowed[axis] for allowed in found]) for axis in range(3)]
+            impulses.append([builder.extract_value(allowed, axis) for axis in range(3)])
+        return [gathered(builder, [allowed[axis] for allowed in impulses]) for axis in range(3)]
 
 
 def _friction_of_one(

@@ -42,7 +42,7 @@ from carom.physics.integrators.gauss_radau.radau_impacts import (
     NONE,
     Solids,
     first_impact,
-    reach_of,
+    max_displacement,
     time_to_touch,
 )
 from carom.physics.integrators.gauss_radau.radau_step import (
@@ -279,9 +279,9 @@ def advance(
                 break  # the acceleration begins at 0, so the time in which it changes is that since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
-            reach = reach_of(motion, planes, dt)
-            run.clearance -= 2.0 * reach
-            h = NONE if run.clearance > 0.0 else first_impact(motion, solids, run, dt, reach)
+            displacement = max_displacement(motion, planes, dt)
+            run.clearance -= 2.0 * displacement
+            h = NONE if run.clearance > 0.0 else first_impact(motion, solids, run, dt, displacement)
             if 0.0 <= h <= 1.0:
                 dt, limit = _end_at_impact(motion, solids, run, h, dt), IMPACT
             run.meets = h != NONE

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from carom.arrays import FloatArray
-from carom.physics.contact.events.trajectories import ROUNDING
+from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, acceleration_at_start
 from carom.physics.jit.decorators import inline, unowned
 
@@ -55,10 +55,10 @@ class Solids(NamedTuple):
 
 
 @unowned
-def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: float) -> float:
+def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displacement: float) -> float:
     """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
 
-    No body goes farther than ``reach``, in m.
+    No body moves farther than ``displacement``, in m.
     """
     x, moves, radius, n = motion.position, motion.moves, solids.radius, len(motion.position)
     first, clearance = NONE, np.inf
@@ -66,11 +66,12 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: flo
         for j in range(i + 1, n):
             dx, dy, dz = x[j, 0] - x[i, 0], x[j, 1] - x[i, 1], x[j, 2] - x[i, 2]
             d2, R = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
-            if (clearance > 2.0 * reach and d2 > (R + clearance) * (R + clearance)) or moves[i] + moves[j] == 0.0:
+            is_clear = clearance > 2.0 * displacement and d2 > (R + clearance) * (R + clearance)
+            if is_clear or moves[i] + moves[j] == 0.0:
                 continue  # not nearer than the nearest
             gap = np.sqrt(d2) - R
             clearance = min(clearance, gap)
-            if gap <= 2.0 * reach:
+            if gap <= 2.0 * displacement:
                 _lay_pair(motion, solids.path, i, j, dt)
                 first = _sooner(i, j, R, motion, solids, run, dt, first)
         for p in range(len(solids.offset) if moves[i] > 0.0 else 0):
@@ -78,10 +79,10 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, reach: flo
             for k in range(3):
                 gap += solids.surface[p, k] * x[i, k]
             clearance = min(clearance, gap)
-            if gap <= reach:
+            if gap <= displacement:
                 _lay_height(motion, solids, i, p, dt)
                 first = _sooner(i, n + p, radius[i], motion, solids, run, dt, first)
-    run.clearance = clearance - 2.0 * reach
+    run.clearance = clearance - 2.0 * displacement
     return first
 
 
@@ -117,7 +118,7 @@ def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
 
 
 @inline
-def reach_of(motion: Motion, planes: int, dt: float) -> float:
+def max_displacement(motion: Motion, planes: int, dt: float) -> float:
     """Return a bound on how far any body goes in a step, relative to planes or to the mean velocity, in m."""
     v, b, n = motion.velocity, motion.b, len(motion.velocity)
     ux, uy, uz = 0.0, 0.0, 0.0

@@ -52,7 +52,7 @@ class OrbitArrays(NamedTuple):
     order: IntArray  # (n,) index in the scene
     mu: FloatArray  # (n,) m³/s², G M_i
     gm: FloatArray  # (n,) m³/s², G m_i
-    share: FloatArray  # (n,) m_i / M_i
+    mass_fraction: FloatArray  # (n,) m_i / M_i
     near: FloatArray  # (n,) m, the distance from which another body is close
     x: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick; row 0 is the centre of mass
     v: FloatArray  # (n, 3) m/s
@@ -61,23 +61,23 @@ class OrbitArrays(NamedTuple):
     place: FloatArray  # (n, 3) m, from the centre of mass
     speed: FloatArray  # (n, 3) m/s, likewise
     acceleration: FloatArray  # (n, 3) m/s²
-    reach: FloatArray  # (n,) m, how far a body may move meanwhile
+    max_displacement: FloatArray  # (n,) m, how far a body may move meanwhile
     lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
 
 
 @unowned
-def from_jacobi(x: FloatArray, share: FloatArray, place: FloatArray) -> None:
+def from_jacobi(x: FloatArray, mass_fraction: FloatArray, place: FloatArray) -> None:
     """Convert Jacobi coordinates or their rates to Cartesian ones about the centre of mass."""
     rx, ry, rz = 0.0, 0.0, 0.0  # centre of mass of the bodies up to i
     for i in range(len(x) - 1, 0, -1):
         px, py, pz = vector(x, i)
-        rx, ry, rz = rx - share[i] * px, ry - share[i] * py, rz - share[i] * pz
+        rx, ry, rz = rx - mass_fraction[i] * px, ry - mass_fraction[i] * py, rz - mass_fraction[i] * pz
         write(place, i, rx + px, ry + py, rz + pz)
     write(place, 0, rx, ry, rz)
 
 
 @unowned
-def to_jacobi(place: FloatArray, order: IntArray, share: FloatArray, x: FloatArray) -> None:
+def to_jacobi(place: FloatArray, order: IntArray, mass_fraction: FloatArray, x: FloatArray) -> None:
     """Convert Cartesian coordinates or rates, in the order of the scene, to Jacobi ones."""
     first = order[0]
     rx, ry, rz = vector(place, first)
@@ -86,14 +86,14 @@ def to_jacobi(place: FloatArray, order: IntArray, share: FloatArray, x: FloatArr
         px, py, pz = vector(place, j)
         px, py, pz = px - rx, py - ry, pz - rz
         write(x, i, px, py, pz)
-        rx, ry, rz = rx + share[i] * px, ry + share[i] * py, rz + share[i] * pz
+        rx, ry, rz = rx + mass_fraction[i] * px, ry + mass_fraction[i] * py, rz + mass_fraction[i] * pz
     write(x, 0, rx, ry, rz)
 
 
 @unowned
 def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> None:
     """Write Jacobi coordinates or rates in the order of the scene."""
-    from_jacobi(x, o.share, place)
+    from_jacobi(x, o.mass_fraction, place)
     for i in range(len(x)):
         for k in range(3):
             into[o.order[i], k] = place[i, k] + x[0, k]
@@ -107,12 +107,12 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
     # from Cartesian accelerations to those of Jacobi coordinates, less those of the Kepler orbits
-    a, share = o.acceleration, o.share
+    a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
         ax, ay, az = vector(a, i)
         ax, ay, az = ax - rx, ay - ry, az - rz
-        rx, ry, rz = rx + share[i] * ax, ry + share[i] * ay, rz + share[i] * az
+        rx, ry, rz = rx + mass_fraction[i] * ax, ry + mass_fraction[i] * ay, rz + mass_fraction[i] * az
         if i > 1:
             px, py, pz = vector(x, i)
             back = attraction(o.mu[i], px * px + py * py + pz * pz)
@@ -205,10 +205,10 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
         if not into:
             a = -a
         drift(x, v, o.mu, o.lanes, (waiting + a) * h)
-        from_jacobi(x, o.share, o.place)
+        from_jacobi(x, o.mass_fraction, o.place)
         kick(o, x, v, b * h)
         drift(x, v, o.mu, o.lanes, -2.0 * a * h)
-        from_jacobi(x, o.share, o.place)
+        from_jacobi(x, o.mass_fraction, o.place)
         kick(o, x, v, -b * h)
         waiting = a
     drift(x, v, o.mu, o.lanes, waiting * h)
@@ -220,7 +220,7 @@ def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: floa
 
     Close is nearer than ``apart`` times `OrbitArrays.near`.
     """
-    place, speed, near, reach = o.place, o.speed, o.near, o.reach
+    place, speed, near, max_displacement = o.place, o.speed, o.near, o.max_displacement
     longest = max(abs(after), abs(until))
     shortest = apart * UNRESOLVED * (until - after)
     n, widest = len(place), 0.0
@@ -229,16 +229,16 @@ def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: floa
         r2 = square(x, i)
         if r2 * np.sqrt(r2) < shortest * shortest * o.mu[i]:
             return True
-        reach[i] = longest * np.sqrt(square(speed, i))
+        max_displacement[i] = longest * np.sqrt(square(speed, i))
     if not widest > 0.0:
         return False
     for i in range(2, n):
-        own, far = near[i], reach[i]
+        own, far = near[i], max_displacement[i]
         for j in range(1, i):
             dx, dy, dz = between(place, i, j)
             d2 = dx * dx + dy * dy + dz * dz
             close = apart * max(own, near[j])
-            wide = close + far + reach[j]
+            wide = close + far + max_displacement[j]
             if d2 < wide * wide and _passes(speed, i, j, dx, dy, dz, close, after, until):
                 return True
     return False
@@ -260,8 +260,8 @@ def _passes(
 @long_kernel
 def begin(o: OrbitArrays, h: float) -> None:
     """Take positions and velocities as a new start, for steps of h seconds."""
-    to_jacobi(o.position, o.order, o.share, o.x)
-    to_jacobi(o.velocity, o.order, o.share, o.v)
+    to_jacobi(o.position, o.order, o.mass_fraction, o.x)
+    to_jacobi(o.velocity, o.order, o.mass_fraction, o.v)
     correct(o, o.x, o.v, h, True)
 
 
@@ -295,12 +295,12 @@ def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, s
     Returns False without writing if bodies meet on the way, unless ``surely``.
     """
     x, v = o.x_spare, o.v_spare
-    to_jacobi(o.position, o.order, o.share, x)
-    to_jacobi(o.velocity, o.order, o.share, v)
+    to_jacobi(o.position, o.order, o.mass_fraction, x)
+    to_jacobi(o.velocity, o.order, o.mass_fraction, v)
     correct(o, x, v, h, True)
     drift(x, v, o.mu, o.lanes, 0.5 * h)
-    from_jacobi(x, o.share, o.place)
-    from_jacobi(v, o.share, o.speed)
+    from_jacobi(x, o.mass_fraction, o.place)
+    from_jacobi(v, o.mass_fraction, o.speed)
     if not surely and meets(o, x, -0.5 * abs(h), 0.5 * abs(h), 1.0):
         return False
     kick(o, x, v, h)
@@ -315,10 +315,10 @@ def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, s
 def meets_soon(o: OrbitArrays, until: float) -> bool:
     """Return whether bodies come close in a time in s from now."""
     x, v = o.x_spare, o.v_spare
-    to_jacobi(o.position, o.order, o.share, x)
-    to_jacobi(o.velocity, o.order, o.share, v)
-    from_jacobi(x, o.share, o.place)
-    from_jacobi(v, o.share, o.speed)
+    to_jacobi(o.position, o.order, o.mass_fraction, x)
+    to_jacobi(o.velocity, o.order, o.mass_fraction, v)
+    from_jacobi(x, o.mass_fraction, o.place)
+    from_jacobi(v, o.mass_fraction, o.speed)
     return meets(o, x, 0.0, until, PARTED)
 
 
@@ -327,8 +327,8 @@ def _step(o: OrbitArrays, run: Any, x: FloatArray, v: FloatArray) -> bool:
     """Drift to the middle of the next step and kick, unless bodies meet there."""
     dt = run.dt
     drift(x, v, o.mu, o.lanes, dt if run.count > 0 else 0.5 * dt)
-    from_jacobi(x, o.share, o.place)
-    from_jacobi(v, o.share, o.speed)
+    from_jacobi(x, o.mass_fraction, o.place)
+    from_jacobi(v, o.mass_fraction, o.speed)
     if meets(o, x, -0.5 * dt, 0.5 * dt, 1.0):
         return False
     kick(o, x, v, dt)

@@ -135,7 +135,7 @@ class WisdomHolman:
             order=np.zeros(n, np.int64),
             mu=np.zeros(n),
             gm=np.zeros(n),
-            share=np.zeros(n),
+            mass_fraction=np.zeros(n),
             near=np.zeros(n),
             x=np.zeros((n, 3)),
             v=np.zeros((n, 3)),
@@ -144,7 +144,7 @@ class WisdomHolman:
             place=np.zeros((n, 3)),
             speed=np.zeros((n, 3)),
             acceleration=np.zeros((n, 3)),
-            reach=np.zeros(n),
+            max_displacement=np.zeros(n),
             lanes=np.zeros(WORKSPACE),
         )
         self._gm = gm
@@ -274,7 +274,7 @@ class WisdomHolman:
         orbits.order[:] = order
         orbits.gm[:] = self._gm[order]
         orbits.mu[:] = np.cumsum(orbits.gm)
-        orbits.share[:] = orbits.gm / orbits.mu
+        orbits.mass_fraction[:] = orbits.gm / orbits.mu
         orbits.near[:] = close
 
 
