@@ -113,6 +113,7 @@ OPTIONAL = {  # module → one of its names in scenes and commands
     "physics/placement/plummer.py": "plummer",
 }
 GROUP = """
+contact = {{ timing = "end-of-step" }}
 time = {{ duration = 0.01, fixed_dt = 0.01 }}
 [[group]]
 count = 2
@@ -207,13 +208,16 @@ def test_an_engine_can_be_removed(engine: str, without: Callable[..., Carom]) ->
 
 
 SHORT = ("--set", "time.duration=0.05", "--set", "gravity.constant=1e-9")
+LATE = ("--set", "contact.timing=end-of-step")
+APART = ("--set", "contact.enabled=false")  # an accuracy needs exact times of impact
 PHYSICS = {  # part → a scene that needs it, and what the refusal names
     "physics/integrators/gauss_radau": (["time.integrator=gauss-radau15"], 'integrator "gauss-radau15"'),
     "physics/integrators/wisdom_holman": (["time.integrator=wisdom-holman"], 'integrator "wisdom-holman"'),
     "physics/forces/gravity/tree.py": (["gravity.method=tree"], 'gravity method "tree"'),
     "physics/forces/gravity/fast_multipole": (["gravity.method=fast-multipole"], 'gravity method "fast-multipole"'),
     "physics/forces/drag.py": (["drag.relaxation_time=1.0"], 'force "drag"'),
-    "physics/contact/sleep": (["contact.sleep.speed=0.01"], "contact.sleep"),
+    "physics/contact/sleep": (["contact.sleep.speed=0.01"], 'part of the model "sleep"'),
+    "physics/contact/events": (["contact.timing=auto"], 'part of the model "time-of-impact"'),
 }
 
 
@@ -228,11 +232,26 @@ def test_a_scene_that_needs_a_removed_part_of_the_physics_names_it(part: str, wi
 
 
 def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:
-    ended = bare("run", "two-spheres", *SHORT, "-o", "run.rrd")
+    ended = bare("run", "two-spheres", *SHORT, *LATE, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr
     assert bare("replay", "run.rrd").returncode == 0
-    ahead = bare("run", "two-spheres", *SHORT[:2], "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
+    ahead = bare("run", "two-spheres", *SHORT[:2], *APART, "--set", "time.accuracy=1e-4", "-o", "accurate.rrd")
     assert ahead.returncode == 0, ahead.stderr
+
+
+def test_nothing_imports_exact_times_of_impact_but_the_growth_of_packings(
+    without: Callable[..., Carom], tmp_path: Path
+) -> None:
+    """The pipeline gets them from the registry; spheres that grow meet at exact times, too."""
+    events, users = HOUSE / "physics" / "contact" / "events", set[str]()
+    for path in (path for path in HOUSE.rglob("*.py") if path.parent != events):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ImportFrom) and "carom.physics.contact.events" in (node.module or ""):
+                users.add(path.name)
+    assert users == {"growth.py"}
+    run = without("physics/contact/events")
+    (tmp_path / "packed.toml").write_text(GROUP.format(group=ARRANGED.format(name="compressed")), encoding="utf-8")
+    assert "growth needs carom.physics.contact.events" in refusal(run("run", "packed.toml", "-o", "packed.rrd"))
 
 
 def test_wisdom_holman_names_the_integrator_of_its_close_encounters(without: Callable[..., Carom]) -> None:

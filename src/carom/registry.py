@@ -91,10 +91,10 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
         "pybullet": "carom.recording.source.adapters.pybullet_source:pybullet",
         "newton": "carom.recording.source.adapters.newton_source:newton",
     },
-}
-
-MODEL: Mapping[str, str] = {  # optional parts of the physics: the key of a scene that needs it → module:attribute
-    "contact.sleep": "carom.physics.contact.sleep.sleepers:Sleepers",
+    "model": {  # optional parts of the physics, which no package can define
+        "sleep": "carom.physics.contact.sleep.sleepers:Sleepers",
+        "time-of-impact": "carom.physics.contact.events.drift:EventDrivenDrift",
+    },
 }
 
 
@@ -174,25 +174,19 @@ def load(kind: str, name: str) -> Any:
         ) from error
 
 
-def part_of_model(key: str) -> Any:
-    """Return the optional part of the physics that a key of a scene needs.
-
-    Raises
-    ------
-    ExtensionError
-        If this installation lacks it.
-    """
-    if key not in MODEL:
-        raise ExtensionError(f"{key}: this installation of carom has no module for it; remove the key from the scene")
-    return _imported(MODEL[key])
-
-
 def _imported(target: str) -> Any:
     module, _, attribute = target.partition(":")
-    found: Any = importlib.import_module(module)
-    for part in filter(None, attribute.split(".")):
-        found = getattr(found, part)
-    return found
+    try:
+        part: Any = importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if not (error.name or "").startswith(PREFIX):
+            raise
+        raise ExtensionError(
+            f"{module} needs {error.name}, which was removed from this installation of carom"
+        ) from error
+    for name in filter(None, attribute.split(".")):
+        part = getattr(part, name)
+    return part
 
 
 @cache

@@ -87,11 +87,18 @@ def _refuse_missing_parts(scene: Scene) -> None:
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
     if scene.drag is not None:
         needed.append(("forces", DRAG.name, ("drag",), "leave [drag] out"))
+    if scene.contact.sleep is not None:
+        needed.append(("model", "sleep", ("contact", "sleep"), "leave contact.sleep out"))
+    if require(scene).impact_time.modelled:
+        late = 'contact.timing = "end-of-step"'
+        remedy = f"{without_radau} and {late}" if chosen.ends_steps_at_impacts else f"set {late}"
+        needed.append(("model", "time-of-impact", ("contact", "timing"), remedy))
     for kind, name, key, remedy in needed:
         if name not in registry.names(kind):
-            raise SceneError(
-                f'this scene needs the {registry.KINDS[kind]} "{name}", which was removed from this installation of '
-                f"carom; {remedy}, or install carom again",
+            called = registry.KINDS.get(kind, "part of the model")
+            raise registry.ExtensionError(
+                f'this scene needs the {called} "{name}", which was removed from this installation of carom; {remedy}, '
+                "or install carom again",
                 key,
             )
 

@@ -25,7 +25,6 @@ from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.planes import PlaneGuard
 from carom.physics.contact.contact_checkpoint import ContactCheckpoint
 from carom.physics.contact.contact_tap import ContactTap, Impulses
-from carom.physics.contact.events.drift import EventDrivenDrift
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import Materials
@@ -39,12 +38,13 @@ from carom.physics.contact.statistics import NO_CONTACTS, limits_of, still_closi
 from carom.physics.diagnostics.run_monitor import Profile
 from carom.physics.jit.team import Team
 from carom.plan.features import Requirements
-from carom.registry import part_of_model
+from carom.registry import load
 from carom.scene.schema import ContactSettings
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:
+    from carom.physics.contact.events.drift import EventDrivenDrift
     from carom.physics.contact.sleep.sleepers import Sleepers, SleepingContacts
 
 # Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
@@ -91,7 +91,7 @@ class ContactPipeline:
         team: Team,
         records: bool = False,
     ) -> None:
-        sleep = part_of_model("contact.sleep") if contact.sleep else None
+        sleep = load("model", "sleep") if contact.sleep else None
         self._settings = contact
         self._bodies = bodies
         self._field = field
@@ -111,8 +111,9 @@ class ContactPipeline:
         self._snapshots = SnapshotSource(self._solver, bodies.ends.inverse_mass)
         self._event_drift: EventDrivenDrift | None = None
         if requirements.impact_time.modelled:
+            event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            self._event_drift = EventDrivenDrift(
+            self._event_drift = event_driven(
                 bodies, planes, materials, box, field, bending, *drift, self._near.search, team
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
