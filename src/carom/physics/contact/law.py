@@ -237,12 +237,30 @@ def inverse_tangent_mass(Kn: float, ri: float, rj: float, inverse_inertia_i: flo
 
 
 @inline
-def normal_loss(Jn: float, vn: float, Kn: float) -> float:
-    """Return the energy in J that a normal impulse takes out, given v_n before it and K_n = 1/m_i + 1/m_j."""
-    return -Jn * (vn + 0.5 * Jn * Kn)
+def friction_of_impact(
+    material: Any, Jn: float, ux: float, uy: float, uz: float, Kt: float
+) -> tuple[float, float, float, float]:
+    """Return the tangential impulse of an impact in N s, and the energy in J that it takes out.
+
+    Parameters
+    ----------
+    material
+        Of the contact.
+    Jn
+        N s, the normal impulse.
+    ux, uy, uz
+        m/s, the slip.
+    Kt
+        1/kg, see `inverse_tangent_mass`.
+    """
+    slip = np.sqrt(ux * ux + uy * uy + uz * uz)
+    if not slip > 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    Jt = impact_friction(material, Jn, slip / Kt)
+    return -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip), Jt * (slip - 0.5 * Jt * Kt)
 
 
 @inline
-def tangential_loss(Jt: float, slip: float, Kt: float) -> float:
-    """Return the energy in J that an impulse against the slip takes out, given the slip before it and K_t."""
-    return Jt * (slip - 0.5 * Jt * Kt)
+def normal_loss(Jn: float, vn: float, Kn: float) -> float:
+    """Return the energy in J that a normal impulse takes out, given v_n before it and K_n = 1/m_i + 1/m_j."""
+    return -Jn * (vn + 0.5 * Jn * Kn)

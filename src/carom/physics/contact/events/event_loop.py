@@ -44,12 +44,11 @@ from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
-    impact_friction,
+    friction_of_impact,
     inverse_tangent_mass,
     material_index,
     normal_loss,
     restitution,
-    tangential_loss,
 )
 from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
@@ -334,19 +333,15 @@ def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
         wjx, wjy, wjz = vector(omega, j)
         wx, wy, wz = ri * wix + rj * wjx, ri * wiy + rj * wjy, ri * wiz + rj * wjz
         ux, uy, uz = slip_velocity(vx - vn * nx, vy - vn * ny, vz - vn * nz, nx, ny, nz, wx, wy, wz)
-        slip = np.sqrt(ux * ux + uy * uy + uz * uz)
-        if slip > 0.0:
-            Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
-            Jt = impact_friction(material, Jn, slip / Kt)
-            if Jt > 0.0:
-                entry.friction_loss = tangential_loss(Jt, slip, Kt)
-                fx, fy, fz = -Jt * (ux / slip), -Jt * (uy / slip), -Jt * (uz / slip)
-                Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
-                entry.friction_x, entry.friction_y, entry.friction_z = fx, fy, fz
-                tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part has no torque
-                _spin_up(i, ri, tx, ty, tz, T)
-                if j < n:
-                    _spin_up(j, rj, tx, ty, tz, T)
+        Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
+        fx, fy, fz, entry.friction_loss = friction_of_impact(material, Jn, ux, uy, uz, Kt)
+        if fx != 0.0 or fy != 0.0 or fz != 0.0:
+            Jx, Jy, Jz = Jx + fx, Jy + fy, Jz + fz
+            entry.friction_x, entry.friction_y, entry.friction_z = fx, fy, fz
+            tx, ty, tz = nz * fy - ny * fz, nx * fz - nz * fx, ny * fx - nx * fy  # the normal part has no torque
+            _spin_up(i, ri, tx, ty, tz, T)
+            if j < n:
+                _spin_up(j, rj, tx, ty, tz, T)
         K = T.inverse_inertia[i] + T.inverse_inertia[j]
         if exerts_torque(material) and K > 0.0:
             wx, wy, wz = between(omega, i, j)

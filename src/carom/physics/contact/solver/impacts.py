@@ -20,21 +20,18 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
     exerts_torque,
-    impact_friction,
+    friction_of_impact,
     inverse_tangent_mass,
     material_index,
     normal_loss,
     restitution,
     restitution_at_depth,
-    tangential_loss,
 )
 from carom.physics.contact.rolling import (
     angular_impulse,
@@ -111,14 +108,10 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
             system.recorded[c].normal_impulse += Jn
         if spins:
             ux, uy, uz = slip(contact, body_i, body_j, tx, ty, tz)
-            speed = np.sqrt(ux * ux + uy * uy + uz * uz)
-            if speed > 0.0:
-                Kt = inverse_tangent_mass(
-                    Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia
-                )
-                Jt = impact_friction(material, Jn, speed / Kt)
-                state.friction_loss += tangential_loss(Jt, speed, Kt)
-                tx, ty, tz = -Jt * (ux / speed), -Jt * (uy / speed), -Jt * (uz / speed)
+            Kt = inverse_tangent_mass(Kn, contact.arm_i, contact.arm_j, body_i.inverse_inertia, body_j.inverse_inertia)
+            tx, ty, tz, dissipated = friction_of_impact(material, Jn, ux, uy, uz, Kt)
+            state.friction_loss += dissipated
+            if tx != 0.0 or ty != 0.0 or tz != 0.0:
                 Jx, Jy, Jz = Jx + tx, Jy + ty, Jz + tz
                 turn(contact, body_i, body_j, tx, ty, tz)
                 if records:
