@@ -16,7 +16,7 @@ from carom.errors import SceneError
 from carom.lab.tradeoff.event_driven_reference import solve
 from carom.physics.integrators.gauss_radau.gauss_radau15 import STEP_FRACTION, GaussRadau15
 from carom.physics.integrators.gauss_radau.radau_step import tolerance
-from carom.physics.integrators.gauss_radau.radau_twin import part
+from carom.physics.integrators.gauss_radau.radau_twin import diverge
 from carom.physics.look_ahead.error_growth import Scale
 from carom.physics.look_ahead.find_step import with_promise
 from carom.physics.look_ahead.trial_run import TrialRun
@@ -303,7 +303,7 @@ def test_twins_part_as_two_runs_of_their_own_do() -> None:
     start = place(scene)
     moved = start.position + np.array([[0.0, 0.0, 0.0], [1e-8, 0.0, 0.0]])
     times = np.linspace(0.0, scene.time.duration, 9)[1:]
-    _, apart = part(scene, start, moved, 0.25, times, enough=1.0, iterations=1)
+    _, apart = diverge(scene, start, moved, 0.25, times, enough=1.0, iterations=1)
     one, other = Space(scene, 1), Space(scene, 1, replace(start, position=moved))
     for time, found in zip(times, apart, strict=True):
         one.reach(float(time))

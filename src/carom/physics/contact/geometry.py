@@ -2,7 +2,7 @@
 
 Both bodies share one contact point on the line of centres, at d r_i/(r_i + r_j) from i and d r_j/(r_i + r_j) from j. At
 a plane the arm of the body is its radius, and the plane has none. A plane absorbs any angular momentum, so the arm need
-not equal the distance, and an impact that is found late turns the body as it would have at the surface.
+not equal the distance, and an impact that is detected late spins the body as it would have at the surface.
 """
 
 from __future__ import annotations

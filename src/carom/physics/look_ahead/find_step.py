@@ -233,16 +233,16 @@ class _LookAhead:
 
         The twin has a single iteration in each step unless it ``converges`` by itself.
         """
-        from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, part  # noqa: PLC0415 - a part that can be removed
+        from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, diverge  # noqa: PLC0415 - a part that can be removed
 
         iterations = CONVERGES if converges else 1
         enough, twin = APART * self._scale.size, self._twin.position
         followed = refinement, self._times, enough, iterations, self._bound(TWIN_SHARE)
-        run, apart = part(self._scene, self._start, twin, *followed)
+        run, apart = diverge(self._scene, self._start, twin, *followed)
         if run.known < ENOUGH_SAMPLES and self._budget.reached > 0.0:
             self._times = samples(self._budget.reached, SAMPLES)
             followed = refinement, self._times, enough, iterations, self._bound(2.0 * TWIN_SHARE)
-            run, apart = part(self._scene, self._start, twin, *followed)
+            run, apart = diverge(self._scene, self._start, twin, *followed)
         self._cover(self._times, run.known)
         apart = np.maximum.accumulate(apart) / self._scale.size
         twins = Twins.grown(self._times, apart, self._began, run.known)

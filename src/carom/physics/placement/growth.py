@@ -204,7 +204,7 @@ SPHERE = np.dtype(
         ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
         ("partner", np.int64),  # the other end of that impact: sphere j, or the number of spheres + k for border k
         ("partner_impacts", np.int64),  # impacts of the partner when this impact was predicted
-        ("queue_place", np.int64),  # see `event_queue`
+        ("queue_place", np.int64),  # see `put`
     ],
     align=True,
 )

@@ -66,10 +66,8 @@ from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
-SHRINKING = (
-    2.0  # the fraction of a rejected step that is wanted grows at least by this factor, or it shrinks with the step
-)
-LARGEST_CHANGE_AFTER_IMPACT = 1.5  # likewise, where the step before does not know the velocity
+SHRINKING = 2.0  # a rejected step is repeated only if the wanted fraction of it grows at least by this factor
+LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the same after an impact, since the step before it had another velocity
 MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact: two reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that set a step
@@ -170,7 +168,7 @@ class GaussRadau15:
     def begin(self, dt: float) -> None:
         """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
         motion = self._motion
-        for array in (motion.position_rest, motion.velocity_rest, motion.accepted, motion.correction):
+        for array in (motion.position_compensation, motion.velocity_compensation, motion.accepted, motion.correction):
             array[:] = 0.0
         self._progress[0] = np.zeros(1, PROGRESS)[0]
         self._progress["next_dt"], self._progress["after_impact"] = dt, self._solids is not None
@@ -206,9 +204,9 @@ class GaussRadau15:
     def checkpoint(self) -> IntegratorCheckpoint:
         """A copy of the state that the next step needs."""
         motion, last = self._motion, self._progress[0]
-        rests = motion.position_rest.copy(), motion.velocity_rest.copy()
+        compensations = motion.position_compensation.copy(), motion.velocity_compensation.copy()
         last_dt = 0.0 if last["after_impact"] else float(last["last_dt"])
-        return IntegratorCheckpoint(last_dt, *rests, motion.accepted.copy(), motion.correction.copy())
+        return IntegratorCheckpoint(last_dt, *compensations, motion.accepted.copy(), motion.correction.copy())
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
         """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
@@ -218,8 +216,8 @@ class GaussRadau15:
             return
         self._progress["last_dt"] = checkpoint.last_dt
         self._progress["after_impact"] &= checkpoint.last_dt == 0.0
-        motion.position_rest[:] = checkpoint.position_rest
-        motion.velocity_rest[:] = checkpoint.velocity_rest
+        motion.position_compensation[:] = checkpoint.position_rest
+        motion.velocity_compensation[:] = checkpoint.velocity_rest
         motion.accepted[:] = checkpoint.accepted
         motion.correction[:] = checkpoint.correction
 
@@ -276,7 +274,7 @@ def advance(
             dt, limit = wanted, ERROR
             wanted = attempt(motion, run, dt)
             if not wanted > SHRINKING * fraction * dt:
-                break  # the acceleration begins at 0, so the time in which it changes is that since the start
+                break  # the acceleration begins at 0, so it changes within the time since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             displacement = max_displacement(motion, planes, dt)
@@ -286,7 +284,7 @@ def advance(
                 dt, limit = _end_at_impact(motion, solids, run, h, dt), IMPACT
             run.meets = h != NONE
             if run.meets and (h == AT_REST or not run.time + dt > run.time):
-                run.meets = run.steps == 0  # else the next call says so, however many steps this one was to make
+                run.meets = run.steps == 0  # else the next call returns the meeting
                 run.rests = h == AT_REST and run.meets
                 break
         move(motion, dt)
@@ -300,9 +298,9 @@ def advance(
 
 @unowned
 def _end_at_impact(motion: Motion, solids: Solids, run: Any, h: float, dt: float) -> float:
-    """Take the step anew so that it ends where the pair of ``run`` touches; return its length in s.
+    """Repeat the step so that it ends where the pair of ``run`` touches; return its length in s.
 
-    Within a step the polynomial errs more than at its end, so each passage corrects the length.
+    Within a step the polynomial is less accurate than at its end, so each iteration corrects the length.
     """
     run.clearance = 0.0
     ratio = h

@@ -1,10 +1,10 @@
 """The first impact within a step of Gauss–Radau integration, on the polynomials of its bodies.
 
-With d(h) the way from one body to another (or to a plane), R the distance at which they touch, f = d² - R² and
+With d(h) the separation of two bodies (or of a body and a plane), R the distance at which they touch, f = d² - R² and
 g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: they touch and close.
 
-A clearance, the smallest gap of any pair, lasts for as many steps as the bodies need to use it up. Only then are all
-pairs looked at, and the polynomials of those within reach followed from h = 0 on, in intervals that are halved until
+All pairs are tested only after the bodies have moved far enough to close the clearance, the smallest gap of any pair
+at the last test. The polynomials of pairs that may meet are followed from h = 0 on, in intervals that are halved until
 one of these holds, with M ≥ |d''|, K ≥ |g''|:
 
 - the chord of d stays farther from 0 than R + M w²/8, w being the width: they do not touch
@@ -33,13 +33,13 @@ TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a gap that is rounding
 SLACK = 1.0 + 1e-9  # for the rounding of the bounds
 NARROWEST = 2.0**-44  # of a step: what touches for less is a graze
 MOST_INTERVALS = 20_000  # a contact that needs more lies at rest by rounding
-REST = 1e-6  # of a step: the shortest flight between two impacts. The bodies part by 10⁻¹⁴ R in it, near rounding.
+REST = 1e-6  # of a step: the shortest flight between two impacts. Its gap is at most 10⁻¹⁴ R, near rounding.
 NONE = np.inf  # no impact
 AT_REST = -1.0  # a contact that forces press together
 
 
 class Solids(NamedTuple):
-    """What may touch."""
+    """The bodies and planes that may touch."""
 
     radius: FloatArray  # (n,) m
     surface: FloatArray  # (p, 3) normals of planes
@@ -56,7 +56,7 @@ class Solids(NamedTuple):
 
 @unowned
 def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displacement: float) -> float:
-    """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; its pair is left in ``run``.
+    """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; write its pair to ``run``.
 
     No body moves farther than ``displacement``, in m.
     """
@@ -73,7 +73,7 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displaceme
             clearance = min(clearance, gap)
             if gap <= 2.0 * displacement:
                 _lay_pair(motion, solids.path, i, j, dt)
-                first = _sooner(i, j, R, motion, solids, run, dt, first)
+                first = _earlier(i, j, R, motion, solids, run, dt, first)
         for p in range(len(solids.offset) if moves[i] > 0.0 else 0):
             gap = -solids.offset[p] - radius[i]
             for k in range(3):
@@ -81,14 +81,14 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displaceme
             clearance = min(clearance, gap)
             if gap <= displacement:
                 _lay_height(motion, solids, i, p, dt)
-                first = _sooner(i, n + p, radius[i], motion, solids, run, dt, first)
+                first = _earlier(i, n + p, radius[i], motion, solids, run, dt, first)
     run.clearance = clearance - 2.0 * displacement
     return first
 
 
 @unowned
-def _sooner(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, dt: float, first: float) -> float:
-    """Return the sooner of the first impact so far and that of a pair, and note the pair."""
+def _earlier(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, dt: float, first: float) -> float:
+    """Return the earlier of the first impact so far and that of a pair, and note the pair."""
     negligible = ROUNDING * _pace(motion, i, j, R, dt)
     h = _first_root(solids.path, R, rounding(motion.position, i, j, R), negligible)
     if h < first:
@@ -99,16 +99,16 @@ def _sooner(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, 
 
 @unowned
 def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
-    """Return the distance in m that two bodies go in a step, and R."""
-    v, way = motion.velocity, R
+    """Return the sum of R and of the distances in m that two bodies move in a step."""
+    v, distance = motion.velocity, R
     for k in range(3):
-        way += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
-    return way
+        distance += dt * (abs(v[i, k]) + (abs(v[j, k]) if j < len(v) else 0.0))
+    return distance
 
 
 @unowned
 def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
-    """Return the gap in m between body i and body or plane j that is rounding."""
+    """Return the gap in m between body i and body or plane j up to which it is rounding."""
     largest = R
     for k in range(3):
         largest = max(largest, abs(x[i, k]))
@@ -119,7 +119,7 @@ def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
 
 @inline
 def max_displacement(motion: Motion, planes: int, dt: float) -> float:
-    """Return a bound on how far any body goes in a step, relative to planes or to the mean velocity, in m."""
+    """Return a bound on the distance in m that any body moves in a step, relative to planes or to the mean velocity."""
     v, b, n = motion.velocity, motion.b, len(motion.velocity)
     ux, uy, uz = 0.0, 0.0, 0.0
     if planes == 0:
@@ -141,7 +141,7 @@ def max_displacement(motion: Motion, planes: int, dt: float) -> float:
 
 @unowned
 def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> None:
-    """Write the coefficients of the way from body i to body j."""
+    """Write the coefficients of the separation of body j from body i."""
     for k in range(3):
         for m in range(COEFFICIENTS):
             path[m, k] = coefficient(motion, j, k, m, dt) - coefficient(motion, i, k, m, dt)
@@ -149,7 +149,7 @@ def _lay_pair(motion: Motion, path: FloatArray, i: int, j: int, dt: float) -> No
 
 @unowned
 def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> None:
-    """Write the coefficients of the way from body i to plane p, along its normal."""
+    """Write the coefficients of the separation of plane p from body i, along its normal."""
     N = solids.surface[p]
     for m in range(COEFFICIENTS):
         height = -solids.offset[p] if m == 0 else 0.0
@@ -163,7 +163,7 @@ def _lay_height(motion: Motion, solids: Solids, i: int, p: int, dt: float) -> No
 def coefficient(motion: Motion, i: int, k: int, m: int, dt: float) -> float:
     """Return the coefficient of h^m in a coordinate of body i, in m."""
     if m == 0:
-        return float(motion.position[i, k] + motion.position_rest[i, k])
+        return float(motion.position[i, k] + motion.position_compensation[i, k])
     if m == 1:
         return float(dt * motion.velocity[i, k])
     if m == 2:
@@ -284,7 +284,7 @@ def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
 
 @unowned
 def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> float:
-    """Return by how much in s the step would have to be longer for a closing pair to touch at its end."""
+    """Return the change of the step in s with which a closing pair would touch at its end."""
     n = len(motion.position)
     if j < n:
         _lay_pair(motion, solids.path, i, j, dt)

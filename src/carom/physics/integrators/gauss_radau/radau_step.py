@@ -72,8 +72,8 @@ class Motion(NamedTuple):
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
-    velocity_rest: FloatArray  # (n, 3) m/s
+    position_compensation: FloatArray  # (n, 3) m, rounding errors of the positions so far
+    velocity_compensation: FloatArray  # (n, 3) m/s
     start: FloatArray  # (n, 3) m/s², a₀
     there: FloatArray  # (n, 3) m/s², acceleration at a node
     at: FloatArray  # (n, 3) m, positions at a node
@@ -109,8 +109,8 @@ def motion_of(
     return Motion(
         position=position,
         velocity=velocity,
-        position_rest=np.zeros((n, 3)),
-        velocity_rest=np.zeros((n, 3)),
+        position_compensation=np.zeros((n, 3)),
+        velocity_compensation=np.zeros((n, 3)),
         start=np.zeros((n, 3)),
         there=np.zeros((n, 3)),
         at=np.zeros((n, 3)),
@@ -139,7 +139,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 @unowned
 def attempt(motion: Motion, run: Any, dt: float) -> float:
-    """Find the polynomial of a step; return the longest next step, in s."""
+    """Compute the polynomial of a step; return the longest next step, in s."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
     _converge(motion, run, dt)
     return next_step(motion, dt, run.fraction)
@@ -147,7 +147,7 @@ def attempt(motion: Motion, run: Any, dt: float) -> float:
 
 @unowned
 def shorten(motion: Motion, run: Any, dt: float, ratio: float) -> None:
-    """Find the polynomial of a step of dt that begins like the present one and is ``ratio`` times as long."""
+    """Compute the polynomial of a step of dt that begins like the present one and is ``ratio`` times as long."""
     b = motion.b
     for c in range(len(b)):
         power = 1.0
@@ -227,7 +227,7 @@ def _evaluate(motion: Motion, s: int, dt: float) -> None:
                 acceleration_sum += ON_ACCELERATION[s, j] * b[c, j]
             motion.expected[i, k] = acceleration_sum
             curved = 0.5 * t * t * acceleration_at_start(motion, i, k) + square * position_sum
-            motion.at[i, k] = x[i, k] + (motion.position_rest[i, k] + (t * v[i, k] + curved))
+            motion.at[i, k] = x[i, k] + (motion.position_compensation[i, k] + (t * v[i, k] + curved))
 
 
 @unowned
@@ -269,16 +269,16 @@ def move(motion: Motion, dt: float) -> None:
                 motion.accepted[c, j] = b[c, j]
             a = acceleration_at_start(motion, i, k)
             step = (position_sum + 0.5 * a) * (dt * dt) + v[i, k] * dt
-            _add(x, motion.position_rest, i, k, step)
-            _add(v, motion.velocity_rest, i, k, (velocity_sum + a) * dt)
+            _add(x, motion.position_compensation, i, k, step)
+            _add(v, motion.velocity_compensation, i, k, (velocity_sum + a) * dt)
 
 
 @unowned
-def _add(total: FloatArray, rest: FloatArray, i: int, k: int, term: float) -> None:
+def _add(total: FloatArray, compensation: FloatArray, i: int, k: int, term: float) -> None:
     """Add a term by compensated summation (Kahan 1965)."""
-    term += rest[i, k]
+    term += compensation[i, k]
     rounded = total[i, k] + term
-    rest[i, k] = term - (rounded - total[i, k])
+    compensation[i, k] = term - (rounded - total[i, k])
     total[i, k] = rounded
 
 

@@ -1,10 +1,10 @@
 """Divergence of two nearby orbits under Gauss–Radau integration.
 
-The twin takes the steps of the orbit. Their polynomials differ only as much as they are apart, so the twin begins with
-the coefficients that the orbit has before its last iteration. A single one costs a third of a run of its own. It misses
-less than a hundredth of their difference, but very eccentric orbits then part too fast: with e = 0.999 by 10³⁰ in 13
-orbits. A twin that converges by itself costs as much as a run of its own and rounds like one, so that its distance is
-the error by rounding.
+The twin makes the same steps as the orbit. Their polynomials differ as little as the orbits do, so the twin starts its
+iterations from the coefficients that the orbit has before its last one. With a single iteration the twin costs a third
+of a run of its own. The error of their distance is less than a hundredth, but very eccentric orbits then diverge too
+fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a run of its own and
+has its rounding errors, so that the distance is the error by rounding.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TwinSamples(NamedTuple):
 
 
 class TwinRule(NamedTuple):
-    """How far orbits and their twins are followed; see `part`."""
+    """When to stop following orbits and their twins; see `diverge`."""
 
     max_dt: float  # s
     enough: float  # m
@@ -72,7 +72,7 @@ class FollowedOrbits(NamedTuple):
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, infinite beyond
     steps: int
-    known: int  # times up to which they were followed, or to which nothing kept them from being followed
+    known: int  # number of times up to which they were followed, or could have been
 
     def at(self, sample: int) -> FloatArray | None:
         """Return the positions at one of the times, (n, 3) m; None where they were not followed."""
@@ -80,7 +80,7 @@ class FollowedOrbits(NamedTuple):
         return position if np.isfinite(position).all() else None
 
 
-def part(
+def diverge(
     scene: Scene,
     start: InitialBodies,
     twin: FloatArray,
@@ -99,7 +99,7 @@ def part(
     start, twin
         The bodies at the start, and the positions of the twins, (n, 3) m.
     refinement
-        Usual steps over those taken.
+        Ratio of the usual step to the one that is taken.
     times
         (K,) s, in order.
     enough
@@ -116,7 +116,7 @@ def part(
 def orbits(
     scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, goes_on: GoesOn = always
 ) -> FollowedOrbits:
-    """Follow the bodies of a scene without contacts; see `part`."""
+    """Follow the bodies of a scene without contacts; see `diverge`."""
     return _follow(scene, start, refinement, times, goes_on)[0]
 
 
@@ -220,7 +220,7 @@ def follow(
 
 @unowned
 def _attempt(motion: Motion, twin: Motion | None, run: Any, dt: float) -> float:
-    """Find the polynomial of a step; return the longest next one, in s. The twin gets it before the last iteration."""
+    """Compute a step's polynomial; return the longest next step, in s. The twin gets it before the last iteration."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
@@ -246,7 +246,7 @@ def _locate(motion: Motion, dt: float, h: float, position: FloatArray) -> None:
             for j in range(TERMS - 1, -1, -1):
                 bent = (bent + b[3 * i + k, j] / ((j + 2) * (j + 3))) * h
             a = acceleration_at_start(motion, i, k)
-            position[i, k] = x[i, k] + (motion.position_rest[i, k] + (t * v[i, k] + t * t * (0.5 * a + bent)))
+            position[i, k] = x[i, k] + (motion.position_compensation[i, k] + (t * v[i, k] + t * t * (0.5 * a + bent)))
 
 
 @unowned
@@ -260,7 +260,7 @@ def _distance(motion: Motion, twin: Motion, dt: float, h: float) -> float:
             for j in range(TERMS - 1, -1, -1):
                 bent = (bent + (twin.b[c, j] - motion.b[c, j]) / ((j + 2) * (j + 3))) * h
             away = (twin.position[i, k] - motion.position[i, k]) + (
-                twin.position_rest[i, k] - motion.position_rest[i, k]
+                twin.position_compensation[i, k] - motion.position_compensation[i, k]
             )
             away += t * (twin.velocity[i, k] - motion.velocity[i, k])
             away += t * t * (0.5 * (twin.start[i, k] - motion.start[i, k]) + bent)

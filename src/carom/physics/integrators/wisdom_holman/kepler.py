@@ -25,7 +25,7 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
 
-SERIES_UP_TO = 0.3  # of |z|: there the terms that are left out are below half a last bit
+SERIES_UP_TO = 0.3  # of |z|: up to here the omitted terms are below half a last bit
 TERMS = 7  # of the series
 C2 = tuple(float(Fraction((-1) ** j, factorial(2 + 2 * j))) for j in range(TERMS))
 C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS))
@@ -34,7 +34,7 @@ C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
 CONVERGED = 1e-5  # of X: after a step of this size the error of order four is below rounding
 PATIENCE = 8  # steps; from there on every other one is a bisection, since steps down an exponential are short
 MAX_STEPS = 150  # half of them bisections, of which some 60 are enough
-NEARLY = 1e-8  # of X: likewise for a last step of order two
+NEARLY = 1e-8  # of X: the same for a last step of order two
 LANES = 64  # bodies side by side
 WIDEST = 8  # numbers that any processor has side by side
 # Where the rows of the workspace begin: positions in m, velocities in m/s, μ, positions and velocities at the end, and
@@ -68,10 +68,10 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
 @unowned
 def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     """Move row i of positions and velocities, (n, 3) m and m/s, by a time h in s about a centre of G M = μ at 0."""
-    way = 1.0 if h >= 0.0 else -1.0  # back in time is forward with the opposite velocity
+    direction = 1.0 if h >= 0.0 else -1.0  # back in time is forward with the opposite velocity
     x0, x1, x2 = vector(x, i)
     v0, v1, v2 = vector(v, i)
-    v0, v1, v2 = way * v0, way * v1, way * v2
+    v0, v1, v2 = direction * v0, direction * v1, direction * v2
     r = np.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
     over_r = 1.0 / r
     beta = 2.0 * mu * over_r - (v0 * v0 + v1 * v1 + v2 * v2)
@@ -102,7 +102,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
         halley = -late / (d1 + 0.5 * newton * d2)
         step = -late / (d1 + 0.5 * halley * (d2 + halley * d3 * (1.0 / 3.0)))
         if abs(newton) <= CONVERGED * s:
-            # the functions at the new anomaly, by their derivatives G'_k = G_{k-1}; the rest is below rounding
+            # the functions at the new anomaly, by their derivatives G'_k = G_{k-1}; the remainder is below rounding
             third = step * (1.0 / 3.0)
             g3 += step * (g2 + 0.5 * step * (g1 + third * g0))
             g2 += step * (g1 + 0.5 * step * (g0 - third * beta * g1))
@@ -126,7 +126,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
     slow = mu * g2 / moved
     write(x, i, x0 + (f * x0 + g * v0), x1 + (f * x1 + g * v1), x2 + (f * x2 + g * v2))
     v0, v1, v2 = v0 - (rate * x0 + slow * v0), v1 - (rate * x1 + slow * v1), v2 - (rate * x2 + slow * v2)
-    write(v, i, way * v0, way * v1, way * v2)
+    write(v, i, direction * v0, direction * v1, direction * v2)
 
 
 @unowned
@@ -136,13 +136,13 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
     ``lanes`` is a workspace of `WORKSPACE` numbers.
     """
     n = len(x)
-    way = 1.0 if h >= 0.0 else -1.0
+    direction = 1.0 if h >= 0.0 else -1.0
     for first in range(1, n, LANES):
         count = min(LANES, n - first)
         for k in range(count):
             i = first + k
             lanes[X + k], lanes[Y + k], lanes[Z + k] = x[i, 0], x[i, 1], x[i, 2]
-            lanes[VX + k], lanes[VY + k], lanes[VZ + k] = way * v[i, 0], way * v[i, 1], way * v[i, 2]
+            lanes[VX + k], lanes[VY + k], lanes[VZ + k] = direction * v[i, 0], direction * v[i, 1], direction * v[i, 2]
             lanes[MU + k] = mu[i]
         padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a remainder would be done one by one
         for k in range(count, padded):
@@ -153,7 +153,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
             i = first + k
             if lanes[ENOUGH + k] > 0.0:
                 write(x, i, lanes[END_X + k], lanes[END_Y + k], lanes[END_Z + k])
-                write(v, i, way * lanes[END_VX + k], way * lanes[END_VY + k], way * lanes[END_VZ + k])
+                write(v, i, direction * lanes[END_VX + k], direction * lanes[END_VY + k], direction * lanes[END_VZ + k])
             else:
                 revolve(x, v, i, mu[i], h)
 

@@ -41,14 +41,14 @@ LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
 STAGES = 4  # of the corrector
 SPREAD = Fraction(2, 5)
 UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of an orbit or more
-PARTED = 1.2  # times the distance from which bodies are close, beyond which they are no longer
+SEPARATED = 1.2  # times the distance at which an encounter begins: at this distance it ends
 
 
 class OrbitArrays(NamedTuple):
     """Arrays of an integration; all but the first two are in the order of the Jacobi coordinates."""
 
     position: FloatArray  # (n, 3) m, the output, in the order of the scene
-    velocity: FloatArray  # (n, 3) m/s, likewise
+    velocity: FloatArray  # (n, 3) m/s, in that order
     order: IntArray  # (n,) index in the scene
     mu: FloatArray  # (n,) m³/s², G M_i
     gm: FloatArray  # (n,) m³/s², G m_i
@@ -59,9 +59,9 @@ class OrbitArrays(NamedTuple):
     x_spare: FloatArray  # (n, 3) m
     v_spare: FloatArray  # (n, 3) m/s
     place: FloatArray  # (n, 3) m, from the centre of mass
-    speed: FloatArray  # (n, 3) m/s, likewise
+    speed: FloatArray  # (n, 3) m/s, relative to the centre of mass
     acceleration: FloatArray  # (n, 3) m/s²
-    max_displacement: FloatArray  # (n,) m, how far a body may move meanwhile
+    max_displacement: FloatArray  # (n,) m, of each body in the time that `meets` tests
     lanes: FloatArray  # workspace of the Kepler orbits and of the gravity of many bodies
 
 
@@ -141,7 +141,7 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
 
 @unowned
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
-    """Do the same for many bodies, with the accelerated ones side by side in SIMD lanes."""
+    """Do the same for many bodies, with the accelerated ones in SIMD lanes."""
     n = len(place)
     sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
     for i in range(1, n):
@@ -198,25 +198,25 @@ def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: fl
 @unowned
 def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
     """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
-    waiting = 0.0  # drift that is not done yet
+    pending = 0.0  # drift that is not done yet
     for stage in range(STAGES):
         k = stage if into else STAGES - 1 - stage
         a, b = CORRECTOR_DRIFT[k], CORRECTOR_KICK[k]
         if not into:
             a = -a
-        drift(x, v, o.mu, o.lanes, (waiting + a) * h)
+        drift(x, v, o.mu, o.lanes, (pending + a) * h)
         from_jacobi(x, o.mass_fraction, o.place)
         kick(o, x, v, b * h)
         drift(x, v, o.mu, o.lanes, -2.0 * a * h)
         from_jacobi(x, o.mass_fraction, o.place)
         kick(o, x, v, -b * h)
-        waiting = a
-    drift(x, v, o.mu, o.lanes, waiting * h)
+        pending = a
+    drift(x, v, o.mu, o.lanes, pending * h)
 
 
 @unowned
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
-    """Return whether two bodies come close from a time after ``place`` until another, on straight lines, both in s.
+    """Return whether two bodies come close on straight lines between two times in s, which count from ``place``.
 
     Close is nearer than ``apart`` times `OrbitArrays.near`.
     """
@@ -259,7 +259,7 @@ def _passes(
 
 @long_kernel
 def begin(o: OrbitArrays, h: float) -> None:
-    """Take positions and velocities as a new start, for steps of h seconds."""
+    """Start from the present positions and velocities, with steps of h seconds."""
     to_jacobi(o.position, o.order, o.mass_fraction, o.x)
     to_jacobi(o.velocity, o.order, o.mass_fraction, o.v)
     correct(o, o.x, o.v, h, True)
@@ -319,7 +319,7 @@ def meets_soon(o: OrbitArrays, until: float) -> bool:
     to_jacobi(o.velocity, o.order, o.mass_fraction, v)
     from_jacobi(x, o.mass_fraction, o.place)
     from_jacobi(v, o.mass_fraction, o.speed)
-    return meets(o, x, 0.0, until, PARTED)
+    return meets(o, x, 0.0, until, SEPARATED)
 
 
 @unowned

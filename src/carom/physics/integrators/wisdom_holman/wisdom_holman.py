@@ -1,8 +1,8 @@
 """Wisdom–Holman integration of bodies about a dominant one; close encounters are left to Gauss–Radau integration.
 
-In Jacobi coordinates each body is seen from the centre of mass of those before it, in the order of their semi-major
-axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i the Hamiltonian is a sum of two that can each be solved
-(Wisdom & Holman 1991):
+In Jacobi coordinates the position of each body is relative to the centre of mass of those before it, in the order of
+their semi-major axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i the Hamiltonian is a sum of two that can each
+be solved (Wisdom & Holman 1991):
 
     H_Kepler = Σ_{i≥1} (p'_i² / 2m'_i - G m'_i M_i / |x'_i|) + the free motion of the centre of mass
     H_mutual = Σ_{i≥2} G m'_i M_i / |x'_i| - Σ_{i<j, j≥2} G m_i m_j / |x_i - x_j|
@@ -17,7 +17,7 @@ The terms in ε are undone by a corrector (`orbit_steps`); errors in ε² h² re
 The step is the shortest period over `STEPS_PER_ORBIT`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
 that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
 `HILL_RADII` of their Hill radii, or one comes so close to the dominant one that the step no longer resolves its motion,
-the state before that step is handed to `GaussRadau15`, which integrates all bodies until they have parted.
+the state before that step is handed to `GaussRadau15`, which integrates all bodies until they are far apart again.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene
 
 HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
-FEWEST_HILL_RADII = 3.0  # where orbits are farther apart than that, bodies are not close in passing
-GAP_FRACTION = 0.9  # of the distance between two orbits: within it, both have left them
+FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than that never come close
+GAP_FRACTION = 0.9  # of the distance between two orbits: bodies nearer than that have left their orbits
 NEAREST = 0.03  # of the semi-major axis: passages closer than that are left to Gauss–Radau integration
 STEPS_PER_ORBIT = 20.0  # of the shortest orbit
-# The same for a body above `HEAVY`, whose encounters err by the square of its mass and the step
+# The same for a body above `HEAVY`: the error of its encounters grows as the square of its mass and of the step
 STEPS_OF_HEAVY = 50.0
 HEAVY = 2e-5  # of the dominant body
-FIRST_FRACTION = 0.01  # of a step: the first one that Gauss–Radau integration tries
+FIRST_FRACTION = 0.01  # of a step: the first step that Gauss–Radau integration tries
 ANEW, FAR, CLOSE = range(3)  # phases: from the state as it is, by equal steps, by Gauss–Radau integration
 LIMITS = ("orbit", "cap", "fixed")  # limits that set a step
 
@@ -244,13 +244,13 @@ class WisdomHolman:
             self._radau.restore(checkpoint, next_dt)
 
     def _meet(self) -> None:
-        """Hand over to Gauss–Radau integration."""
+        """Let Gauss–Radau integration continue."""
         self._phase = CLOSE
         self._encounters += 1
         self._radau.begin(FIRST_FRACTION * float(self._run["dt"][0]))
 
     def _start(self, time: float) -> None:
-        """Order the bodies, choose the step and take the present state as a new start."""
+        """Order the bodies, choose the step and start from the present state."""
         orbits, first = self._orbits, self._first
         orbits_now = conics(orbits.position, orbits.velocity, self._gm, first)
         order = np.argsort(orbits_now.axis, kind="stable")
