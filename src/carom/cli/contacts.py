@@ -17,7 +17,7 @@ from carom.cli.options import (
     simulated_or_none,
 )
 from carom.cli.printing import say, say_json
-from carom.scene.units.dimension import ENERGY, IMPULSE, TIME, VELOCITY, Dimension
+from carom.scene.units.dimension import ENERGY, FORCE, IMPULSE, TIME, VELOCITY, Dimension
 from carom.scene.wording import counted
 
 if TYPE_CHECKING:
@@ -35,6 +35,7 @@ _MEASURED = (
     ("tangential_impulse", "friction", IMPULSE),
     ("energy_lost", "lost", ENERGY),
 )
+_FORCES = (("normal_force", "normal", FORCE), ("tangential_force", "friction", FORCE))
 
 
 def contacts(
@@ -257,11 +258,12 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
     shown.add_column("step", justify="right", no_wrap=True)
     shown.add_column("between", no_wrap=True)
     shown.add_column("mode", no_wrap=True)
-    for _, label, dimension in _MEASURED:
+    measured = [*_MEASURED, *(_FORCES if table["normal_force"].null_count < table.num_rows else ())]
+    for _, label, dimension in measured:
         shown.add_column(units.labelled(label, dimension), justify="right", no_wrap=True)
     for row in table.slice(0, MOST_ROWS).to_pylist():
         pair = f"{names.of(row['i'])} and {names.of(row['j'])}"
-        values = (_number(row[name], dimension, units) for name, _, dimension in _MEASURED)
+        values = (_number(row[name], dimension, units) for name, _, dimension in measured)
         shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
     print_whole(shown)
     if table.num_rows > MOST_ROWS:

@@ -129,7 +129,7 @@ _SHAPES = frozenset(  # where bodies, planes and walls are drawn, and how large;
 )
 _DRAWING = ("schema_version", "title", "colour_by", "body_colouring", "arrow_length.")  # keys that change no number
 _OTHERS = ("__properties/", paths.MAGNIFIED, paths.START)  # the circumstances of the run, the layout, a clip's start
-_SINCE_SCHEMA_3 = ("records_contacts", "arrow_length.world/forces/", "world/forces/")
+_SINCE_SCHEMA_3 = ("records_contacts", "states_at_impacts", "arrow_length.world/forces/", "world/forces/")
 
 
 class StaticCheck:

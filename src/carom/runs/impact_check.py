@@ -1,4 +1,4 @@
-"""Compares the impacts of a replay with those recorded, and the bodies drawn at them, bit for bit."""
+"""Compares the impacts of a replay with those recorded, and the states at them, bit for bit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from carom.physics.frame import Frame
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import Column, flat, reading
 from carom.recording.read.frame_rows import RecordedRows
-from carom.recording.read.recorded_impacts import RecordedImpacts, bodies_by_number, impacts_by_number, impacts_until
+from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_by_number, impacts_until, states_by_number
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
@@ -24,12 +24,15 @@ from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.frame_chunks import chunk_of
-from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest, orientations_at, positions_at
+from carom.recording.write.impact_frames import instants
+from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, largest
+from carom.recording.write.static_entities import STATES_AT_IMPACTS
 from carom.runs.comparison import Mismatch, different, same
 
 LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
-ROOM = "how many contacts have arrows, and how many impacts the bodies drawn at them"
-FIRST_BODIES = "bodies drawn at impacts before the first frame"
+ROOM = "how many contacts have arrows, and how many impacts a frame"
+FIRST_STATES = "states at impacts before the first frame"
+OTHER_STATES = "states at impacts, which older versions recorded otherwise"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
 
@@ -75,7 +78,9 @@ class ImpactCheck:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
         self._path = recording.path
         self._numbers, self._recorded = impacts_by_number(recording)
-        self._drawn_at, self._drawn = bodies_by_number(recording)
+        self._states = states_by_number(recording)
+        if not recording.info.get(STATES_AT_IMPACTS):
+            self.skipped[OTHER_STATES] = None
         self._rows, self._encoder, self._few = rows, encoder, few
         self._clock = TimeScale(float(recording.info["time_scale"]))
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
@@ -118,7 +123,7 @@ class ImpactCheck:
             return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
         numbers = count - found + 1 + np.arange(len(impacts))
         interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
-        other = self._impacts_differ(interval) or self._bodies_differ(interval) or self._stray(frame.step, count)
+        other = self._impacts_differ(interval) or self._states_differ(interval) or self._stray(frame.step, count)
         return other or self._counts_differ(frame.step, count)
 
     def _impacts_differ(self, interval: _Interval) -> Mismatch | None:
@@ -143,30 +148,54 @@ class ImpactCheck:
         columns = [STEP, SIM_TIME, *replayed.components]
         return self._differ(impacts["step"], self._recorded.slice(recorded.start, len(own)), replayed, columns)
 
-    def _bodies_differ(self, interval: _Interval) -> Mismatch | None:
-        """Compare the bodies that are drawn at the first of the recorded impacts."""
-        drawn = _within(self._drawn_at, interval)
-        own = self._drawn_at[drawn]
+    def _states_differ(self, interval: _Interval) -> Mismatch | None:
+        """Compare the states at the largest of the recorded impacts."""
+        own = self._states_within(paths.BODIES, interval)[0]
+        if OTHER_STATES in self.skipped:
+            return None
         if len(own) and interval.before is None and interval.frame.step > 0:
-            self.skipped[FIRST_BODIES] = None
+            self.skipped[FIRST_STATES] = None
             return None
         recorded = self._numbers[_within(self._numbers, interval)]
         room = len(own) if interval.kept is None else int(interval.kept.scenes[0])
-        is_later = interval.before is not None and interval.frame.time > interval.before.time
-        expected = recorded[np.isin(recorded, own)] if self._few else recorded[: room if is_later else 0]
+        before = interval.before
+        if before is None or interval.frame.time <= before.time:
+            room = 0
+        drawable = np.flatnonzero(np.isin(interval.numbers, recorded))
+        if self._few:
+            chosen = drawable[np.isin(interval.numbers[drawable], own)]
+        else:
+            chosen = drawable[largest(interval.impacts[drawable], room)]
+        expected = interval.numbers[chosen]
         if not np.array_equal(own, expected):
             return _other_choice(interval.frame.step, f"{paths.BODIES} at impacts", own, expected)
-        if interval.before is None or not len(own):
+        if before is None or not len(own):
             return None
-        impacts, header = interval.impacts, self._encoder.header
-        chosen = impacts[np.isin(interval.numbers, own)]
-        box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
-        places = positions_at(chosen["time"], interval.before, interval.frame, impacts, header.radius, box)
-        turned = orientations_at(chosen["time"], interval.before, interval.frame)
-        replayed = chunk_of(self._encoder.bodies_at_impacts(own, places, turned), self._clock)
-        replayed = replayed if self._few is None else self._few.of(replayed)
-        rows = self._drawn.slice(drawn.start, len(own))
-        return self._differ(chosen["step"], rows, replayed, [IMPACT, *replayed.components])
+        found = instants(self._encoder.header, before, interval.frame, interval.impacts, chosen, expected)
+        chunks = {rows.path: chunk_of(rows, self._clock) for rows in self._encoder.at_impacts(found)}
+        for path in sorted(chunks.keys() | self._states.keys()):
+            numbers, rows = self._states_within(path, interval)
+            replayed = chunks.get(path)
+            if replayed is not None and self._few:
+                replayed = self._few.of(replayed)
+            wanted = np.empty(0, np.int64) if replayed is None else replayed.batch[IMPACT].to_numpy()
+            if not np.array_equal(numbers, wanted):
+                return _other_choice(interval.frame.step, f"{path} at impacts", numbers, wanted)
+            if replayed is not None:
+                steps = interval.impacts["step"][np.searchsorted(interval.numbers, numbers)]
+                columns = [name for name in replayed.batch.schema.names if name == SIM_TIME] + replayed.components
+                if mismatch := self._differ(steps, rows, replayed, columns):
+                    return mismatch
+        return None
+
+    def _states_within(self, path: str, interval: _Interval) -> tuple[IntArray, pa.Table]:
+        """Return the numbers and the rows of an entity at the impacts of an interval."""
+        numbers, table = self._states.get(path, (np.empty(0, np.int64), pa.table({})))
+        inside = _within(numbers, interval)
+        rows = table.slice(inside.start, inside.stop - inside.start)
+        if SIM_TIME in rows.column_names and rows[SIM_TIME].null_count:
+            self.skipped[OTHER_STATES] = None
+        return numbers[inside], rows
 
     def _differ(self, steps: IntArray, recorded: pa.Table, replayed: Chunk, columns: list[str]) -> Mismatch | None:
         with reading(self._path):
@@ -181,7 +210,8 @@ class ImpactCheck:
     def _stray(self, step: int, count: int) -> Mismatch | None:
         """Find rows of impacts after the last frame."""
         if step == self._last_step:
-            for path, numbers in ((paths.IMPACTS, self._numbers), (f"{paths.BODIES} at impacts", self._drawn_at)):
+            drawn = ((f"{path} at impacts", numbers) for path, (numbers, _) in self._states.items())
+            for path, numbers in ((paths.IMPACTS, self._numbers), *drawn):
                 if len(numbers) and numbers[-1] > count:
                     return Mismatch(step, f"the last impact of /{path}", int(numbers[-1]), count)
         return None
@@ -222,6 +252,8 @@ def _within(numbers: IntArray, interval: _Interval) -> slice:
 
 def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) -> Mismatch:
     """Name the first impact that is recorded and should not be, or the other way round."""
+    if np.array_equal(np.unique(recorded), np.unique(expected)):
+        return Mismatch(step, f"how many rows of /{path}", len(recorded), len(expected))
     number = int(np.setxor1d(recorded, expected)[0])
     values = ("nothing", "a row") if number in expected else ("a row", "nothing")
     return Mismatch(step, f"impact {number} in /{path}", *values)

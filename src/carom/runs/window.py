@@ -111,7 +111,7 @@ class Window:
         goal = goal_of(self._recording, at)
         for frame in self.frames(goal):
             if frame.time >= goal and frame.contact_rows is not None:
-                return of_shown(table_of_rows(frame.contact_rows, self.source), self._recording)
+                return of_shown(table_of_rows(frame.contact_rows, self.source, frame.dt), self._recording)
         raise self._ends_before(at)
 
     def impacts(self, first: float, last: float) -> pa.Table:

@@ -15,6 +15,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, SingleArray
+from carom.contact_table import IMPACT_MODE
 from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout.bodies_view import faint_bodies
@@ -49,6 +50,7 @@ _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
 _SPIN_COLOUR = 0x5CE0B0FF  # the palette's green hardly shows on the bodies
 _LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
+_ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a gap that is rounding
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
 _HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
@@ -62,6 +64,7 @@ class Contact:
     normal: FloatArray  # (3,) from i to j
     approach_speed: float  # m/s
     impulse: FloatArray  # (3,) N s, on j
+    force: float | None  # N, the impulse over the step; None for an impact
     edge: FloatArray  # (2, 3) m
 
 
@@ -91,7 +94,8 @@ class CloseUp:
     instant: ShownStep | None  # of an impact within the step, at which normal, impulse and spins are drawn
     position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
-    spin: FloatArray | None  # (b, 3) rad/s
+    spin: FloatArray | None  # (b, 3) rad/s, at an instant after the impact
+    spin_before: FloatArray | None  # (b, 3) rad/s, of an instant
     middle: FloatArray  # (3,) m, of the bodies as they are drawn
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
@@ -201,14 +205,22 @@ class CloseUp:
         signs = np.array([-1.0, 1.0])[: len(radius)]
         vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / (size or 1.0)
         labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
+        if labels and self.contact is not None and self.contact.force is not None:
+            labels = [f"{header.units.text(self.contact.force, dimension.FORCE, '.3g')}, {labels[0]} in the step"]
         return _Arrows(IMPULSE, self.position[drawn], vectors, labels)
 
     def _spins(self, small: float, units: UnitSystem) -> _Arrows:
-        spin = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
-        speed = np.linalg.norm(spin, axis=1)
-        turning = speed > 0.0
-        vectors = _SPIN * small * spin[turning] / (speed.max() or 1.0)
-        labels = [units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in speed[turning]]
+        after = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
+        before = after if self.spin_before is None else self.spin_before
+        speeds = np.linalg.norm([before, after], axis=2)
+        turning = (speeds > _ROUNDING * speeds.max()).any(axis=0)
+        vectors = _SPIN * small * after[turning] / (speeds.max() or 1.0)
+        texts = [[units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in each] for each in speeds]
+        labels = [
+            last if self.spin_before is None else f"spin {first} before, {last} after"
+            for first, last in zip(*texts, strict=True)
+        ]
+        labels = [label for label, turns in zip(labels, turning.tolist(), strict=True) if turns]
         return _Arrows(SPIN, self.position[turning], vectors, labels)
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
@@ -263,8 +275,10 @@ def close_up(
         if contact is not None and _touches(contact, at_end, header.radius[places]):
             instant = None
     drawn = instant or step
-    frame, spin = drawn.frame, None
-    if frame is not None and frame.angular_velocity is not None:
+    frame, spin, spin_before = drawn.frame, None, None
+    if drawn.state is not None:
+        spin_before, spin = (None, None) if drawn.state.spins is None else drawn.state.spins
+    elif frame is not None and frame.angular_velocity is not None:
         spin = frame.angular_velocity[list(bodies)]
     position = _nearest_images(drawn.position[places], header.box)
     contact = None if frame is None else _contact(header, frame, pair, position, recording.origin)
@@ -283,6 +297,7 @@ def close_up(
         position=position,
         contact=contact,
         spin=spin,
+        spin_before=spin_before,
         middle=seen.mean(axis=0),
         paths=found,
         times=times,
@@ -345,7 +360,9 @@ def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, ori
     point = _nearest_images(np.stack([position[0], place]), header.box)[1]
     end = point if pair.j is None else position[1]
     impulse = row["normal_impulse"] * normal + [row["friction_x"], row["friction_y"], row["friction_z"]]
-    return Contact(point, normal, float(row["approach_speed"]), impulse, np.stack([position[0], end]))
+    rests = row["mode"] != IMPACT_MODE and frame.dt > 0.0
+    force = float(np.linalg.norm(impulse)) / frame.dt if rests else None
+    return Contact(point, normal, float(row["approach_speed"]), impulse, force, np.stack([position[0], end]))
 
 
 def _aside(normal: FloatArray | None) -> FloatArray | None:

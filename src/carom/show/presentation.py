@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder, state_rows
-from carom.recording.write.rows import Index, Rows
+from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
@@ -30,17 +30,7 @@ from carom.show.supplement import Supplement, Trails, colour_rows, has_trails
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
-_AT_INSTANT = (  # sent for an instant within a step: what the impact changed
-    paths.BODIES,
-    paths.CONTACTS,
-    paths.FORCE_NORMAL,
-    paths.FORCE_FRICTION,
-    paths.TORQUE,
-    paths.ANGULAR_ACCELERATION,
-    "energy/total",
-    "energy/ledger/restitution",
-    "energy/ledger/friction",
-)
+_OF_STEP = (paths.TORQUE, paths.ANGULAR_ACCELERATION)  # sent for an instant within a step, as at its end
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,10 +210,13 @@ def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Ro
 
 def _instant(recording: Recording, header: Header, instant: ShownStep) -> Iterator[Rows]:
     """Yield the bodies, contacts and energies of an instant within a step, on the timeline of times only."""
-    assert instant.frame is not None
+    assert instant.frame is not None and instant.state is not None
     encoder = BatchEncoder(header, recording.origin, recording.arrow_references, everything=True)
+    for rows in encoder.at_impacts([instant.state]):
+        if rows.path != paths.IMPACT_SPINS:
+            yield replace(rows, index=rows.index._replace(impacts=NO_STEPS))
     for rows in encoder.rows([instant.frame]):
-        if rows.path in _AT_INSTANT:
+        if rows.path in _OF_STEP:
             yield Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
 
 

@@ -10,8 +10,6 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError, RecordingError
-from carom.physics.contact.graph import CollisionGraph
-from carom.physics.diagnostics.ledger import terms_of
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
@@ -20,7 +18,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
-from carom.recording.write.impact_plan import orientations_at, positions_at
+from carom.recording.write.impact_frames import Instant, instants
 from carom.show.request import Pair
 
 Watcher = Callable[[StepStatus], None]
@@ -41,6 +39,7 @@ class ShownStep:
     frame: Frame | None = None  # the step, if it was repeated
     before: Frame | None = None  # the frame before those of `added`
     added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
+    state: Instant | None = None  # of an instant within the step: energies and spins before and after
     missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
 
 
@@ -101,8 +100,7 @@ def at_impact(
 ) -> ShownStep | None:
     """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
 
-    Its frame has the positions, contacts and the total energy right after the impacts of the instant, and no spins
-    where a body is struck again within the step.
+    Its frame has the positions and contacts of the instant, and its state what changes there.
 
     Parameters
     ----------
@@ -130,39 +128,10 @@ def at_impact(
         return None
     off = np.abs(impacts["time"][own] - near)
     off[off <= tolerance(near)] = 0.0
-    chosen = impacts[own[np.lexsort((-impacts["approach_speed"][own], off))[0]]]
-    time = float(chosen["time"])
-    box = np.zeros(3) if header.box is None else header.box
-    position = positions_at(np.array([time]), before, frame, impacts, header.radius, box)[0]
-    turned = orientations_at(np.array([time]), before, frame)
-    together = impacts[impacts["time"] == time]
-    together = together[np.lexsort((-together["normal_impulse"], together["j"], together["i"]))]
-    pairs, first = np.unique(np.stack([together["i"], together["j"]], axis=1), axis=0, return_index=True)
-    rows = together[first]
-    same = (rows["i"] == chosen["i"]) & (rows["j"] == chosen["j"])
-    rows[same] = chosen
-    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
-    graph = CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64))
-    later = impacts[impacts["time"] > time]
-    ends = (pair.i,) if pair.j is None else (pair.i, pair.j)
-    again = np.isin(later["i"], ends) | np.isin(later["j"], ends)
-    ledger = before.energy.ledger.plus(np.array(terms_of(impacts[impacts["time"] <= time])))
-    lost = ledger.balance - before.energy.ledger.balance
-    energy = replace(before.energy, ledger=ledger, translational=before.energy.translational - lost)  # in their sum
-    instant = replace(
-        frame,
-        time=time,
-        position=position,
-        orientation=None if turned is None else turned[0],
-        angular_velocity=None if again.any() else frame.angular_velocity,
-        contacts=graph,
-        contact_rows=rows,
-        energy=energy,
-        impacts=together,
-        events=(),
-        slot=None,
-    )
-    return ShownStep(step.step, time, np.asarray(position - origin), instant, step.before, step.added)
+    k = own[np.lexsort((-impacts["approach_speed"][own], off))[:1]]
+    (state,) = instants(header, before, frame, impacts, k, np.ones(1, np.int64))
+    position = np.asarray(state.frame.position - origin)
+    return ShownStep(step.step, state.frame.time, position, state.frame, step.before, step.added, state=state)
 
 
 def _row_of(step: int, steps: IntArray) -> int | None:

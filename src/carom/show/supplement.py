@@ -56,7 +56,7 @@ class Supplement:
             for path, archetype in self.statics:
                 stream.log(path, archetype, static=True)
             for rows in self.rows:
-                stream.send_columns(rows.path, self.clock.columns(rows.index.steps, rows.index.times), rows.columns)
+                stream.send_columns(rows.path, self.clock.columns(*rows.index), rows.columns)
             send_layout(stream, application, self.layout)
             stream.flush(timeout_sec=FLUSH)
             stream.disconnect()

@@ -119,6 +119,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
             *([paths.IMPACTS] if header.records_contacts else []),
+            *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),
         ],
         {
             **drawn_bodies(header, view, area, added.recoloured),

@@ -51,11 +51,9 @@ class Continuation:
         return impacts_until(self.recording, self.step)
 
     def last(self) -> Checkpoint:
-        """Read what the rows of the next frame depend on; what they do not is left out, 50 bytes a body."""
+        """Read what the rows of the next frame depend on; what they do not is left out."""
         found = self.recording.checkpoint(self.step)
-        return replace(
-            found, acceleration=found.acceleration[:0].copy(), angular_velocity=None, contacts=None, integrator=None
-        )
+        return replace(found, acceleration=found.acceleration[:0].copy(), contacts=None, integrator=None)
 
     def first_position(self) -> FloatArray:
         """Where the bodies were at the first checkpoint, (n, 3) m."""

@@ -201,8 +201,11 @@ class Entities:
         return join_rows(path, self.chunks(path), columns, optional)
 
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
-        """Read an entity's chunks in order; given a component, only chunks that have it."""
-        found = [entry for entry in self._store.entries if not entry.is_static and entry.entity_path == path]
+        """Read an entity's chunks of steps in order; given a component, only chunks that have it.
+
+        Chunks of rows without steps, which belong to impacts, are left out.
+        """
+        found = [e for e in self._store.entries if e.entity_path == path and not (e.is_static or e.is_within_steps)]
         for chunk in self.read(sorted(found, key=lambda entry: entry.first_step or 0)):
             if component is None or component in chunk.components:
                 yield chunk

@@ -38,6 +38,8 @@ SCHEMA = pa.schema(
         ("tangential_impulse", pa.float64()),  # N s
         ("mode", pa.string()),
         ("energy_lost", pa.float64()),  # J
+        ("normal_force", pa.float64()),  # N, the impulse over the step; null for impacts
+        ("tangential_force", pa.float64()),  # N, likewise
     ]
 )
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
@@ -47,6 +49,7 @@ UNITS = {  # of the columns that have one
     "approach_speed": "m/s",
     **dict.fromkeys(("normal_impulse", "tangential_impulse"), "N s"),
     "energy_lost": "J",
+    **dict.fromkeys(("normal_force", "tangential_force"), "N"),
 }
 SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
 
@@ -61,14 +64,24 @@ def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
     return pa.table(arrays, schema=SCHEMA).replace_schema_metadata({SOURCE: source})
 
 
-def table_of_rows(rows: Records, source: str) -> pa.Table:
-    """Make a table of rows, (k,) `CONTACT_ROW`."""
+def table_of_rows(rows: Records, source: str, dt: float = 0.0) -> pa.Table:
+    """Make a table of rows, (k,) `CONTACT_ROW`; with the length of their step (s) it has forces."""
     plain = ("step", "time", "i", "j", "x", "y", "z", "nx", "ny", "nz", "approach_speed", "normal_impulse")
     columns: dict[str, Any] = {name: np.ascontiguousarray(rows[name]) for name in plain}
     friction = np.stack([rows["friction_x"], rows["friction_y"], rows["friction_z"]])
     columns["tangential_impulse"] = np.sqrt(np.sum(friction * friction, axis=0))
     columns["energy_lost"] = rows["restitution_loss"] + rows["friction_loss"]
+    columns |= forces(columns, rows["mode"], dt)
     return table_of(columns | {"mode": modes(rows["mode"], "a replay")}, source)
+
+
+def forces(columns: Mapping[str, Any], mode: NDArray[np.uint8], dt: float) -> dict[str, pa.Array]:
+    """Return the forces (N) of contacts: their impulses over a step of dt s. An impact has an impulse, but no force."""
+    unknown = mode == IMPACT_MODE if dt > 0.0 else np.ones(len(mode), dtype=bool)
+    return {
+        f"{kind}_force": pa.array(columns[f"{kind}_impulse"] / (dt or 1.0), mask=unknown)
+        for kind in ("normal", "tangential")
+    }
 
 
 def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
@@ -176,6 +189,9 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
     }
     apart = length > (radii[0] + np.where(meets, radii[1], 0.0)) * (1.0 + _SAME)
     columns |= _of_impacts(recording, columns, mode == IMPACT_MODE, apart)
+    steps = recording.steps("dt")
+    dt = steps["dt"].to_numpy()[steps[STEP].to_numpy() == step]
+    columns |= forces(columns, mode, float(dt[0]) if len(dt) else 0.0)
     return table_of(columns, "recorded")
 
 

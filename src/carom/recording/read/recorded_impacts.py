@@ -123,23 +123,32 @@ def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
     return _rows_by_number(recording, entries)
 
 
-def bodies_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
-    """Read the numbers of the impacts at which the bodies are drawn, (k,) rising, and these rows."""
-    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and not e.is_static]
-    return _rows_by_number(recording, [entry for entry in entries if entry.first_step is None])
+def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table]]:
+    """Read the states at impacts: of each entity the numbers of its rows, (k,), and the rows; series have two each."""
+    entries = [entry for entry in recording.store.entries if entry.is_within_steps]
+    return {
+        path: _rows_by_number(recording, [entry for entry in entries if entry.entity_path == path], least=0)
+        for path in sorted({entry.entity_path for entry in entries})
+    }
 
 
-def _rows_by_number(recording: Recording, entries: list[Entry]) -> tuple[IntArray, pa.Table]:
-    """Read some chunks of one entity on the timeline of impacts. RecordingError if one is not in their order."""
+def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
+    """Read some chunks of one entity on the timeline of impacts. RecordingError if one is not in their order.
+
+    ``least`` is the least difference between the numbers of two rows.
+    """
     with reading(recording.path):
         batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
         if not batches:
             return np.empty(0, dtype=np.int64), pa.table({STEP: pa.array([], pa.int64())})
         if any(IMPACT not in batch.schema.names for batch in batches):
             raise DamageError(f"rows of /{entries[0].entity_path} without the numbers of their impacts")
-        table = pa.Table.from_batches(sorted(batches, key=lambda batch: batch[IMPACT][0].as_py())).combine_chunks()
+        ordered = sorted(batches, key=lambda batch: batch[IMPACT][0].as_py())
+        # a resumed recording of an older version begins with rows without times
+        table = pa.concat_tables([pa.Table.from_batches([batch]) for batch in ordered], promote_options="default")
+        table = table.combine_chunks()
         numbers = np.array(table[IMPACT].to_numpy())
-        if numbers[0] < 1 or np.any(np.diff(numbers) <= 0):
+        if numbers[0] < 1 or np.any(np.diff(numbers) < least):
             raise DamageError(f"rows of /{entries[0].entity_path} that are not in the order of their impacts")
         return numbers, table
 

@@ -9,13 +9,15 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from carom.arrays import BoolArray
 from carom.errors import RecordingError, SceneError
 from carom.recording.layout.plot_views import CurveOutline
+from carom.recording.read.entities import SCALARS, flat
 from carom.recording.schema import paths
 from carom.recording.schema.header import COLOUR_BY, Header, ShownMaterials, scene_digest
-from carom.recording.schema.paths import ENERGY, STEP, STEPS
+from carom.recording.schema.paths import ENERGY, SIM_TIME, STEP, STEPS
 from carom.recording.schema.series import all_series
 from carom.scene.data.body_sources import SourcedBodies, Wanted
 from carom.scene.extensions import missing, names_of, stamped
@@ -184,4 +186,12 @@ def recorded_curves(recording: Recording, until: int | None = None) -> dict[str,
         if series.plot is not None and name in table.column_names:
             kept = slice(None) if until is None else table[STEP].to_numpy() <= until
             curves[series.path] = CurveOutline.of(table["time"].to_numpy()[kept], np.asarray(table[name])[kept])
+    frames = recording.fingerprints()
+    end = np.inf if until is None else frames["time"].to_numpy()[frames[STEP].to_numpy() <= until].max()
+    scale = 1e-9 * float(recording.info["time_scale"])
+    entries = [entry for entry in recording.store.entries if entry.is_within_steps and entry.entity_path in curves]
+    for chunk in recording.chunks(entries):  # before and after impacts
+        times = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
+        values = flat(chunk, "Scalars:scalars", SCALARS["Scalars:scalars"]).to_numpy()
+        curves[chunk.entity_path].insert(times[times < end], values[times < end])
     return curves

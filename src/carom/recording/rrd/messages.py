@@ -251,6 +251,11 @@ class Entry:
     offset: int
     length: int
 
+    @property
+    def is_within_steps(self) -> bool:
+        """Whether it has rows, and none on the timeline of steps."""
+        return self.rows > 0 and not self.is_static and self.first_step is None
+
     def holds(self, step: int) -> bool:
         """Return whether the chunk may have rows of a step."""
         return self.first_step is not None and self.last_step is not None and self.first_step <= step <= self.last_step

@@ -9,7 +9,7 @@ import re
 
 STEP = "step"  # a count
 SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
-IMPACT = "impact"  # a count, from 1 on: rows of impacts, and of the bodies at the moments of some of them
+IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the state at some of them
 
 
 SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed; 1: checkpoints could only be read
@@ -29,6 +29,7 @@ CONTACTS = "world/contacts"
 FORCE_NORMAL = "world/forces/normal"
 FORCE_FRICTION = "world/forces/friction"
 IMPACTS = "impacts"
+IMPACT_SPINS = "impacts/spins"  # on the timeline of impacts only
 IMPACT_ENERGY = "impacts.energy"  # no entity: in the property `arrows`
 ENERGY = "energy"
 STEPS = "step"

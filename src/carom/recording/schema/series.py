@@ -281,6 +281,10 @@ class Content(NamedTuple):
 def _contact_data(header: Header) -> Iterator[Content]:
     without = "no contact" if not header.collides else 'record.impacts = "none"'
     kept = "all" if header.record_impacts == "all" else "at most a fifth of the file, else the largest"
+    spins = header.records_contacts and header.spins
+    yield Content(
+        paths.IMPACT_SPINS, spins, "of the bodies that meet" if spins else without if header.spins else "no spin"
+    )
     for path, why in ((paths.IMPACTS, kept), (paths.FORCE_NORMAL, "the largest impulses")):
         yield Content(path, header.records_contacts, why if header.records_contacts else without)
     rubs = header.records_contacts and header.has_friction

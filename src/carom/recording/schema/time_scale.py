@@ -48,16 +48,23 @@ class TimeScale:
             raise RecordingError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
         return np.round(shown * 1e9).astype(np.int64)
 
+    def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
+        """Turn seconds into nanoseconds that are earlier than those of the ends, which are frames; see `Index`."""
+        shown = self.nanoseconds(times)
+        return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
+
     def columns(
         self,
         steps: Sequence[int] | IntArray,
         times: Sequence[float] | FloatArray,
         impacts: Sequence[int] | IntArray = (),
+        ends: FloatArray | None = None,
     ) -> list[rr.TimeColumn]:
         """Timelines for the rows of a batch: step and time, or one of them, and the number of the impact."""
         columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
         if len(times):
-            columns.append(rr.TimeColumn(SIM_TIME, duration=self.nanoseconds(times).astype("timedelta64[ns]")))
+            shown = self.within(np.asarray(times), ends)
+            columns.append(rr.TimeColumn(SIM_TIME, duration=shown.astype("timedelta64[ns]")))
         return [*columns, rr.TimeColumn(IMPACT, sequence=impacts)] if len(impacts) else columns
 
 

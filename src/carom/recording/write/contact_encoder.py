@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -21,7 +20,8 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACTS
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
-from carom.recording.write.impact_plan import ImpactPlan, impact_rows, orientations_at, positions_at
+from carom.recording.write.impact_frames import Instant, instants
+from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, frame_rows, vector_column
 
 
@@ -201,7 +201,6 @@ class ContactEncoder:
     ) -> None:
         self._header = header
         self._origin = origin
-        self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
         self._references = references
         self._plan = ImpactPlan.of(header, everything=everything)
         self._count, self._recorded = before.count, before.recorded
@@ -249,8 +248,8 @@ class ContactEncoder:
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
             yield impact_rows(impacts, numbers, self._references, header.radius, self._origin)
 
-    def scenes(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> tuple[IntArray, FloatArray, Any]:
-        """Return numbers of impacts (k,), and positions (k, n, 3) m and orientations of all bodies at them.
+    def instants(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> list[Instant]:
+        """Return the states at the impacts that get a frame.
 
         Parameters
         ----------
@@ -259,21 +258,16 @@ class ContactEncoder:
         before
             The frame before them.
         """
-        numbers, positions, turned = list[IntArray](), list[FloatArray](), list[FloatArray]()
+        found = list[Instant]()
         first = np.cumsum(self._kept.impacts) - self._kept.impacts  # of each frame's chosen impacts
-        for f in np.flatnonzero(self._kept.scenes).tolist():
+        for f in np.flatnonzero(self._kept.scenes).tolist() if self._shows_bodies else ():
             frame, last, count = batch[f], batch[f - 1] if f else before, self._before[f]
             if last is None or frame.impacts is None or frame.time <= last.time:
                 continue
-            chosen = self._chosen[first[f] : first[f] + self._kept.scenes[f]]
-            times = frame.impacts["time"][chosen]
-            numbers.append(count + 1 + chosen)
-            positions.append(positions_at(times, last, frame, frame.impacts, self._header.radius, self._box))
-            if (orientation := orientations_at(times, last, frame)) is not None:
-                turned.append(orientation)
-        if not numbers or not self._shows_bodies:
-            return np.empty(0, np.int64), np.empty((0, self._header.bodies, 3)), None
-        return np.concatenate(numbers), np.concatenate(positions), np.concatenate(turned) if turned else None
+            chosen = self._chosen[first[f] : first[f] + self._kept.impacts[f]]
+            chosen = chosen[largest(frame.impacts[chosen], int(self._kept.scenes[f]))]
+            found += instants(self._header, last, frame, frame.impacts, chosen, count + 1 + chosen)
+        return found
 
     def _look(self, frame: Frame) -> None:
         """Choose references by the first frame that has something to draw."""

@@ -28,14 +28,17 @@ from carom.recording.schema.paths import (
     DT_LIMIT,
     EVENTS,
     FINGERPRINT,
+    FORCE_NORMAL,
     MOMENTUM,
     PHASE,
     TORQUE,
 )
 from carom.recording.schema.series import Sample, recorded
 from carom.recording.write import encoding_kernels as encoding
-from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder
+from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder, contact_columns, force_rows
+from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (
+    NO_STEPS,
     Index,
     Rows,
     any_column,
@@ -111,10 +114,16 @@ class BatchEncoder:
         extremes = np.zeros((len(batch), 3))
         if self.header.collides:
             yield self._collisions(index, batch, position, points, extremes)
+        found = list[Instant]()
         if self._contacts:
             yield from self._contacts.rows(index)
-            yield from self._at_impacts(batch)
+            found = self._contacts.instants(batch, self._before)
         yield from self._series(index, batch, extremes)
+        for rows in self.at_impacts(found):
+            if rows.path in self.curves:
+                (column,) = rows.columns
+                self.curves[rows.path].insert(rows.index.times, column.as_arrow_array().flatten().to_numpy())
+            yield rows
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
         yield from self._changes(PHASE, batch, lambda frame: frame.phase)
         yield from _events(batch)
@@ -136,27 +145,33 @@ class BatchEncoder:
         columns, size = self._drawn(points.reshape(-1, 3), turned, self._node_colours(batch))
         return frame_rows(BODIES, index, columns, size)
 
-    def _at_impacts(self, batch: Sequence[Frame]) -> Iterable[Rows]:
-        """Draw the bodies at the moments of impacts, on the timeline of impacts only."""
-        assert self._contacts, "contacts are recorded"
-        numbers, position, orientation = self._contacts.scenes(batch, self._before)
-        if len(numbers):
-            yield self.bodies_at_impacts(numbers, position, orientation)
-
-    def bodies_at_impacts(self, numbers: IntArray, position: FloatArray, orientation: FloatArray | None) -> Rows:
-        """Draw the bodies at some impacts.
-
-        Parameters
-        ----------
-        numbers
-            (k,) of the impacts.
-        position, orientation
-            (k, n, 3) m and (k, n, 4), of all bodies at these.
-        """
-        points = single((position - self.origin).reshape(-1, 3))
-        turned = None if orientation is None else single(orientation.reshape(-1, 4))
-        columns, size = self._drawn(points, turned, None)
-        return Rows(BODIES, Index.of_impacts(numbers), columns, size)
+    def at_impacts(self, found: Sequence[Instant]) -> Iterable[Rows]:
+        """Draw the states at some impacts: they are on the timelines of time and of impacts, and have no step."""
+        if not found:
+            return
+        numbers, ends = np.array([one.number for one in found]), np.array([one.end for one in found])
+        frames = [one.frame for one in found]
+        index = Index(NO_STEPS, np.array([frame.time for frame in frames]), numbers, ends)
+        points = single(np.stack([frame.position for frame in frames]) - self.origin)
+        turned = [frame.orientation for frame in frames if frame.orientation is not None]
+        columns, size = self._drawn(points.reshape(-1, 3), single(np.concatenate(turned)) if turned else None, None)
+        yield Rows(BODIES, index, columns, size)
+        contacts = BatchContacts(frames)
+        edges, size = self._edges(contacts, points, np.zeros((len(found), 3)))
+        middle = contacts.middles()
+        did, more = contact_columns(contacts, middle, self.header.radius)
+        yield Rows(CONTACTS, index, [*edges, *did], size + more)
+        longest = arrow_length(self.header, FORCE_NORMAL)
+        rubs = self.header.has_friction
+        yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs)
+        twice = Index(NO_STEPS, np.repeat(index.times, 2), np.repeat(numbers, 2), np.repeat(ends, 2))
+        energies = np.concatenate([one.energies for one in found])
+        for series in self._recorded:
+            if series.path in STEPPING:
+                values = np.ascontiguousarray(energies[:, STEPPING.index(series.path)])
+                column = plain_column(rr.Scalars.descriptor_scalars(), values)
+                yield Rows(series.path, twice, [column], array_bytes(values))
+        yield from spin_rows(self.header, found, points)
 
     def _drawn(
         self, centres: SingleArray, turned: SingleArray | None, colours: NDArray[np.uint32] | None
@@ -265,6 +280,16 @@ class BatchEncoder:
     ) -> Rows:
         """Draw the edges of the collision graphs, and find each frame's `encoding_kernels.draw_edges` extremes."""
         contacts = BatchContacts(batch)
+        columns, size = self._edges(contacts, points, extremes)
+        if self._contacts:
+            did, more = self._contacts.columns(batch, contacts, position)
+            columns, size = [*columns, *did], size + more
+        return frame_rows(CONTACTS, index, columns, size)
+
+    def _edges(
+        self, contacts: BatchContacts, points: SingleArray, extremes: FloatArray
+    ) -> tuple[list[ComponentColumn], int]:
+        """Return the columns that draw edges, and their bytes; find `encoding_kernels.draw_edges` extremes."""
         count = int(contacts.edges.sum())
         strips, shown = np.empty((count, 6), dtype=np.float32), np.empty(count, dtype=np.uint32)
         for f, (frame, part) in enumerate(contacts.parts(contacts.edges)):
@@ -276,11 +301,7 @@ class BatchEncoder:
             line_column(strips, contacts.edges),
             plain_column(rr.LineStrips3D.descriptor_colors(), shown, contacts.edges),
         ]
-        size = array_bytes(strips, shown)
-        if self._contacts:
-            did, more = self._contacts.columns(batch, contacts, position)
-            columns, size = [*columns, *did], size + more
-        return frame_rows(CONTACTS, index, columns, size)
+        return columns, array_bytes(strips, shown)
 
     def _series(self, index: Index, batch: Sequence[Frame], extremes: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]

@@ -41,8 +41,9 @@ def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
     if len(index.impacts):
         columns[IMPACT] = pa.array(index.impacts, pa.int64()), _INDEX
     if len(index.steps):
-        times = pa.array(clock.nanoseconds(index.times)).cast(pa.duration("ns"))
-        columns |= {STEP: (pa.array(index.steps, pa.int64()), _INDEX), SIM_TIME: (times, _INDEX)}
+        columns[STEP] = pa.array(index.steps, pa.int64()), _INDEX
+    if len(index.times):
+        columns[SIM_TIME] = pa.array(clock.within(index.times, index.ends)).cast(pa.duration("ns")), _INDEX
     for column in rows.columns:
         columns[column.component_descriptor().component] = (column.as_arrow_array(), _DATA)
     fields = [pa.field(name, array.type, metadata=kind) for name, (array, kind) in columns.items()]

@@ -127,14 +127,15 @@ def _pass_through(
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
-_ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames of the bodies at impacts
-_ROW = 60  # bytes of a row besides its arrays
+_ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames at impacts
+_FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
+_SCENE = 600  # bytes of a frame at an impact besides its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars
 
 _BUDGET = record(  # bytes so far
     "others contacts"  # of all else; of contacts and impacts
-    " arrows scenes"  # of the latter on arrows, and on the frames of all bodies
+    " arrows scenes"  # of the latter on arrows, and on frames at impacts
 )
 
 
@@ -143,7 +144,7 @@ class Kept(NamedTuple):
 
     impacts: IntArray  # impacts since the frame before, with the largest normal impulses
     arrows: IntArray  # contacts that are drawn with arrows
-    scenes: IntArray  # impacts, from the first on, with a frame of all bodies
+    scenes: IntArray  # of these, the largest, that have a frame of their instant
 
 
 class ImpactPlan:
@@ -215,7 +216,7 @@ def _spend(
 ) -> None:
     """Decide for frames, (frames,), by how many bodies moved, edges, contacts and impacts each has."""
     used = budget[0]
-    scene = _ROW + bodies * (28 if oriented else 12)
+    scene = _SCENE + bodies * (28 if oriented else 12)
     arrow = 2 * _ARROW if turned else _ARROW  # with friction two
     for f in range(len(moved)):
         used.others += _size(bodies, moved[f] / bodies, edges[f], oriented, turned)
@@ -229,7 +230,8 @@ def _spend(
             used.contacts += arrow * arrows
             used.arrows += arrow * arrows
             room = share * used.others - used.contacts
-        scenes = max(0, int(min(float(most), min(room, _SCENES * used.others - used.scenes) / scene)))
+        own = max(_FEW_SCENES, _SCENES * used.others) - used.scenes
+        scenes = max(0, int(min(float(most), min(room, own) / scene)))
         used.contacts += scene * scenes
         used.scenes += scene * scenes
         kept.impacts[f], kept.arrows[f], kept.scenes[f] = most, arrows, scenes

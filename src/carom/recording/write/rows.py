@@ -94,7 +94,7 @@ def _offsets(each: Each, count: int) -> Int32Array:
 
 
 _INDEX_BYTES = 16  # a row's step and simulated time
-_NO_NUMBERS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
+NO_STEPS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 
 
 class Index(NamedTuple):
@@ -102,7 +102,8 @@ class Index(NamedTuple):
 
     steps: IntArray  # empty where the rows are within a step, or on the timeline of impacts only
     times: FloatArray  # s
-    impacts: IntArray = _NO_NUMBERS  # numbers of impacts, where the rows are on their timeline
+    impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
+    ends: FloatArray = _NO_TIMES  # s, of the frames before whose nanosecond the rows lie, where they are within a step
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> Index:
@@ -112,12 +113,12 @@ class Index(NamedTuple):
     @classmethod
     def within_step(cls, time: float) -> Index:
         """Return an index of one row at a time (s) within a step, which is not on the timeline of steps."""
-        return cls(_NO_NUMBERS, np.array([time]))
+        return cls(NO_STEPS, np.array([time]))
 
     @classmethod
     def of_impacts(cls, numbers: IntArray) -> Index:
         """Return an index of rows that are on the timeline of impacts only."""
-        return cls(_NO_NUMBERS, _NO_TIMES, numbers)
+        return cls(NO_STEPS, _NO_TIMES, numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,10 +141,11 @@ def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size
     return Rows(path, index, columns, size + _INDEX_BYTES * len(index.steps))
 
 
-def kind_of(rows: Rows) -> tuple[str, bool, bool, tuple[str, ...]]:
+def kind_of(rows: Rows) -> tuple[str, bool, bool, bool, tuple[str, ...]]:
     """Return what rows must have in common to be joined: entity, timelines and components."""
     names = tuple(str(column.component_descriptor()) for column in rows.columns)
-    return rows.path, len(rows.index.steps) > 0, len(rows.index.impacts) > 0, names
+    steps, times, impacts, _ = (len(values) > 0 for values in rows.index)
+    return rows.path, steps, times, impacts, names
 
 
 def joined(batches: Sequence[Rows]) -> Rows:

@@ -66,6 +66,9 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
+STATES_AT_IMPACTS = "states_at_impacts"  # in the property `carom`: whether impacts have frames with more than bodies
+
+
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
     """Return the property `carom`: what the scene is, which parts of the model it has, and how it is drawn."""
     properties: dict[str, Scalar | FloatArray] = {
@@ -106,6 +109,7 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
     if header.records_contacts:
+        properties[STATES_AT_IMPACTS] = True
         for path in (paths.FORCE_NORMAL, *((paths.FORCE_FRICTION,) if header.has_friction else ())):
             properties[f"arrow_length.{path}"] = arrow_length(header, path)
     if header.box is not None:

@@ -156,7 +156,7 @@ class Stream:
 
     def _send(self, rows: Rows, clock: TimeScale, streams: Iterable[rr.RecordingStream]) -> None:
         if (index := rows.index) is not self._indexed:  # most entities of a batch share it
-            self._indexed, self._index = index, clock.columns(index.steps, index.times, index.impacts)
+            self._indexed, self._index = index, clock.columns(*index)
         for stream in streams:
             stream.send_columns(rows.path, self._index, rows.columns)
 

@@ -52,6 +52,7 @@ GRAVITATIONAL_CONSTANT = Dimension(
 )
 RATE = Dimension("rate", "1/s", (0, -1, 0, 0), "50 Hz")
 IMPULSE = Dimension("impulse", "N s", (1, -1, 1, 0), "3 N s")
+FORCE = Dimension("force", "N", (1, -2, 1, 0), "3 N")
 TORQUE = Dimension("torque", "N m", (2, -2, 1, 0), "3 N m")
 ANGULAR_ACCELERATION = Dimension("angular acceleration", "rad/s²", (0, -2, 0, 1), "3 rad/s^2")
 ENERGY = Dimension("energy", "J", (2, -2, 1, 0), "3 kJ", "energy")
@@ -68,6 +69,7 @@ DIMENSIONS: Sequence[Dimension] = (
     GRAVITATIONAL_CONSTANT,
     RATE,
     IMPULSE,
+    FORCE,
     TORQUE,
     ANGULAR_ACCELERATION,
     ENERGY,

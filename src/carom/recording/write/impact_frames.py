@@ -1,0 +1,212 @@
+"""Frames at the instants of impacts: bodies, edges and impulses there, energies and spins just before and after.
+
+They lie between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts. What
+else changes between the two frames is taken to change in proportion to time: energies, spins, orientations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import rerun as rr
+
+from carom.arrays import BoolArray, FloatArray, IntArray, Records, SingleArray
+from carom.physics.checkpoint import Checkpoint
+from carom.physics.contact.graph import CollisionGraph
+from carom.physics.diagnostics.energy import Energy
+from carom.physics.diagnostics.ledger import terms_of
+from carom.physics.frame import Frame
+from carom.recording.layout.drawing import single
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import IMPACT_SPINS
+from carom.recording.write.impact_plan import orientations_at, positions_at
+from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
+
+STEPPING = (  # the series that change at an impact, in the order of `Instant.energies`
+    "energy/translational",
+    "energy/rotational",
+    "energy/total",
+    "energy/ledger/restitution",
+    "energy/ledger/friction",
+)
+_SPIN_ARROW = 1.3  # length of the faster spin's arrow, in radii of the smaller body
+_SPIN_WIDTH = 0.04  # its radius, likewise
+_BEFORE, _AFTER = 0x8A93A6FF, 0x5CE0B0FF
+
+
+class Instant(NamedTuple):
+    """The state at an impact."""
+
+    number: int  # of the impact, from 1 on
+    end: float  # s, of the frame that it leads to
+    frame: Frame  # positions, contacts and impulses at the instant
+    energies: FloatArray  # (2, 5) J, `STEPPING` before and after all impacts of the instant
+    bodies: IntArray  # (b,) that meet: one if it meets a plane
+    spins: FloatArray | None  # (2, b, 3) rad/s, before and after; None if they are not modelled
+
+
+def instants(
+    header: Header,
+    before: Frame | Checkpoint,
+    frame: Frame,
+    impacts: Records,
+    chosen: IntArray,
+    numbers: IntArray,
+) -> list[Instant]:
+    """Find the state at some impacts between two frames.
+
+    Parameters
+    ----------
+    before, frame
+        The frames on both sides.
+    impacts
+        All impacts between them, `CONTACT_ROW`, in order of time.
+    chosen, numbers
+        Which of them, (k,), and their numbers in the run.
+    """
+    box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+    times = impacts["time"][chosen]
+    positions = positions_at(times, before, frame, impacts, header.radius, box)
+    orientations = orientations_at(times, before, frame)
+    struck = _Jumps(header, before, frame, impacts)
+    found = []
+    for place, (k, number) in enumerate(zip(chosen.tolist(), numbers.tolist(), strict=True)):
+        rows, graph = _together(impacts, k)
+        instant = replace(
+            frame,
+            time=float(impacts["time"][k]),
+            position=positions[place],
+            orientation=None if orientations is None else orientations[place],
+            contacts=graph,
+            contact_rows=rows,
+            impacts=None,
+            events=(),
+            slot=None,
+        )
+        bodies = np.array([end for end in (impacts["i"][k], impacts["j"][k]) if end < header.bodies])
+        found.append(Instant(number, frame.time, instant, struck.energies(k), bodies, struck.spins(k, bodies)))
+    return found
+
+
+def _together(impacts: Records, k: int) -> tuple[Records, CollisionGraph]:
+    """Return the impacts at the time of one, and their graph; of a pair that meets twice it is the largest."""
+    rows = impacts[impacts["time"] == impacts["time"][k]]
+    rows = rows[np.argsort(-rows["normal_impulse"], kind="stable")]
+    pairs, first = np.unique(np.stack([rows["i"], rows["j"]], axis=1), axis=0, return_index=True)
+    rows = rows[first]
+    rows[(rows["i"] == impacts["i"][k]) & (rows["j"] == impacts["j"][k])] = impacts[k]
+    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+    return rows, CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64))
+
+
+class _Jumps:
+    """Energies and spins between two frames: what jumps at impacts, and the rest in proportion to time."""
+
+    def __init__(self, header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> None:
+        self._time, self._ends = impacts["time"], (before.time, frame.time)
+        self._pairs = np.stack([impacts["i"], impacts["j"]], axis=1)
+        self._before, self._after = before, frame
+        spins = before.angular_velocity is not None and frame.angular_velocity is not None
+        self._kicks = _kicks(header, before, frame, impacts) if spins else None
+        terms = terms_of(impacts)
+        rotational = np.zeros(len(impacts)) if self._kicks is None else self._gains(header)
+        lost = terms[:, 0] + terms[:, 1] - terms[:, 2]
+        # of each impact, in the order of `STEPPING`
+        self._jump = np.stack([-lost - rotational, rotational, -lost, terms[:, 0], terms[:, 1]], axis=1)
+
+    def energies(self, k: int) -> FloatArray:
+        """Return the energies before and after an impact and all others at its time, (2, 5) J."""
+        earlier, until = self._time < self._time[k], self._time <= self._time[k]
+        smooth = _between(
+            self._part(self._time[k]), _terms(self._before.energy), _terms(self._after.energy) - self._jump.sum(axis=0)
+        )
+        return np.stack([smooth + self._jump[earlier].sum(axis=0), smooth + self._jump[until].sum(axis=0)])
+
+    def spins(self, k: int, bodies: IntArray) -> FloatArray | None:
+        """Return the spins of bodies before and after an impact and all others at its time, (2, b, 3) rad/s."""
+        if self._kicks is None:
+            return None
+        time = self._time[k]
+        pasts = (self._time < time, self._time <= time)
+        return np.array([[self._spin(int(body), past, time) for body in bodies] for past in pasts])
+
+    def _spin(self, body: int, past: BoolArray, time: float) -> FloatArray:
+        assert self._kicks is not None
+        assert self._before.angular_velocity is not None and self._after.angular_velocity is not None
+        own = self._pairs == body  # (k, 2)
+        last = self._after.angular_velocity[body] - self._kicks[own].sum(axis=0)
+        smooth = _between(self._part(time), self._before.angular_velocity[body], last)
+        return np.asarray(smooth + self._kicks[own & past[:, None]].sum(axis=0))
+
+    def _gains(self, header: Header) -> FloatArray:
+        """Return by how much each impact raises the rotational energy, (k,) J."""
+        assert self._kicks is not None
+        gains = np.zeros(len(self._time))
+        for body in np.unique(self._pairs[self._pairs < header.bodies]).tolist():
+            for k, side in np.argwhere((self._pairs == body) & (self._kicks != 0.0).any(axis=2)).tolist():
+                past = np.arange(len(self._time)) < k
+                spin, kick = self._spin(body, past, self._time[k]), self._kicks[k, side]
+                gains[k] += header.inertia[body] * float((spin + 0.5 * kick) @ kick)
+        return gains
+
+    def _part(self, time: float) -> float:
+        start, end = self._ends
+        return min(max((time - start) / (end - start), 0.0), 1.0)
+
+
+def _kicks(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> FloatArray:
+    """Return the changes of both spins in each impact, (k, 2, 3) rad/s; zero for planes and for what does not move."""
+    normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1)
+    friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]], axis=1)
+    torque = np.cross(normal, -friction)  # on both bodies, over their radii
+    still = np.all((before.position == frame.position) & (before.velocity == 0.0) & (frame.velocity == 0.0), axis=1)
+    per_torque = np.append(np.where(still, 0.0, header.radius / header.inertia), 0.0)  # the last is that of planes
+    ends = np.minimum(np.stack([impacts["i"], impacts["j"]], axis=1), header.bodies)
+    return np.asarray(torque[:, None] * per_torque[ends][:, :, None])
+
+
+def _between(part: float, first: FloatArray, last: FloatArray) -> FloatArray:
+    return first + part * (last - first)
+
+
+def _terms(energy: Energy) -> FloatArray:
+    ledger = energy.ledger
+    return np.array([energy.translational, energy.rotational, energy.total, ledger.restitution, ledger.friction])
+
+
+def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> Iterable[Rows]:
+    """Draw the spins of the bodies that meet, those before in grey; on the timeline of impacts only.
+
+    Parameters
+    ----------
+    points
+        (k, n, 3) m, the bodies as they are drawn.
+    """
+    spinning = [(one, places, one.spins) for one, places in zip(found, points, strict=True) if one.spins is not None]
+    if not spinning:
+        return
+    vectors, origins = [], []
+    for one, places, spins in spinning:
+        fastest = float(np.sqrt((spins * spins).sum(axis=2)).max())
+        vectors.append(_SPIN_ARROW * header.radius[one.bodies].min() / (fastest or 1.0) * spins.reshape(-1, 3))
+        origins.append(np.tile(places[one.bodies], (2, 1)))
+    each = np.array([len(one.bodies) for one, *_ in spinning])
+    colours = np.concatenate([np.repeat(np.array([_BEFORE, _AFTER], np.uint32), count) for count in each])
+    widths = single(np.repeat([_SPIN_WIDTH * header.radius[one.bodies].min() for one, *_ in spinning], 2 * each))
+    arrows, at = single(np.concatenate(vectors)), single(np.concatenate(origins))
+    bodies = np.concatenate([one.bodies for one, *_ in spinning]).astype(np.uint32)
+    before, after = (single(np.concatenate([spins[side] for *_, spins in spinning])) for side in (0, 1))
+    columns = [
+        vector_column(rr.Arrows3D.descriptor_vectors(), arrows, 2 * each),
+        vector_column(rr.Arrows3D.descriptor_origins(), at, 2 * each),
+        plain_column(rr.Arrows3D.descriptor_colors(), colours, 2 * each),
+        plain_column(rr.Arrows3D.descriptor_radii(), widths, 2 * each),
+        any_column("bodies", bodies, each),
+        any_column("before", before.ravel(), 3 * each),
+        any_column("after", after.ravel(), 3 * each),
+    ]
+    size = array_bytes(arrows, at, colours, widths, bodies, before, after)
+    yield Rows(IMPACT_SPINS, Index.of_impacts(np.array([one.number for one, *_ in spinning])), columns, size)

@@ -1,0 +1,103 @@
+"""Frames at the instants of impacts: what a recording has there, beside its frames of steps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import carom
+from carom.arrays import FloatArray
+from carom.recording.edit.clip import clip
+from carom.recording.read.recorded_impacts import states_by_number
+from carom.recording.read.recording import Recording
+from carom.runs.replay import replay
+from small_scenes import scene_of
+
+SINGLE = 2e-7  # relative, of rounding to float32
+ROUNDING = 1e-12  # relative, of sums of a few energies
+MASS, RADIUS, RESTITUTION, FRICTION, GRAVITY, HEIGHT, SPIN = 0.5, 0.1, 0.8, 0.1, 9.81, 1.0, 50.0
+FALL = np.sqrt(2.0 * HEIGHT / GRAVITY)  # s
+SPEED = GRAVITY * FALL  # m/s, at the first impact
+
+
+@pytest.fixture(scope="module")
+def bounces(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A ball with top spin that falls 1 m onto a rough floor and bounces; a frame each 0.1 s."""
+    ball = {"position": [0.0, 0.0, HEIGHT + RADIUS], "angular_velocity": [0.0, SPIN, 0.0], "radius": RADIUS}
+    scene = scene_of(
+        [{"name": "ball", "mass": MASS, **ball}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -GRAVITY]},
+        contact={"restitution": RESTITUTION, "static_friction": FRICTION, "kinetic_friction": FRICTION},
+        plane=[{"name": "floor", "point": [0.0, 0.0, 0.0]}],
+        time={"duration": 1.5, "fixed_dt": 0.01},
+        record={"every": 0.1, "impacts": "auto"},
+    )
+    return carom.run(scene, tmp_path_factory.mktemp("bounces") / "bounces.rrd")
+
+
+def column(recording: Recording, path: str, name: str) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Return the numbers, the times (s) where there are any, and the values, a row each, of rows at impacts."""
+    numbers, table = states_by_number(recording)[path]
+    values: Any = table[name].combine_chunks()
+    rows = [np.asarray(row.values.flatten() if hasattr(row.values, "flatten") else row.values) for row in values]
+    times = np.asarray(table["sim_time"].cast("int64")) * 1e-9 if "sim_time" in table.column_names else np.empty(0)
+    return numbers, times, np.array([np.ravel(row.tolist()) for row in rows])
+
+
+def test_every_impact_of_a_few_is_a_frame_in_which_the_bodies_touch(bounces: Recording) -> None:
+    numbers, times, centres = column(bounces, "world/bodies", "Ellipsoids3D:centers")
+    impacts = bounces.impacts()
+    assert numbers.tolist() == list(range(1, impacts.num_rows + 1)) and len(numbers) == 2
+    assert times == pytest.approx(np.asarray(impacts["time"]), abs=1e-9), "to the nanosecond"
+    assert times[0] == pytest.approx(FALL, abs=2e-9)
+    assert centres[:, 2] + bounces.origin[2] == pytest.approx(RADIUS, abs=SINGLE * HEIGHT)
+
+
+def test_at_an_impact_the_edge_lies_on_the_normal_and_the_impulse_is_that_of_the_impact(bounces: Recording) -> None:
+    *_, edge = column(bounces, "world/contacts", "LineStrips3D:strips")
+    ends = edge[0].reshape(2, 3)
+    assert (ends[1] - ends[0]) / RADIUS == pytest.approx([0.0, 0.0, -1.0], abs=1e-5)
+    *_, impulse = column(bounces, "world/contacts", "normal_impulse")
+    assert impulse[0, 0] == pytest.approx(MASS * (1.0 + RESTITUTION) * SPEED, rel=SINGLE)
+
+
+def test_energies_step_at_an_impact_by_what_it_takes_out(bounces: Recording) -> None:
+    numbers, times, total = column(bounces, "energy/total", "Scalars:scalars")
+    assert numbers.tolist() == [1, 1, 2, 2] and times[0] == times[1], "before and after"
+    impacts, before, after = bounces.impacts(), total[::2, 0], total[1::2, 0]
+    scale = MASS * GRAVITY * HEIGHT
+    assert before - after == pytest.approx(np.asarray(impacts["energy_lost"]), rel=2 * SINGLE)
+    assert bounces.energy()["total"][0].as_py() == pytest.approx(before[0], abs=ROUNDING * scale), "level before"
+    assert after[0] == pytest.approx(before[1], abs=ROUNDING * scale), "and between two impacts"
+    *_, taken = column(bounces, "energy/ledger/restitution", "Scalars:scalars")
+    assert taken[:2, 0] == pytest.approx([0.0, (1.0 - RESTITUTION**2) * scale], abs=1e-9 * scale)
+
+
+def test_spins_before_and_after_an_impact_obey_coulomb(bounces: Recording) -> None:
+    _, _, before = column(bounces, "impacts/spins", "before")
+    _, _, after = column(bounces, "impacts/spins", "after")
+    change = 2.5 * FRICTION * (1.0 + RESTITUTION) * SPEED / RADIUS  # mu J r / I: it slides throughout
+    assert before[0] == pytest.approx([0.0, SPIN, 0.0], rel=SINGLE, abs=1e-12)
+    assert after[0] == pytest.approx([0.0, SPIN - change, 0.0], rel=1e-6, abs=1e-9)
+
+
+def test_frames_at_impacts_are_no_rows_of_the_tables(bounces: Recording) -> None:
+    assert bounces.energy().num_rows == bounces.frames == 16
+    assert np.diff(np.asarray(bounces.fingerprints()["time"])) == pytest.approx(0.1, abs=1e-9)
+
+
+def test_a_clip_has_the_frames_of_its_impacts_and_is_replayed_with_the_same_bits(
+    bounces: Recording, tmp_path: Path
+) -> None:
+    clip(bounces.path, tmp_path / "clip.rrd", 1.0, 1.5)
+    part = Recording.open(tmp_path / "clip.rrd")
+    states = states_by_number(part)
+    assert sorted(states) == sorted(states_by_number(bounces))
+    assert all(set(numbers.tolist()) == {2} for numbers, _ in states.values())
+    for recording in (bounces, part):
+        result = replay(recording.path)
+        assert result.same and not any("states at impacts" in what for what in result.not_compared)
