@@ -6,7 +6,7 @@ import pytest
 import carom
 from carom.errors import RecordingError
 from carom.recording.layout import colouring
-from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.camera import ASPECT, CameraFit, CameraMotion
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -97,7 +97,7 @@ def test_trails_lead_from_frame_to_frame_and_are_framed_with_the_bodies(tmp_path
     first = recording.drawn_positions(0)
     assert first is not None
     camera = CameraFit(header.radius, first.astype(np.float64))
-    near = camera.view().distance
     found.show(camera, 8.0)
-    assert near < camera.view().distance < 1.8 * near
-    assert not camera.view().follows, "the path of a body is no reason to follow it"
+    path = np.concatenate([column.reshape(-1, 3) for column in found._points(1)[:, 1]]).astype(np.float64)
+    assert camera.view().holds(path, np.zeros(len(path)), ASPECT).all()
+    assert camera.view().motion is CameraMotion.STILL, "the path of a body is no reason to follow it"

@@ -12,7 +12,7 @@ from carom.contact_table import CONTACT_ROW
 from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout.bodies_view import TRAILS
-from carom.recording.layout.camera import View
+from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
@@ -202,7 +202,7 @@ def test_a_time_that_is_asked_for_is_shown_and_the_impact_before_it_stays_where_
 
 
 def test_no_label_of_the_close_up_covers_another() -> None:
-    eye = View(np.zeros(3), 10.0, False, np.array([0.0, -1.0, 0.0]))
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
     near = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.1, 0.0, -0.2], [8.0, 0.0, 0.0]])
     apart = close_up._apart(near, ["normal, 5 m/s", "92 N s", "3 rad/s", "4 rad/s"], eye)
     np.testing.assert_array_equal(apart[[0, 3]], near[[0, 3]])
@@ -235,10 +235,10 @@ def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
     met: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     included = []
-    monkeypatch.setattr(Trails, "show", lambda self, camera, until: included.append(until))
+    monkeypatch.setattr(CameraFit, "show_all", included.append)
     scene = pair(offset=0.0 if met else 3.0, time={"duration": 2.0, "fixed_dt": 0.1})
     presentation(carom.run(scene, tmp_path / "run.rrd"), 2.0)
-    assert included == ([] if met else [2.0])
+    assert len(included) == (0 if met else 1)
 
 
 def test_a_pair_is_found_by_numbers_names_and_events(bounce: Recording) -> None:

@@ -20,6 +20,14 @@ FASTEST = 120.0  # pictures a second
 GIF_FPS, MP4_FPS = 20.0, 30.0  # many viewers slow down faster GIFs
 
 
+class Camera(StrEnum):
+    """How a movie's camera moves."""
+
+    STILL = "still"
+    FOLLOW = "follow"
+    ORBIT = "orbit"
+
+
 class MovieView(StrEnum):
     """What a movie shows."""
 
@@ -51,6 +59,14 @@ def movie(
         typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
     ] = None,
     bodies: BodiesOption = None,
+    camera: Annotated[
+        Camera | None,
+        typer.Option(
+            "--camera",
+            help="Stand still, follow the middle of the bodies, or orbit it once. Default: still where a plane, a wall "
+            "or a field is, else follow bodies that move away.",
+        ),
+    ] = None,
     theme: Annotated[
         Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
     ] = Theme.DARK,
@@ -65,6 +81,7 @@ def movie(
     from carom.cli.printing import bytes_text
     from carom.cli.terminal import MovieProgress
     from carom.install import needing
+    from carom.recording.layout.camera import CameraMotion
     from carom.recording.read.recording import Recording
     from carom.runs.output import claimed_output
     from carom.show.movie import frame_times, pictures
@@ -72,7 +89,7 @@ def movie(
     path = output or file.with_suffix(".mp4")
     pixels, rate = pixels_of(size), fps if fps is not None else GIF_FPS if path.suffix == ".gif" else MP4_FPS
     _check(path, pixels, length, rate)
-    _check_view(view, event, bodies)
+    _check_view(view, event, bodies, camera)
     with needing("movie", "carom movie", "imageio_ffmpeg", "PIL"):
         from carom.show.movie_file import require_encoder, write_movie
 
@@ -81,7 +98,10 @@ def movie(
     times = frame_times(recording, first, last, max(2, round(length * rate)))
     with claimed_output(path, force):
         require_encoder(path)
-        shots = pictures(recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies)
+        motion = None if camera is None else CameraMotion(camera.value)
+        shots = pictures(
+            recording, times, pixels, view.value, theme=theme.value, event=event, bodies=bodies, camera=motion
+        )
         with MovieProgress(path, times, recording.units) as progress:
             write_movie(path, progress.watched(shots), len(times), pixels, rate)
         say(f"{path} written, {bytes_text(path.stat().st_size)}: {progress.summary()}.")
@@ -102,13 +122,15 @@ def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None
         raise RecordingError(f"--fps {fps:g}: expected more than 0 and at most {FASTEST:g}")
 
 
-def _check_view(view: MovieView, event: str | None, bodies: str | None) -> None:
-    """Refuse the choice of two bodies for a view that does not follow any."""
+def _check_view(view: MovieView, event: str | None, bodies: str | None, camera: Camera | None) -> None:
+    """Refuse the choice of two bodies for a view that does not follow any, and that of a camera where they are."""
     from carom.errors import RecordingError
 
     for option, given in (("--event", event), ("--bodies", bodies)):
         if given is not None and view != MovieView.CLOSE_UP:
             raise RecordingError(f"{option} {given}: chooses the bodies of --view close-up; give that, too")
+    if camera is not None and view in (MovieView.CLOSE_UP, MovieView.ENERGY):
+        raise RecordingError(f"--camera {camera}: has no effect on --view {view}; leave one of them out")
 
 
 def _ends(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from carom.arrays import FloatArray, IntArray, SingleArray
-from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -64,7 +64,8 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     steps, times, position = _frames(recording, causes)
     inside = _shown(causes)
     outside = np.setdiff1d(np.arange(len(radius)), inside)
-    camera = CameraFit(radius[inside], position[-1, inside].astype(np.float64))
+    camera = CameraFit(radius[inside], position[-1, inside].astype(np.float64), motion=CameraMotion.STILL)
+    camera.look(position[:, inside].astype(np.float64))
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)

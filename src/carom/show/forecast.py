@@ -12,7 +12,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from carom.arrays import ColourArray, FloatArray
-from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.plot_views import curve_style, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
@@ -67,8 +67,8 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
     index = clock.columns(steps, forecast.time.tolist())
     count = [len(radius)] * len(steps)
     shown = forecast.position - origin
-    camera = CameraFit(radius, shown[0])
-    camera.look(shown[-1])
+    camera = CameraFit(radius, shown[0], motion=CameraMotion.STILL)
+    camera.look(shown)
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
     with Writer(out, application, str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)

@@ -15,8 +15,8 @@ import numpy as np
 from carom.arrays import FloatArray
 from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
-from carom.recording.layout.camera import CameraFit, corners_of
-from carom.recording.layout.canvas import Canvas
+from carom.recording.layout.camera import CameraMotion
+from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
@@ -26,6 +26,7 @@ from carom.scene.units.dimension import TIME
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
+from carom.show.staging import Staging
 from carom.show.supplement import Supplement
 from carom.show.viewer import Viewer
 
@@ -33,7 +34,6 @@ FORMATS = (".mp4", ".gif")
 
 _MOST_VIEWERS = 4
 _FRAMES_EACH = 20  # pictures for which starting another viewer, which takes seconds, pays
-_LOOKS = 50  # frames by which the camera is placed
 _LIMIT = 60.0  # s, in which a picture must settle
 
 
@@ -65,6 +65,7 @@ def pictures(
     theme: str = "dark",
     event: str | None = None,
     bodies: str | None = None,
+    camera: CameraMotion | None = None,
 ) -> Iterator[bytes]:
     """Return a PNG for each time, in order; they are taken as they are asked for.
 
@@ -87,6 +88,8 @@ def pictures(
         Its name; a close-up follows its bodies, by default those of the hardest impact.
     bodies
         The bodies that a close-up follows, by numbers or names with a comma between them.
+    camera
+        How the camera of the other views moves; by default it depends on the scene.
 
     Raises
     ------
@@ -96,9 +99,11 @@ def pictures(
     different = list(dict.fromkeys(times.tolist()))
     supplement = None
     if view == CLOSE_UP:
-        supplement = asked(recording, Request(event=event, bodies=bodies), Canvas(*size, framed=False), view).supplement
+        supplement = asked(
+            recording, Request(event=event, bodies=bodies), Canvas(*size, framed=False, rendered=True), view
+        ).supplement
     elif not recording.is_overlay:
-        supplement = _layout(recording, different, size, view)
+        supplement = _layout(recording, different, size, view, camera)
     return _taken(recording, times, size, view, theme, supplement)
 
 
@@ -176,20 +181,28 @@ class _Studio:
         return png
 
 
-def _layout(recording: Recording, times: Sequence[float], size: tuple[int, int], view: str) -> Supplement:
+def _layout(
+    recording: Recording,
+    times: Sequence[float],
+    size: tuple[int, int],
+    view: str,
+    motion: CameraMotion | None,
+) -> Supplement:
     """Lay out the views, with the camera fitted to the bodies of all times."""
-    header, positions = header_of_recording(recording), RecordedPositions(recording)
+    header, recorded = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
-    some = np.asarray(times)[np.unique(np.linspace(0, len(times) - 1, _LOOKS).astype(int))]
-    steps = table[STEP].to_numpy()[np.searchsorted(table["time"].to_numpy(), some)]
-    drawn = [positions.drawn(int(step)) - recording.origin for step in steps]
-    middling = np.argsort([_extent(position) for position in drawn])[len(drawn) // 2]
-    camera = CameraFit(header.radius, drawn[int(middling)], corners_of(header, recording.origin))
-    for position in drawn:
-        camera.look(position)
-    canvas = Canvas(*size, framed=view == ALL)
-    layout = blueprint(header, camera, recorded_curves(recording), canvas, view)
-    return Supplement(layout, TimeScale(float(recording.info["time_scale"])))
+    rows = np.searchsorted(table["time"].to_numpy(), times)
+    steps, moments = table[STEP].to_numpy()[rows], table["time"].to_numpy()[rows]
+    positions = [recorded.drawn(int(step)) - recording.origin for step in steps]
+    middling = np.argsort([_extent(position) for position in positions])[len(positions) // 2]
+    staging = Staging.of(recording, header, positions[int(middling)], motion=motion)
+    staging.camera.show_all()
+    canvas = Canvas(*size, framed=view == ALL, rendered=True)
+    added = Additions(trails=staging.trails is not None)
+    layout = blueprint(header, staging.camera, recorded_curves(recording), canvas, view, added)
+    moving = staging.camera_rows(layout, steps, moments, positions)
+    clock = TimeScale(float(recording.info["time_scale"]))
+    return Supplement(layout, clock, [*staging.rows(), *moving], list(staging.statics()))
 
 
 def _extent(position: FloatArray) -> float:

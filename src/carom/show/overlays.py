@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import uuid
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rerun.components import FillMode
 
 from carom.arrays import FloatArray
 from carom.recording.layout.blueprint import WINDOW
-from carom.recording.layout.camera import CameraFit, View
+from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.canvas import spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
@@ -33,7 +33,7 @@ from carom.scene.units.system import UnitSystem
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
     """Lay out a 3D view of some entities, whose camera stands still, with panels on its right."""
-    bodies = spatial_view(name, replace(view, follows=False), contents)
+    bodies = spatial_view(name, view, contents)
     return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
 
 
@@ -110,9 +110,9 @@ def write_overlay(
         writer.send_property(PROPERTY, {"a": a.path.name, "b": b.path.name, "verdict": text})
         done = 0
         while batch := list(islice(shown, max(1, _BATCH // (60 * len(radius))))):
-            extent = extent or CameraFit(radius, batch[0].a - origin)
-            extent.look(batch[-1].a - origin)
-            extent.look(batch[-1].b - origin)
+            extent = extent or CameraFit(radius, batch[0].a - origin, motion=CameraMotion.STILL)
+            for pair in batch if extent.is_few else batch[-1:]:
+                extent.look(np.array([pair.a, pair.b]) - origin)
             part = {name: values[done : done + len(batch)] for name, values in logarithms.items()}
             _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
             done += len(batch)
@@ -301,10 +301,9 @@ def _send_trajectories(
 
 def _view(radius: FloatArray, position: FloatArray) -> View:
     """Place the camera so that all positions, (K, n, 3) m, are in the picture."""
-    camera = CameraFit(radius, position[0])
-    for moment in position:
-        camera.look(moment)
-    return replace(camera.view(), follows=False)
+    camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
+    camera.look(position)
+    return camera.view()
 
 
 def _trajectory_layout(view: View, time: rrb.TimeAxis) -> rrb.Blueprint:

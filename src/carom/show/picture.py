@@ -116,7 +116,7 @@ def render(
     if recording.is_overlay:
         moment, extra, missing = recording.moment(request.at), None, ""
     else:
-        shown = asked(recording, request, Canvas(*size, framed=whole), view, watch=watch)
+        shown = asked(recording, request, Canvas(*size, framed=whole, rendered=True), view, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(recording, window_of(size, whole), theme) as viewer:
         viewer.show(recording)

@@ -9,7 +9,7 @@ import numpy as np
 
 from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
-from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.camera import CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
@@ -21,12 +21,12 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
-from carom.recording.write.static_entities import plane_grids
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
-from carom.show.supplement import Supplement, Trails, colour_rows, has_trails
+from carom.show.staging import Staging
+from carom.show.supplement import Supplement, colour_rows
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
@@ -137,7 +137,8 @@ def presentation(
     """
     header = header_of_recording(recording)
     step = shown_step(recording, moment, within, dense=dense, watch=watch)
-    camera = CameraFit(header.radius, step.position, corners_of(header, recording.origin))
+    until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
+    staging = Staging.of(recording, header, step.position, until, motion)
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
     clock = TimeScale(float(recording.info["time_scale"]))
@@ -147,34 +148,22 @@ def presentation(
     close = None
     if chosen is not None:
         close = close_up(recording, header, step, chosen, aspect, instant, pauses_within=within_step)
-    trails = Trails(recording, header) if has_trails(recording) else None
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
     if paused is not step:
         rows += _instant(recording, header, paused)
     statics = list(close.statics(header)) if close else []
-    if header.walls is None and header.box is None:  # recorded grids lie about the bodies at the start
-        seen = camera.view()
-        statics += plane_grids(header, recording.origin, seen.target, 0.5 * seen.height())
-    if trails is not None:
-        if not _meet(recording, header):  # orbits: the paths must be inside the view
-            trails.show(camera, paused.time)
-        rows += trails.rows()
-        statics += trails.statics()
+    rows += staging.rows()
+    statics += staging.statics()
     if plots is not None:
         rows += plots.rows()
         statics += plots.statics()
     recoloured = colour_by is not None and colour_by != header.coloured_by
     if colour_by is not None and recoloured:
         rows += colour_rows(recording, header, colour_by, step)
-    added = Additions(close, trails is not None, recoloured, plots)
-    layout = blueprint(header, camera, _curves(recording, repeated), canvas, only, added)
+    added = Additions(close, staging.trails is not None, recoloured, plots)
+    layout = blueprint(header, staging.camera, _curves(recording, repeated), canvas, only, added)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
-
-
-def _meet(recording: Recording, header: Header) -> bool:
-    """Return whether bodies touched, or may have touched in a run that was killed, which has no count of contacts."""
-    return header.collides and recording.closing.get("contacts.total") != 0
 
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:

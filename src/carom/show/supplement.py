@@ -17,7 +17,7 @@ from carom.arrays import ColourArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.layout import colouring
 from carom.recording.layout.bodies_view import TRAILS
-from carom.recording.layout.camera import CameraFit
+from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.layout.drawing import shape
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
@@ -62,7 +62,6 @@ class Supplement:
             stream.disconnect()
 
 
-_MOST_BODIES = 40
 _MOST_FRAMES = 2000  # longer paths take every k-th frame
 _POINTS = 1000  # of a path that is drawn as a curve through fewer frames: integrators of high order take long steps
 
@@ -87,10 +86,11 @@ class Trails:
         by = header.coloured_by
         self._colours = header.static_colours(by if by in STATIC_COLOURS else "group")[recording.shown]
 
-    def show(self, camera: CameraFit, until: float) -> None:
-        """Make the camera include the paths up to a time (s)."""
-        past = self._position[self._times <= until]
-        camera.include(past.reshape(-1, 3).astype(np.float64))
+    def show(self, camera: CameraFit, until: float = np.inf) -> None:
+        """Fit a camera to the paths up to a time (s), which are drawn, in a direction that suits all of the motion."""
+        position, past = self._position.astype(np.float64), self._times <= until
+        camera.look(position[past])
+        camera.look(position[~past], inside=False)
 
     def statics(self) -> Iterable[Static]:
         """Yield the colours of the bodies."""
@@ -122,7 +122,7 @@ class Trails:
 
 def has_trails(recording: Recording) -> bool:
     """Return whether a recording has few enough bodies for their paths to be legible."""
-    return len(recording.shown) <= _MOST_BODIES and recording.frames > 1
+    return len(recording.shown) <= FEW and recording.frames > 1
 
 
 _MOST = 30_000_000  # bodies times frames

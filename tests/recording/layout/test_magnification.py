@@ -8,7 +8,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
-from carom.recording.layout.camera import View
+from carom.recording.layout.camera import CameraMotion, View
 from carom.recording.layout.canvas import NEAREST, scale, space, spatial_view
 from carom.recording.write.whole_file import Writer
 
@@ -24,7 +24,7 @@ def test_scenes_of_metres_are_shown_as_they_are(distance: float) -> None:
 
 
 def test_a_file_has_the_transforms_of_the_magnified_views_of_its_layout(tmp_path: Path) -> None:
-    near = View(np.array([1e-3, 0.0, 0.0]), 4e-3, False, np.array([0.0, -1.0, 0.0]))
+    near = View(np.array([1e-3, 0.0, 0.0]), 4e-3, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
     views = [spatial_view("near", near, []), rrb.Spatial3DView(origin="/")]
     with Writer(tmp_path / "near.rrd", "carom-test", "near") as writer:
         writer.log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP)

@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from carom.errors import DamageError, RecordingError
 from carom.recording.layout.blueprint import blueprint
-from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.camera import CameraFit
 from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
 from carom.recording.read.frame_tables import rising
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
@@ -38,16 +38,16 @@ def new_layout(recording: Recording) -> rrb.Blueprint:
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     entries = sorted(entries, key=lambda entry: entry.first_step or 0)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
-    fit, corners = None, corners_of(header, recording.origin)
+    fit = None
     for chunk in recording.chunks(some):
         centres = next((chunk.batch[name] for name in paths.CENTRES if name in chunk.components), None)
         if centres is None:  # the component's name is damaged
             continue
         first, last = (centres[row].values.flatten().to_numpy().reshape(-1, 3) for row in (0, len(centres) - 1))
-        fit = fit or CameraFit(header.radius, first, corners)
+        fit = fit or CameraFit.of_scene(header, recording.origin, first)
         fit.look(last)
     if fit is None:
-        fit = CameraFit(header.radius, np.zeros((len(header.radius), 3)), corners)
+        fit = CameraFit.of_scene(header, recording.origin, np.zeros((len(header.radius), 3)))
     return blueprint(header, fit, recorded_curves(recording))
 
 

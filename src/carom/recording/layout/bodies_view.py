@@ -109,9 +109,10 @@ def _from(sources: dict[str, str]) -> list[VisualizerComponentMapping]:
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Show bodies, contacts, planes, walls and the box."""
-    view = camera.view(area.aspect)
+    view = camera.view(area.aspect, narrow=area.rendered)
+    name = "Bodies and contacts" if header.collides else "Bodies"
     return spatial_view(
-        "Bodies and contacts" if header.collides else "Bodies",
+        f"{name} ({view.outside} outside)" if area.rendered and view.outside else name,
         view,
         [
             paths.BODIES,
@@ -141,7 +142,8 @@ def has_graph(header: Header) -> bool:
 def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
     # how far (m) arrows of medium length reach out of the bodies
-    view = camera.view(area.aspect, arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0)
+    room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
+    view = camera.view(area.aspect, room, narrow=area.rendered)
     return spatial_view(
         _name(header),
         view,

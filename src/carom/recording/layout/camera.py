@@ -6,46 +6,78 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
     o·e − t + r √(1 + s²)  ≤  s (D − o·d).
 
 Each border thus requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together give the
-smallest D and its t.
+smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the horizon is
+level and the ground is seen from above.
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.recording.schema.header import Header
+from carom.scene.forces import UNIFORM_FIELD
 
 if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
 
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
+SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
+_NARROW_SLOPE = float(np.tan(np.radians(1.0)))
+_DEPTHS = 25.0  # least distance of a narrow lens, in depths of the scene: equal spheres differ by at most 4 %
 
-_ESCAPING = 0.05  # largest share of the bodies that may be outside the view
+FEW = 40  # bodies; of so few, all of their motion is inside the view, and has trails
+_FEW_NEAR = 5  # bodies; of so few, none is too far away to be shown
+_ESCAPING = 0.05  # largest share of more bodies than `FEW` that may be outside the view
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
-_FEW = 5  # bodies; of so few or fewer all are inside the view
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
 _LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
 _LOOSE_PATHS = 25.0  # for paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
-_MOST, _LARGEST = 100_000, 1000  # bodies that are measured; of more, every k-th and as many of the largest
-_SLOPE = float(np.tan(np.radians(55.0 / 2)))  # Rerun's field of view is 55° from top to bottom
-_FLAT = 0.2  # thickness over width; flatter sets of bodies are seen from higher above
-_LOW, _HIGH = np.array([0.75, -1.0, 0.55]), np.array([0.45, -0.6, 1.0])  # towards the eye; z is up
+_SMALL = 400.0  # height of the picture over the median radius, up to which all motion of few bodies is inside
+_MOST, _LARGEST = 20_000, 1000  # bodies that are measured; of more, every k-th and as many of the largest
+_MOST_SPHERES = 4000  # kept of all moments; of more, those that are outermost in one of many directions
+
+_UP = np.array([0.0, 0.0, 1.0])
+_USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
+_PREFERENCE = 0.15  # weight of the usual direction where principal axes are alike, as a share of the variance
+_STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
+_LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
+_OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
+_OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
+_ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
+_ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
+_BESIDE = 0.25  # of the width of the motion: walls that are farther away may lie outside the picture
+_TURNS = 12  # directions from which a camera that orbits is fitted
+
+
+class CameraMotion(StrEnum):
+    """How the camera moves while time passes."""
+
+    STILL = "still"
+    FOLLOW = "follow"
+    ORBIT = "orbit"
 
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Position of the camera, and whether it follows the bodies."""
+    """Position of the camera, and how it moves."""
 
     target: FloatArray  # (3,) m
     distance: float  # m, of the eye from the target
-    follows: bool
+    motion: CameraMotion
     to_eye: FloatArray  # (3,) unit vector
+    up: FloatArray = field(default_factory=_UP.copy)  # (3,) unit vector that is vertical on the screen
+    slope: float = SLOPE  # half the picture's height over the distance
+    whole: bool = True  # whether all motion that was measured is inside the picture
+    outside: int = 0  # bodies that are not wholly inside the picture at the first moment
 
     @property
     def eye(self) -> FloatArray:
@@ -54,11 +86,27 @@ class View:
 
     def axes(self) -> FloatArray:
         """Return the unit vectors to the right and up on the screen, (2, 3)."""
-        return _screen(self.to_eye)[:2]
+        return screen(self.to_eye, self.up)[:2]
 
     def height(self) -> float:
         """Return the height (m) of the picture at the target."""
-        return 2.0 * _SLOPE * self.distance
+        return 2.0 * self.slope * self.distance
+
+    def on_screen(self, position: FloatArray) -> FloatArray:
+        """Project positions (..., 3) m; the picture's upper and lower border are at ±1, and x has the same scale."""
+        across, up, nearer = np.moveaxis((position - self.target) @ screen(self.to_eye, self.up).T, -1, 0)
+        return np.asarray(np.stack([across, up], axis=-1) / (self.slope * (self.distance - nearer))[..., None])
+
+    def radius_on_screen(self, position: FloatArray, radius: FloatArray) -> FloatArray:
+        """Return the radii (...,) of spheres on the screen, in half heights of the picture."""
+        nearer = (position - self.target) @ self.to_eye
+        return np.asarray(radius / (self.slope * (self.distance - nearer)))
+
+    def holds(self, position: FloatArray, radius: FloatArray, aspect: float) -> BoolArray:
+        """Return which spheres (...,) are wholly inside a picture of this width over height."""
+        beyond = np.abs(self.on_screen(position)) + self.radius_on_screen(position, radius)[..., None]
+        inside: BoolArray = np.all(beyond <= [aspect, 1.0], axis=-1)
+        return inside
 
 
 class CameraFit:
@@ -71,9 +119,14 @@ class CameraFit:
     first
         (n, 3) m, positions at the moment that the view opens with.
     corners
-        (k, 3) m, points that must be inside the view, such as the corners of walls.
+        (k, 3) m, points that should be inside the view, such as the corners of walls.
     to_eye
-        (3,) unit vector towards the eye; by default it follows from the shape of the set of bodies.
+        (3,) unit vector towards the eye; by default it follows from the principal axes of the motion.
+    up
+        (3,) unit vector against gravity.
+    motion
+        How the camera moves; None: it follows bodies that move away together, unless they are few and all of their
+        motion fits into the picture.
     """
 
     def __init__(
@@ -82,43 +135,86 @@ class CameraFit:
         first: FloatArray,
         corners: FloatArray | None = None,
         to_eye: FloatArray | None = None,
+        up: FloatArray = _UP,
+        motion: CameraMotion | None = None,
     ) -> None:
         self._shown = _shown(radius)
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first)
-        self._radius = radius
+        self._radius, self._count = radius, len(radius)
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
-        direction = _direction(first if corners is None else corners) if to_eye is None else to_eye
-        self._axes = _screen(direction)
-        self._centre = _middle(first, radius)
-        self._own = self._box(first)  # (2, 3) m, lower and upper ends along the axes
-        self._still = self._own  # the same of all moments
-        self._moving = self._own - self._axes @ self._centre  # of all moments, each about its own middle
+        self._to_eye, self.up, self.motion = to_eye, up, motion
+        self._centre = _middle(first[None], near[None], radius)[0]  # (3,) m
+        self._spheres = np.zeros((0, 7))  # centre, radius, and the middle of all bodies at the same moment
+        self._moments = np.zeros((2, 4, 4))  # Σ x xᵀ with x = (position, 1): of all positions, and about their middles
         self._drift = 0.0
         self._loose = _LOOSE
+        self._take(first[None])
+        ends = self._spheres[:, :3]
+        self._extent = float(np.ptp(ends, axis=0).max()) + 2.0 * float(radius.max()) if len(ends) else 0.0  # m
+
+    @classmethod
+    def of_scene(
+        cls,
+        header: Header,
+        origin: FloatArray,
+        first: FloatArray,
+        motion: CameraMotion | None = None,
+    ) -> CameraFit:
+        """Begin with the first positions (n, 3) of a run, in m from the recording's origin.
+
+        Unless told otherwise, the camera stands still where a plane, a wall, a periodic box or a field is.
+        """
+        grounded = header.planes is not None or header.walls is not None or header.box is not None
+        if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
+            motion = CameraMotion.STILL
+        return cls(header.radius, first, corners_of(header, origin), up=_against_gravity(header), motion=motion)
+
+    @property
+    def is_few(self) -> bool:
+        """Whether there are so few bodies that each frame should be taken into account."""
+        return self._count <= FEW
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
-        """Take the last frame of a batch into account."""
-        self.look(batch[-1].position - origin)
+        """Take the frames of a batch into account; of many bodies, only the last."""
+        chosen = batch if self.is_few else batch[-1:]
+        self.look(np.array([frame.position for frame in chosen]) - origin)
 
-    def look(self, position: FloatArray) -> None:
-        """Take positions (n, 3) into account."""
-        position = position[self._shown]
-        centre = _middle(position, self._radius)
-        self._drift = max(self._drift, float(np.linalg.norm(centre - self._centre)))
-        box = self._box(position)
-        self._still = _joined(self._still, box)
-        self._moving = _joined(self._moving, box - self._axes @ centre)
+    def look(self, position: FloatArray, *, inside: bool = True) -> None:
+        """Take positions (n, 3) of one moment or (k, n, 3) of several into account.
 
-    def include(self, points: FloatArray) -> None:
-        """Take points (k, 3) m of paths into account, also where they are far wider than the set of bodies."""
-        along = points[np.all(np.isfinite(points), axis=1)] @ self._axes.T
-        if len(along):
-            self._still = _joined(self._still, np.array([along.min(axis=0), along.max(axis=0)]))
-            self._loose = _LOOSE_PATHS
+        If they need not be inside the view, they only have a part in its direction.
+        """
+        self._take(position.reshape(-1, *position.shape[-2:])[:, self._shown], inside=inside)
 
-    def view(self, aspect: float = ASPECT, room: float = 0.0) -> View:
+    def _take(self, moments: FloatArray, *, inside: bool = True) -> None:
+        if not len(moments):
+            return
+        near = np.array([_near(moment) for moment in moments])
+        middle = _middle(moments, near, self._radius)
+        for k, middles in enumerate((self._centre, middle[:, None])):
+            x = np.concatenate([moments - middles, np.ones((*near.shape, 1))], axis=2)[near]
+            self._moments[k] += x.T @ x
+        if not inside:
+            return
+        self._drift = max(self._drift, float(np.linalg.norm(middle - self._centre, axis=1).max()))
+        for moment, shown, centre in zip(moments, near, middle, strict=True):
+            bodies = np.flatnonzero(shown)
+            if not self.is_few and len(bodies):
+                bodies = bodies[_outermost(moment[bodies] - centre, self._radius[bodies])]
+            self._keep(moment[bodies], self._radius[bodies], centre)
+
+    def offset(self, position: FloatArray) -> FloatArray:
+        """Return how far (m) the middle of the bodies (n, 3) has moved since the first moment."""
+        moment = position[self._shown]
+        return np.asarray(_middle(moment[None], _near(moment)[None], self._radius)[0] - self._centre)
+
+    def show_all(self) -> None:
+        """Keep all motion inside the view, even if the bodies of the first moment are small in it."""
+        self._loose = _LOOSE_PATHS
+
+    def view(self, aspect: float = ASPECT, room: float = 0.0, *, narrow: bool = False) -> View:
         """Return a view of the first moment and, unless bodies would look too small, of all others.
 
         Parameters
@@ -127,100 +223,174 @@ class CameraFit:
             Width of the picture over its height.
         room
             m, margin around the bodies for arrows; smaller if bodies would look too small.
+        narrow
+            Whether the eye has a narrow field of view and is far away, so that equal spheres look equal.
         """
-        follows = len(self._corners) == 0 and self._drift > np.ptp(self._own, axis=0).max() / 2
-        whole = self._moving if follows else self._still - self._axes @ self._centre
-        slopes = _FILLED * _SLOPE * np.array([aspect, 1.0])
-        now = self._borders(self._first, self._first_radius, slopes)
-        if len(self._corners):
-            now = np.maximum(now, self._borders(self._corners, np.zeros(len(self._corners)), slopes))
+        if self.motion is not None:
+            return self._view(aspect, room, self.motion, narrow=narrow)
+        view = self._view(aspect, room, CameraMotion.STILL, narrow=narrow)
+        if self._drift > self._extent / 2 and not (self.is_few and view.whole):
+            view = self._view(aspect, room, CameraMotion.FOLLOW, narrow=narrow)
+        return view
+
+    def _view(self, aspect: float, room: float, motion: CameraMotion, *, narrow: bool) -> View:
+        to_eye = self._to_eye
+        if to_eye is None:
+            to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up)
+        view = self._fitted(to_eye, aspect, room, _NARROW_SLOPE if narrow else SLOPE, motion)
+        depth = float(np.ptp(self._around(motion)[0] @ to_eye)) if len(self._spheres) else 0.0
+        if narrow and view.distance < _DEPTHS * depth:
+            slope = _NARROW_SLOPE * view.distance / (_DEPTHS * depth)
+            view = self._fitted(to_eye, aspect, room, slope, motion)
+        return view
+
+    def _fitted(self, to_eye: FloatArray, aspect: float, room: float, slope: float, motion: CameraMotion) -> View:
+        axes = screen(to_eye, self.up)
+        slopes = _FILLED * slope * np.array([aspect, 1.0])
+
+        def borders(position: FloatArray, radius: FloatArray, *, all_inside: bool = True) -> FloatArray:
+            """Return the numbers that the right and left, upper and lower borders require, (2, 2) m."""
+            right, up, depth = axes @ (position - self._centre).T
+            found = np.empty((2, 2))
+            for k, along in enumerate((right, up)):
+                reach = slopes[k] * depth + radius * np.sqrt(1.0 + slopes[k] ** 2)
+                ends = along + reach, reach - along
+                found[k] = [np.max(end, initial=-np.inf) if all_inside else _largest(end, radius) for end in ends]
+            return found
+
+        now = borders(self._first, self._first_radius, all_inside=self.is_few)
         if not np.isfinite(now).all():
-            return View(np.zeros(3), 4.0 * float(self._radius.max()), False, self._axes[2])
-        others = _corners_of(whole) @ self._axes + self._centre
-        later = np.maximum(now, self._borders(others, np.zeros(8), slopes))
+            return View(np.zeros(3), 4.0 * float(self._radius.max()), CameraMotion.STILL, to_eye, self.up, slope)
+        others, radii = self._around(motion)
+        later = np.maximum(now, borders(others, radii))
+        if len(self._corners):
+            low, high = (others - radii[:, None]).min(axis=0), (others + radii[:, None]).max(axis=0)
+            margin = _BESIDE * float(np.max(high - low))
+            corners = np.clip(self._corners, low - margin, high + margin)
+            later = np.maximum(later, borders(corners, np.zeros(len(corners))))
         if room > 0.0:
-            later = np.maximum(later, self._borders(self._first, self._first_radius + room, slopes))
-        distance = min(_distance(later, slopes), self._loose * _distance(now, slopes))
+            later = np.maximum(later, borders(self._first, self._first_radius + room, all_inside=self.is_few))
+        allowed = self._loose * _distance(now, slopes)
+        if self.is_few:
+            allowed = max(allowed, _SMALL * float(np.median(self._radius)) / (2.0 * slope))
+        whole = _distance(later, slopes)
+        distance = min(whole, allowed)
         # the target may be anywhere between the two at which the bodies of the first moment touch a border
         low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]
         across, up = np.clip((later[:, 0] - later[:, 1]) / 2, np.minimum(low, high), np.maximum(low, high))
-        target = self._centre + across * self._axes[0] + up * self._axes[1]
-        return View(target, distance, follows, self._axes[2])
+        target = self._centre + across * axes[0] + up * axes[1]
+        if motion is CameraMotion.ORBIT:  # about a vertical axis
+            target = self._centre + up / float(axes[1] @ self.up) * self.up
+        view = View(target, distance, motion, to_eye, self.up, slope, whole <= allowed)
+        inside = np.count_nonzero(view.holds(self._first, self._first_radius, aspect))
+        return replace(view, outside=self._count - int(inside))
 
-    def _borders(self, position: FloatArray, radius: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return the numbers that the right and left, upper and lower borders require, (2, 2) m from the centre."""
-        right, up, depth = self._axes @ (position - self._centre).T
-        found = np.empty((2, 2))
-        for k, along in enumerate((right, up)):
-            reach = slopes[k] * depth + radius * np.sqrt(1.0 + slopes[k] ** 2)
-            found[k] = _largest(along + reach, radius), _largest(reach - along, radius)
-        return found
+    def _around(self, motion: CameraMotion) -> tuple[FloatArray, FloatArray]:
+        """Return centres (k, 3) and radii (k,) of the spheres that should be inside the view."""
+        position, radius = self._spheres[:, :3], self._spheres[:, 3]
+        if motion is CameraMotion.FOLLOW:
+            position = position - self._spheres[:, 4:] + self._centre
+        if motion is CameraMotion.ORBIT and len(position):
+            angles = np.linspace(0.0, 2.0 * np.pi, _TURNS, endpoint=False)
+            offset = position - self._centre
+            position = np.concatenate([self._centre + turned(offset, self.up, angle) for angle in angles])
+            radius = np.tile(radius, _TURNS)
+        return position, radius
 
-    def _box(self, position: FloatArray) -> FloatArray:
-        near = _near(position)
-        along, radius = position[near] @ self._axes.T, self._radius[near]
-        low = [-_largest(radius - along[:, k], radius) for k in range(3)]
-        high = [_largest(radius + along[:, k], radius) for k in range(3)]
-        return np.array([low, high])
+    def _keep(self, position: FloatArray, radius: FloatArray, middle: FloatArray) -> None:
+        rows = np.column_stack([position, radius, np.broadcast_to(middle, position.shape)])
+        self._spheres = np.concatenate([self._spheres, rows])
+        if len(self._spheres) > _MOST_SPHERES:
+            centred = self._spheres[:, :3] - self._centre, self._spheres[:, :3] - self._spheres[:, 4:]
+            outer = [np.argmax(place @ _ALL_ROUND.T + self._spheres[:, 3:4], axis=0) for place in centred]
+            self._spheres = self._spheres[np.unique(np.concatenate(outer))]
 
 
 def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
     """Return the drawn corners (8, 3) of the walls or of the periodic box; None if there is neither."""
     size = header.walls if header.walls is not None else header.box
-    return None if size is None else _corners_of(np.array([-size / 2, size / 2]) - origin)
+    return None if size is None else np.array(list(product((-0.5, 0.5), repeat=3))) * size - origin
 
 
-def _corners_of(ends: FloatArray) -> FloatArray:
-    """Return the corners (8, 3) of the box between two opposite ones, (2, 3)."""
-    return np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+def screen(to_eye: FloatArray, up: FloatArray = _UP) -> FloatArray:
+    """Return the axes of the screen, (3, 3): to the right, up and towards the eye."""
+    right = np.cross(up, to_eye)
+    if float(np.linalg.norm(right)) < _STEEP:  # straight from above or below
+        right = np.cross(np.eye(3)[int(np.argmin(np.abs(to_eye)))], to_eye)
+    right = right / np.linalg.norm(right)
+    return np.array([right, np.cross(to_eye, right), to_eye])
 
 
-def _joined(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Return the box around two boxes; ends that are not finite are ignored."""
-    other = np.where(np.isfinite(other), other, one)
-    return np.array([np.minimum(one[0], other[0]), np.maximum(one[1], other[1])])
+def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
+    """Rotate vectors (..., 3) about a unit vector by an angle (rad)."""
+    along = (vector @ axis)[..., None] * axis
+    aside = vector - along
+    return np.asarray(along + np.cos(angle) * aside + np.sin(angle) * np.cross(axis, aside))
+
+
+def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
+    """Choose the direction to the eye: the smallest principal axis of the motion, from above and with a level horizon.
+
+    Where axes are about as long as each other, the usual direction decides.
+    """
+    usual = _USUAL @ _upright(up)
+    count = moments[3, 3]
+    mean = moments[:3, 3] / max(count, 1.0)
+    covariance = moments[:3, :3] / max(count, 1.0) - np.outer(mean, mean)
+    total = float(np.trace(covariance))
+    chosen = usual
+    if np.isfinite(total) and total > 0.0:
+        chosen = np.linalg.eigh(covariance / total - _PREFERENCE * np.outer(usual, usual))[1][:, 0]
+        chosen = chosen if chosen @ usual >= 0.0 else -chosen
+    level = chosen - (chosen @ up) * up
+    if float(np.linalg.norm(level)) < _STEEP:
+        level = usual - (usual @ up) * up
+    elevation = np.clip(np.arcsin(np.clip(chosen @ up, -1.0, 1.0)), _LOWEST, _HIGHEST)
+    return np.asarray(np.cos(elevation) * level / np.linalg.norm(level) + np.sin(elevation) * up)
+
+
+def _upright(up: FloatArray) -> FloatArray:
+    """Return axes (3, 3) of which the last points up: those of the scene, unless gravity points elsewhere."""
+    if float(up @ _UP) > 1.0 - _STEEP:
+        return np.eye(3)
+    across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
+    across = across / np.linalg.norm(across)
+    return np.array([across, np.cross(up, across), up])
+
+
+def _against_gravity(header: Header) -> FloatArray:
+    """Return the unit vector against the scene's uniform field; without any, along z."""
+    if UNIFORM_FIELD.name not in header.forces or not header.scene_toml:
+        return _UP
+    gravity = tomllib.loads(header.scene_toml).get("gravity", {})
+    acceleration = np.asarray(gravity.get("uniform", -_UP), dtype=np.float64)
+    size = float(np.linalg.norm(acceleration))
+    return -acceleration / size if 0.0 < size < np.inf else _UP
 
 
 def _distance(borders: FloatArray, slopes: FloatArray) -> float:
     return float(np.max(borders.sum(axis=1) / (2.0 * slopes)))
 
 
-def _direction(position: FloatArray) -> FloatArray:
-    """Choose the direction to the eye: higher above if the bodies lie in a horizontal plane, but not in a line."""
-    finite = position[np.all(np.isfinite(position), axis=1)]
-    direction = _LOW
-    if len(finite) > 2:
-        level = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(finite[:, :2].T)), 0.0))
-        if float(np.std(finite[:, 2])) < _FLAT * level[1] and level[0] > _FLAT * level[1]:
-            direction = _HIGH
-    return np.asarray(direction / np.linalg.norm(direction))
-
-
-def _screen(to_eye: FloatArray) -> FloatArray:
-    """Return the axes of the screen: to the right, up and towards the eye."""
-    right = np.cross([0.0, 0.0, 1.0], to_eye)
-    if not right.any():  # straight from above or below
-        right = np.array([1.0, 0.0, 0.0])
-    right /= np.linalg.norm(right)
-    return np.array([right, np.cross(to_eye, right), to_eye])
+def _weights(radius: FloatArray) -> FloatArray:
+    """Return the weights of bodies, by number and by area, so that a planet among 1000 moons counts; 1 for points."""
+    area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
+    return np.asarray(0.5 / len(radius) + 0.5 * area / area.sum() if area.sum() > 0.0 else np.ones(len(radius)))
 
 
 def _largest(values: FloatArray, radius: FloatArray) -> float:
-    """Return the largest value of the bodies that must be inside the view, or of all if the bodies are points.
-
-    The bodies that may be outside are weighted by number and by area, so that a planet among 1000 moons is inside.
-    """
-    finite = np.isfinite(values)
-    values, radius = values[finite], radius[finite]
+    """Return the largest value of the bodies that must be inside the view, or of all if the bodies are points."""
     if len(values) == 0:
         return -np.inf
-    area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
-    if area.sum() == 0.0:
-        return float(values.max())
-    weight = 0.5 / len(values) + 0.5 * area / area.sum()
     order = np.argsort(-values)
-    beyond = np.cumsum(weight[order])
-    return float(values[order[np.searchsorted(beyond, _ESCAPING)]])
+    return float(values[order[np.searchsorted(np.cumsum(_weights(radius)[order]), _ESCAPING)]])
+
+
+def _outermost(position: FloatArray, radius: FloatArray) -> IntArray:
+    """Return which of many bodies are the outermost that must be inside the view, in each of `_OUTWARD`."""
+    order = np.argsort(-(position @ _OUTWARD.T + radius[:, None]), axis=0)
+    beyond = np.cumsum(_weights(radius)[order], axis=0) >= _ESCAPING
+    return np.unique(order[np.argmax(beyond, axis=0), np.arange(len(_OUTWARD))])
 
 
 def _shown(radius: FloatArray) -> slice | IntArray:
@@ -236,7 +406,7 @@ def _shown(radius: FloatArray) -> slice | IntArray:
 def _near(position: FloatArray) -> BoolArray:
     """Return which bodies have finite positions and, if there are more than a few, are not much farther out."""
     finite: BoolArray = np.all(np.isfinite(position), axis=1)
-    if np.count_nonzero(finite) <= _FEW:
+    if np.count_nonzero(finite) <= _FEW_NEAR:
         return finite
     out = np.full(len(position), np.inf)
     out[finite] = np.linalg.norm(position[finite] - np.median(position[finite], axis=0), axis=1)
@@ -244,11 +414,18 @@ def _near(position: FloatArray) -> BoolArray:
     return near
 
 
-def _middle(position: FloatArray, radius: FloatArray) -> FloatArray:
-    """Return the middle of the bodies that must be inside the view."""
-    near = _near(position)
-    if not near.any():
+def _middle(moments: FloatArray, near: BoolArray, radius: FloatArray) -> FloatArray:
+    """Return the middle (k, 3) of the bodies that must be inside the view at each moment."""
+    if len(radius) <= FEW:
+        shown = near[..., None]
+        low = np.where(shown, moments - radius[:, None], np.inf).min(axis=1)
+        high = np.where(shown, moments + radius[:, None], -np.inf).max(axis=1)
+        return np.where(np.isfinite(low), (low + high) / 2, 0.0)
+    return np.array([_middle_of_many(moment[kept], radius[kept]) for moment, kept in zip(moments, near, strict=True)])
+
+
+def _middle_of_many(position: FloatArray, radius: FloatArray) -> FloatArray:
+    if not len(position):
         return np.zeros(3)
-    kept, size = position[near], radius[near]
-    ends = [(_largest(kept[:, k], size), -_largest(-kept[:, k], size)) for k in range(3)]
+    ends = [(_largest(position[:, k], radius), -_largest(-position[:, k], radius)) for k in range(3)]
     return np.asarray(np.mean(ends, axis=1))

@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
 from rerun.encodings import EntityPathLike
 
-from carom.recording.layout.camera import View
+from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import PERIODIC_BOX, PLANES, WALLS
@@ -33,6 +34,7 @@ class Area:
 
     width: float  # points of the screen
     height: float
+    rendered: bool = False
 
     @property
     def aspect(self) -> float:
@@ -47,13 +49,14 @@ class Canvas:
     width: int = 1600
     height: int = 1000
     framed: bool = True  # with the viewer's panels and the titles of views
+    rendered: bool = False  # without a person who may turn the view, so that it can have a narrow lens
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
         """Return the area of a view that takes these shares of the width and of the height."""
         if not self.framed:
-            return Area(self.width * across, self.height * down)
+            return Area(self.width * across, self.height * down, self.rendered)
         height = self.height - _TOP_PANEL - _TIME_PANEL
-        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE))
+        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE), self.rendered)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +79,8 @@ NONE = Additions()
 
 NEAREST = 0.5  # units, of the camera from its target: bodies are drawn, and so are arrows in front of them
 EVERYTHING = "/"
+_LENS = "lens"
+_UNSEEN = 1e-3  # units; Rerun draws nothing nearer than 0.01
 
 
 def space(distance: float) -> str:
@@ -91,16 +96,62 @@ def scale(origin: str) -> float:
 
 
 def log_spaces(stream: rr.RecordingStream, layout: rrb.Blueprint) -> None:
-    """Write the transforms of the magnified spaces that a layout needs."""
-    for origin in sorted(_origins(layout.root_container)):
+    """Write the transforms of the magnified spaces that a layout needs, and its lenses."""
+    views = views_of(layout.root_container)
+    for origin in sorted({str(view.origin) for view in views if str(view.origin).startswith(f"/{paths.MAGNIFIED}/")}):
         stream.log(origin, rr.Transform3D(scale=1.0 / scale(origin)), static=True)
+    for view in views:
+        if isinstance(view, LensView):
+            stream.log(view.lens.path, view.lens.pinhole(), static=True)
+            if view.lens.view.motion is CameraMotion.STILL:
+                stream.log(view.lens.path, view.lens.pose(), static=True)
 
 
-def _origins(part: rrb.Container | rrb.View) -> set[str]:
-    """Return the magnified spaces among the origins of the views of a part of a layout."""
+def views_of(part: rrb.Container | rrb.View) -> list[rrb.View]:
+    """Return the views of a part of a layout."""
     if isinstance(part, rrb.View):
-        return {str(part.origin)} if str(part.origin).startswith(f"/{paths.MAGNIFIED}/") else set()
-    return set().union(*(_origins(inner) for inner in part.contents))
+        return [part]
+    return [view for inner in part.contents for view in views_of(inner)]
+
+
+# Rerun's eye has a field of view of 55° (Rerun 0.43). Only an eye that tracks a pinhole camera has the field of view of
+# that camera. It gives it up when somebody turns the view, and then stands at a far point with 55°, and turns about a
+# point at one unit before it. Pictures and movies therefore have a narrow lens, and the viewer's windows do not.
+
+
+@dataclass(frozen=True, slots=True)
+class Lens:
+    """A camera that the eye of a view tracks, for its narrow field of view."""
+
+    path: str
+    view: View  # whose slope is that of the lens
+    larger: float  # scale of the space in which the view shows the scene
+
+    def pinhole(self) -> rr.Pinhole:
+        """Return the field of view; the camera itself is too near to its own eye to be drawn."""
+        return rr.Pinhole(
+            fov_y=2.0 * math.atan(self.view.slope),
+            aspect_ratio=1.0,
+            camera_xyz=rr.ViewCoordinates.RUB,
+            image_plane_distance=_UNSEEN,
+        )
+
+    def pose(self) -> rr.Transform3D:
+        """Return where the camera is, and where it looks."""
+        axes = screen(self.view.to_eye, self.view.up)
+        return rr.Transform3D(translation=self.larger * self.view.eye, mat3x3=axes.T)
+
+    def poses(self, views: Sequence[View]) -> rr.ComponentColumnList:
+        """Return the same of a camera that moves, a row for each view."""
+        axes = [screen(view.to_eye, view.up).T for view in views]
+        eyes = self.larger * np.array([view.eye for view in views])
+        return rr.Transform3D.columns(translation=eyes, mat3x3=axes)
+
+
+class LensView(rrb.Spatial3DView):
+    """A 3D view whose eye tracks a lens."""
+
+    lens: Lens
 
 
 def spatial_view(
@@ -116,7 +167,13 @@ def spatial_view(
     """
     origin = space(view.distance)
     larger = scale(origin)
-    return rrb.Spatial3DView(
+    tracked = follows or (paths.BODIES if view.motion is CameraMotion.FOLLOW else None)
+    lens = None
+    if view.slope != SLOPE:
+        key = "".join(character for character in name if character.isalnum())
+        lens = Lens(f"{origin.rstrip('/')}/{_LENS}/{key}", view, larger)
+        tracked, contents = lens.path, [*contents, lens.path]
+    shown = (LensView if lens else rrb.Spatial3DView)(
         name=name,
         origin=origin,
         contents=list(contents),
@@ -125,11 +182,14 @@ def spatial_view(
         eye_controls=rrb.EyeControls3D(
             position=larger * view.eye,
             look_target=larger * view.target,
-            eye_up=[0.0, 0.0, 1.0],
-            tracking_entity=follows or (paths.BODIES if view.follows else None),
+            eye_up=view.up,
+            tracking_entity=tracked,
         ),
         overrides=overrides,
     )
+    if isinstance(shown, LensView) and lens:
+        shown.lens = lens
+    return shown
 
 
 def surroundings(header: Header) -> list[str]:

@@ -19,7 +19,7 @@ from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.frame import Frame, FrameStore
 from carom.recording.layout.blueprint import blueprint
-from carom.recording.layout.camera import CameraFit, corners_of
+from carom.recording.layout.camera import CameraFit
 from carom.recording.read.continuation import Continuation
 from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.read.recorded_scene import recorded_curves
@@ -341,7 +341,7 @@ class FrameRecorder:
             origin = np.average(position, axis=0, weights=self.header.mass)
             self._encoder = BatchEncoder(self.header, origin)
         reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
-        self._camera_fit = CameraFit(self.header.radius, position - origin, corners_of(self.header, origin))
+        self._camera_fit = CameraFit.of_scene(self.header, origin, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # logged data waits in a batcher; without it the frames of a killed run could not be read
         if continued is not None:
@@ -355,7 +355,9 @@ class FrameRecorder:
         if not self._laid_out and (self._stream.is_live or self.payload_bytes > _LAID_OUT_AFTER):
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit))
             self._laid_out = True
-        if self.frames >= _LOOK * self._looked:  # an update takes a millisecond, during which the physics waits
+        if (
+            self._camera_fit.is_few or self.frames >= _LOOK * self._looked
+        ):  # an update takes a millisecond, during which the physics waits
             self._looked = self.frames
             self._camera_fit.see(batch, origin)
 
