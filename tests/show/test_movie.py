@@ -209,3 +209,22 @@ def test_a_movie_that_is_ended_leaves_neither_viewer_nor_temporary_files(
         return
     assert process.returncode == (130 if number == signal.SIGINT else 143) and "Traceback" not in said
     assert not list(output.iterdir()) and not list(temporary.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.needs(PICTURES)
+def test_a_ball_bounces_in_a_movie_whose_camera_stands_still(tmp_path: Path) -> None:
+    assert carom("run", "bouncing-ball", "-o", "ball.rrd", cwd=tmp_path).returncode == 0
+    asked = ["--seconds", "0.4", "--fps", "10", "--size", "480x300", "--to", "1.2"]
+    done = carom("movie", "ball.rrd", *asked, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    heights, sizes = [], []
+    for frame in frames_of(tmp_path / "ball.mp4"):
+        blue = frame[..., 2] - frame[..., 0] > 40
+        wide = np.flatnonzero(blue.sum(axis=1) > 15)  # rows of the ball; its trail has two or three pixels
+        heights.append(float(np.mean(wide)))
+        sizes.append(np.ptp(wide))
+        grey = (np.ptp(frame, axis=2) < 30) & (frame.min(axis=2) > 90)
+        assert grey.mean() > 0.01, "the floor"
+    assert np.ptp(heights) > 100, "it crosses a third of the picture"
+    assert np.ptp(sizes) <= 3, "two rows of pixels, and compression"

@@ -234,8 +234,12 @@ def test_the_close_up_shows_two_bodies_that_meet_through_a_periodic_border_side_
 def test_a_view_of_bodies_that_may_meet_but_do_not_includes_their_whole_paths(
     met: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    included = []
-    monkeypatch.setattr(CameraFit, "show_all", included.append)
+    included: list[CameraFit] = []
+
+    def show_all(self: CameraFit) -> None:
+        included.append(self)
+
+    monkeypatch.setattr(CameraFit, "show_all", show_all)
     scene = pair(offset=0.0 if met else 3.0, time={"duration": 2.0, "fixed_dt": 0.1})
     presentation(carom.run(scene, tmp_path / "run.rrd"), 2.0)
     assert len(included) == (0 if met else 1)

@@ -24,10 +24,15 @@ def of_colour(pixels: Pixels, colour: int, tolerance: int = 25) -> int:
     return int(np.sum(np.all(np.abs(pixels - wanted) <= tolerance, axis=2)))
 
 
-def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:
-    """Count the pixels of a colour in any shade: light falls on the spheres from one side."""
+def hue_mask(pixels: Pixels, colour: int, apart: float = 0.06) -> NDArray[np.bool_]:
+    """Return which pixels have a colour in any shade: light falls on the spheres from one side."""
     wanted = np.array([colour >> 24 & 0xFF, colour >> 16 & 0xFF, colour >> 8 & 0xFF]) / 255
     brightness = pixels.sum(axis=2)
     share = pixels / np.maximum(brightness, 1)[..., None]
     near = np.all(np.abs(share - wanted / wanted.sum()) < apart, axis=2)
-    return int(np.sum(near & (brightness > 90)))
+    return np.asarray(near & (brightness > 90))
+
+
+def of_hue(pixels: Pixels, colour: int, apart: float = 0.06) -> int:
+    """Count the pixels of a colour in any shade."""
+    return int(np.sum(hue_mask(pixels, colour, apart)))

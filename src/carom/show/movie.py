@@ -186,7 +186,7 @@ def _layout(
     times: Sequence[float],
     size: tuple[int, int],
     view: str,
-    motion: CameraMotion | None,
+    motion: CameraMotion | None = None,
 ) -> Supplement:
     """Lay out the views, with the camera fitted to the bodies of all times."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)

@@ -143,7 +143,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
     """Return the view; edges are drawn by their impulses if these are recorded."""
     # how far (m) arrows of medium length reach out of the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
-    view = camera.view(area.aspect, room, narrow=area.rendered)
+    view = camera.view(area.aspect, room, narrow=area.rendered, trails=False)
     return spatial_view(
         _name(header),
         view,

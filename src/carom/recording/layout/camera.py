@@ -214,7 +214,7 @@ class CameraFit:
         """Keep all motion inside the view, even if the bodies of the first moment are small in it."""
         self._loose = _LOOSE_PATHS
 
-    def view(self, aspect: float = ASPECT, room: float = 0.0, *, narrow: bool = False) -> View:
+    def view(self, aspect: float = ASPECT, room: float = 0.0, *, narrow: bool = False, trails: bool = True) -> View:
         """Return a view of the first moment and, unless bodies would look too small, of all others.
 
         Parameters
@@ -225,26 +225,31 @@ class CameraFit:
             m, margin around the bodies for arrows; smaller if bodies would look too small.
         narrow
             Whether the eye has a narrow field of view and is far away, so that equal spheres look equal.
+        trails
+            Whether the view may show the paths of few bodies, which should all be inside.
         """
+        has_paths = trails and self.is_few
         if self.motion is not None:
-            return self._view(aspect, room, self.motion, narrow=narrow)
-        view = self._view(aspect, room, CameraMotion.STILL, narrow=narrow)
-        if self._drift > self._extent / 2 and not (self.is_few and view.whole):
-            view = self._view(aspect, room, CameraMotion.FOLLOW, narrow=narrow)
+            return self._view(aspect, room, self.motion, narrow=narrow, has_paths=has_paths)
+        view = self._view(aspect, room, CameraMotion.STILL, narrow=narrow, has_paths=has_paths)
+        if self._drift > self._extent / 2 and not (has_paths and view.whole):
+            view = self._view(aspect, room, CameraMotion.FOLLOW, narrow=narrow, has_paths=has_paths)
         return view
 
-    def _view(self, aspect: float, room: float, motion: CameraMotion, *, narrow: bool) -> View:
+    def _view(self, aspect: float, room: float, motion: CameraMotion, *, narrow: bool, has_paths: bool) -> View:
         to_eye = self._to_eye
         if to_eye is None:
             to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up)
-        view = self._fitted(to_eye, aspect, room, _NARROW_SLOPE if narrow else SLOPE, motion)
+        view = self._fitted(to_eye, aspect, room, _NARROW_SLOPE if narrow else SLOPE, motion, has_paths=has_paths)
         depth = float(np.ptp(self._around(motion)[0] @ to_eye)) if len(self._spheres) else 0.0
         if narrow and view.distance < _DEPTHS * depth:
             slope = _NARROW_SLOPE * view.distance / (_DEPTHS * depth)
-            view = self._fitted(to_eye, aspect, room, slope, motion)
+            view = self._fitted(to_eye, aspect, room, slope, motion, has_paths=has_paths)
         return view
 
-    def _fitted(self, to_eye: FloatArray, aspect: float, room: float, slope: float, motion: CameraMotion) -> View:
+    def _fitted(
+        self, to_eye: FloatArray, aspect: float, room: float, slope: float, motion: CameraMotion, *, has_paths: bool
+    ) -> View:
         axes = screen(to_eye, self.up)
         slopes = _FILLED * slope * np.array([aspect, 1.0])
 
@@ -271,7 +276,7 @@ class CameraFit:
         if room > 0.0:
             later = np.maximum(later, borders(self._first, self._first_radius + room, all_inside=self.is_few))
         allowed = self._loose * _distance(now, slopes)
-        if self.is_few:
+        if has_paths:
             allowed = max(allowed, _SMALL * float(np.median(self._radius)) / (2.0 * slope))
         whole = _distance(later, slopes)
         distance = min(whole, allowed)
