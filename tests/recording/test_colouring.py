@@ -91,7 +91,7 @@ def test_a_scene_without_contacts_has_no_islands(tmp_path: Path) -> None:
 def test_trails_lead_from_frame_to_frame_and_are_framed_with_the_bodies(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("kepler-orbits", ["time.duration=8"]), tmp_path / "orbits.rrd")
     header = header_of_recording(recording)
-    found = supplement.Trails(recording, header)
+    found = supplement.Trails(recording, header, header.static_colours("group"))
     (rows,) = found.rows()
     assert list(rows.steps) == recording.fingerprints()[STEP].to_pylist()[1:]
     first = recording.drawn_positions(0)

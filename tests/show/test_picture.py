@@ -90,7 +90,7 @@ def test_spheres_of_every_group_fill_the_first_view(picture: Pixels) -> None:
 @pytest.mark.needs(PICTURES)
 def test_the_second_view_shows_wires_edges_and_arrows(picture: Pixels) -> None:
     shown = graph_view(picture)
-    assert of_colour(shown, 0x8A93A6FF, 60) > 1000, "wires"
+    assert of_hue(shown, palette.SKY) > 300, "wires, in the colours of their bodies"
     assert of_hue(shown, palette.ORANGE) > 300, "torques"
     assert of_hue(shown, palette.GREEN) > 100, "angular accelerations"
     for stage in (palette.YELLOW, palette.PURPLE):
@@ -134,7 +134,7 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     shares = (3, 2.2, 2)  # with the close-up
     bodies, graph = view(pixels, 0, shares), view(pixels, 1, shares)
     assert of_hue(bodies, palette.SKY) > 0.05 * bodies.shape[0] * bodies.shape[1], "spheres"
-    assert of_colour(graph, 0x8A93A6FF, 60) > 1000, "wires"
+    assert of_hue(graph, palette.SKY) > 300, "wires, in the colours of their bodies"
     assert of_hue(graph, palette.ORANGE) > 300, "torques"
     assert of_hue(graph, palette.GREEN) > 30, "angular accelerations"
     assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 300, "contacts, by impulse"

@@ -317,7 +317,7 @@ def test_a_scene_without_contacts_has_no_close_up_and_no_graph(tmp_path: Path) -
 
 def strips_of(recording: Recording) -> list[Any]:
     """Return the pieces of all trails, frame by frame, in each frame body by body."""
-    rows = list(Trails(recording, header_of_recording(recording)).rows())
+    rows = list(Trails(recording, header_of_recording(recording), np.zeros(len(recording.shown), np.uint32)).rows())
     return [strip for frame in values_of(TRAILS, "strips", rows) for strip in frame]
 
 

@@ -1,19 +1,25 @@
-"""The colours of the bodies of a recording, by frame."""
+"""The colours of the bodies of a recording: the one place that gives a body its colour, for every view and plot.
+
+The 3D views, the close-up, trails and curves of single bodies all ask `BodyColours`. Where colours change with time (by
+speed, by graph, by island), curves have colours of their own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 
-from carom.arrays import ColourArray, IntArray, SingleArray
+from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
 from carom.errors import RecordingError
 from carom.recording.layout import colouring
 from carom.recording.layout.drawing import shape
+from carom.recording.read.entities import reading
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema import paths
+from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
 from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import Index, Rows
@@ -21,10 +27,52 @@ from carom.show.shown_step import ShownStep
 
 _MOST = 30_000_000  # bodies times frames
 _CONTACT_ENDS = "LineStrips3D:strips"
+_RECORDED = ("Ellipsoids3D:colors", "Points3D:colors")
 
 
-def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) -> list[Rows]:
+@dataclass(frozen=True, slots=True)
+class BodyColours:
+    """The colours of all bodies that a recording shows, as its views draw them.
+
+    Attributes
+    ----------
+    steps, times
+        (k,) and (k,) s, of the frames at which the colours may change; one if they never do.
+    colours
+        (k, n) 0xRRGGBBAA.
+    """
+
+    steps: IntArray
+    times: FloatArray
+    colours: ColourArray
+
+    @property
+    def fixed(self) -> ColourArray | None:
+        """The colours (n,) if they hold for the whole run; else None."""
+        return self.colours[0] if len(self.steps) == 1 else None
+
+    def of(self, places: Sequence[int]) -> BodyColours:
+        """Return the colours of some bodies, by their places among those that the recording shows."""
+        return BodyColours(self.steps, self.times, self.colours[:, list(places)])
+
+    def rows(self, header: Header) -> Rows:
+        """Return rows that draw the bodies in these colours, in place of the recorded ones."""
+        flat, n = self.colours.ravel(), self.colours.shape[1]
+        # Rerun prefers static values of the same component, so these colours belong to another archetype
+        archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
+        columns = archetype.columns(colors=flat).partition([n] * len(self.steps))
+        return Rows(paths.BODIES, Index(self.steps, self.times), columns, flat.nbytes)
+
+
+def body_colours(recording: Recording, header: Header, by: str, step: ShownStep) -> BodyColours:
     """Return the colours of the bodies at all frames and at repeated steps.
+
+    Parameters
+    ----------
+    by
+        What colours the bodies. If it is what the recording was coloured by, these are the recorded colours.
+    step
+        Whose repeated steps have colours, too.
 
     Raises
     ------
@@ -32,32 +80,47 @@ def colour_rows(recording: Recording, header: Header, by: str, step: ShownStep) 
         If the recording lacks the data for them.
     """
     n = len(header.radius)
-    if n * recording.frames > _MOST:
-        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
+    own = by == header.coloured_by
+    if own and shape(header) == "mesh":
+        return _constant(recording, np.full(n, palette.SKY, dtype=np.uint32))
     if by == "material" and header.materials is None:
         raise RecordingError(f"{recording.path} has no [[material]] to colour by; take group")
     if by in STATIC_COLOURS:
-        first = recording.fingerprints()
-        fixed = header.static_colours(by)[recording.shown]
-        found = iter([(int(first[STEP][0].as_py()), float(first["time"][0].as_py()), fixed)])
+        return _constant(recording, header.static_colours(by)[recording.shown])
+    if n * recording.frames > _MOST:
+        if own:  # nothing depends on them but the close-up
+            return _constant(recording, header.static_colours("group")[recording.shown])
+        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
+    if own:
+        found = _as_recorded(recording, n)
     elif by == "speed":
         found = _by_speed(recording, header, step)
     else:
         if not header.collides:
             raise RecordingError(f"{recording.path} has no contacts to colour by {by}; take group or speed")
         found = _by_contacts(recording, n, by, step)
-    steps, times, colours = (list(column) for column in zip(*found, strict=True))
-    flat = np.concatenate(colours)
-    # Rerun prefers static values of the same component, so these colours belong to another archetype
-    archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
-    return [
-        Rows(
-            paths.BODIES,
-            Index(np.array(steps), np.array(times)),
-            archetype.columns(colors=flat).partition([n] * len(steps)),
-            flat.nbytes,
-        )
-    ]
+    rows = list(found)
+    if not rows:  # of a run that was killed at its start
+        return _constant(recording, header.static_colours("group")[recording.shown])
+    steps, times, colours = (list(column) for column in zip(*rows, strict=True))
+    return BodyColours(np.array(steps), np.array(times), np.stack(colours))
+
+
+def _constant(recording: Recording, colours: ColourArray) -> BodyColours:
+    first = recording.fingerprints()
+    return BodyColours(first[STEP].to_numpy()[:1], first["time"].to_numpy()[:1], colours[None])
+
+
+def _as_recorded(recording: Recording, n: int) -> Iterator[tuple[int, float, ColourArray]]:
+    """Yield the colours that are in the file."""
+    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
+    with reading(recording.path):
+        for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
+            name = next((name for name in _RECORDED if name in chunk.components), None)
+            if name is None:
+                continue
+            colours = np.asarray(chunk.batch[name].flatten().to_numpy(), dtype=np.uint32).reshape(-1, n)
+            yield from zip(*_times(recording, chunk.batch[STEP].to_numpy()), colours, strict=True)
 
 
 def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:

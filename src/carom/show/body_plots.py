@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,7 +16,7 @@ from carom.recording.layout.canvas import Area
 from carom.recording.layout.plot_views import CurveOutline, curve_style, time_series_view
 from carom.recording.read.body_lookup import body_number, split_at_commas
 from carom.recording.read.recording import Recording
-from carom.recording.schema.palette import LINES
+from carom.recording.schema import palette
 from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import Index, Rows
 from carom.scene.units.system import SI, UnitSystem
@@ -190,6 +190,7 @@ class BodyPlots:
 
     series: Sequence[BodySeries]
     system: UnitSystem = SI  # of the recording
+    colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, where they do not change with time
     alone: bool = False  # whether a plot fills the picture, which then shows no title: the legend says all
 
     @property
@@ -204,11 +205,21 @@ class BodyPlots:
             yield Rows(_path(each), Index(each.step, each.time), columns, each.value.nbytes)
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the styles of the curves; each curve of a plot has its own colour."""
-        colours = list(LINES.values())
+        """Yield the styles of the curves."""
         for unit in self.units:
-            for k, each in enumerate(self._of(unit)):
-                yield _path(each), curve_style(self._legend(each), colours[k % len(colours)])
+            series = self._of(unit)
+            for each, colour in zip(series, self._curve_colours(series), strict=True):
+                yield _path(each), curve_style(self._legend(each), colour)
+
+    def _curve_colours(self, series: Sequence[BodySeries]) -> list[int]:
+        """Return the colours of the curves of a plot: of their bodies, as far as these tell the curves apart.
+
+        If a body has two curves, or two bodies are alike, each curve has a colour of its own.
+        """
+        own = palette.legible(self.colours.get(each.body, 0) for each in series).tolist()
+        lines = list(palette.LINES.values())
+        known = all(each.body in self.colours for each in series)
+        return own if known and len(set(own)) == len(own) else [lines[k % len(lines)] for k in range(len(series))]
 
     def views(self, row: Area) -> list[rrb.View]:
         """Lay out a plot for each unit, side by side in a row."""

@@ -31,6 +31,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import BatchColumn, Index, Rows
 from carom.scene.units import dimension
 from carom.scene.units.system import UnitSystem
+from carom.show.body_colours import BodyColours
 from carom.show.request import Pair
 from carom.show.shown_step import ShownStep
 from carom.show.supplement import Static
@@ -53,7 +54,6 @@ _LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a gap that is rounding
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
-_HIGHLIGHTS = np.array([palette.SKY, palette.ORANGE], dtype=np.uint32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +102,14 @@ class CloseUp:
     origin: FloatArray  # (3,) m, of the recording
     box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
     eye: View
+    colours: BodyColours  # of the bodies, as in the other views
 
-    def view(self, header: Header) -> rrb.Spatial3DView:
+    def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
-        return spatial_view(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header), follows=FOLLOWED)
+        return spatial_view(
+            f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured), follows=FOLLOWED
+        )
 
     def statics(self, header: Header) -> Iterable[Static]:
         """Yield sizes and colours of the entities."""
@@ -116,7 +119,7 @@ class CloseUp:
             BODIES,
             rr.Ellipsoids3D.from_fields(
                 half_sizes=np.repeat(radius, 3).reshape(-1, 3),
-                colors=_HIGHLIGHTS[: len(radius)],
+                colors=self.colours.fixed,
                 fill_mode="TransparentFillMajorWireframe",
                 line_radii=rr.Radius.ui_points(1.0),
             ),
@@ -131,9 +134,17 @@ class CloseUp:
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
+        if self.colours.fixed is None:
+            yield from self._changing_colours()
         yield from self._bodies()
         if self.contact is not None:
             yield from self._arrows(self.contact, header)
+
+    def _changing_colours(self) -> Iterable[Rows]:
+        colours = self.colours
+        columns = rr.Ellipsoids3D.columns(colors=colours.colours.ravel())
+        index = Index(colours.steps, colours.times)
+        yield Rows(BODIES, index, columns.partition([len(self.bodies)] * len(index.steps)), colours.colours.nbytes)
 
     def _bodies(self) -> Iterable[Rows]:
         """Place the bodies, and the points that the camera follows, at all frames, repeated steps and the instant."""
@@ -250,6 +261,7 @@ def close_up(
     step: ShownStep,
     pair: Pair,
     aspect: float,
+    colours: BodyColours,
     instant: ShownStep | None = None,
     *,
     pauses_within: bool = False,
@@ -260,6 +272,8 @@ def close_up(
     ----------
     aspect
         Width over height of the view.
+    colours
+        Of all bodies.
     instant
         Of an impact of the pair within the step. A pair that touches at the end of the step, too, is shown there.
     pauses_within
@@ -304,6 +318,7 @@ def close_up(
         origin=recording.origin,
         box=header.box,
         eye=_fit(header.radius[places], seen, contact).view(aspect),
+        colours=colours.of(places),
     )
 
 

@@ -21,7 +21,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
-from carom.show.body_colours import colour_rows
+from carom.show.body_colours import body_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
@@ -139,7 +139,9 @@ def presentation(
     header = header_of_recording(recording)
     step = shown_step(recording, moment, within, dense=dense, watch=watch)
     until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
-    staging = Staging.of(recording, header, step.position, until, motion)
+    by = colour_by or header.coloured_by
+    colours = body_colours(recording, header, by, step)
+    staging = Staging.of(recording, header, step.position, until, motion, colours.fixed)
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
     clock = TimeScale(float(recording.info["time_scale"]))
@@ -148,7 +150,7 @@ def presentation(
     paused = instant if instant is not None and within_step else step
     close = None
     if chosen is not None:
-        close = close_up(recording, header, step, chosen, aspect, instant, pauses_within=within_step)
+        close = close_up(recording, header, step, chosen, aspect, colours, instant, pauses_within=within_step)
     repeated = list(_steps(recording, header, step))
     rows = [*repeated, *(close.rows(header) if close else [])]
     if paused is not step:
@@ -157,11 +159,13 @@ def presentation(
     rows += staging.rows()
     statics += staging.statics()
     if plots is not None:
+        if colours.fixed is not None:
+            plots = replace(plots, colours=dict(zip(recording.shown, colours.fixed.tolist(), strict=True)))
         rows += plots.rows()
         statics += plots.statics()
-    recoloured = colour_by is not None and colour_by != header.coloured_by
-    if colour_by is not None and recoloured:
-        rows += colour_rows(recording, header, colour_by, step)
+    recoloured = by != header.coloured_by
+    if recoloured:
+        rows.append(colours.rows(header))
     added = Additions(close, staging.trails is not None, recoloured, plots)
     layout = blueprint(header, staging.camera, _curves(recording, repeated), canvas, only, added)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import rerun.blueprint as rrb
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import ColourArray, FloatArray, IntArray
 from carom.recording.layout.camera import CameraFit, CameraMotion, turned
 from carom.recording.layout.canvas import LensView, views_of
 from carom.recording.read.frame_rows import RecordedPositions
@@ -39,6 +39,7 @@ class Staging:
         first: FloatArray,
         until: float = np.inf,
         motion: CameraMotion | None = None,
+        colours: ColourArray | None = None,
     ) -> Staging:
         """Fit a camera to a recording.
 
@@ -52,10 +53,15 @@ class Staging:
             s, the time up to which the motion should be in view.
         motion
             Of the camera; by default it depends on the scene.
+        colours
+            (n,) of the trails; by default those of the groups.
         """
         camera = CameraFit.of_scene(header, recording.origin, first, motion)
-        trails = Trails(recording, header) if has_trails(recording) else None
-        if trails is not None:
+        trails = None
+        if has_trails(recording):
+            trails = Trails(
+                recording, header, header.static_colours("group")[recording.shown] if colours is None else colours
+            )
             trails.show(camera, until)
             if not _meet(recording, header):  # orbits, of bodies that may all be near their pericentres
                 camera.show_all()

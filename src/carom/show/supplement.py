@@ -13,12 +13,12 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carom.arrays import SingleArray
+from carom.arrays import ColourArray, SingleArray
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.read.frame_rows import drawn_paths
 from carom.recording.read.recording import Recording
-from carom.recording.schema.header import STATIC_COLOURS, Header
+from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.durable_sink import FLUSH
@@ -64,10 +64,11 @@ _POINTS = 1000  # of a path that is drawn as a curve through fewer frames: integ
 class Trails:
     """The paths of all bodies of a recording, as pieces from frame to frame.
 
-    Where nothing ever touched, a piece is a part of the cubic spline through all frames.
+    Where nothing ever touched, a piece is a part of the cubic spline through all frames. ``colours`` (n,) are those of
+    the bodies.
     """
 
-    def __init__(self, recording: Recording, header: Header) -> None:
+    def __init__(self, recording: Recording, header: Header, colours: ColourArray) -> None:
         drawn = drawn_paths(recording, range(len(header.radius)))
         table = recording.fingerprints()
         rows = np.minimum(np.searchsorted(table[STEP].to_numpy(), drawn.steps), table.num_rows - 1)
@@ -78,8 +79,7 @@ class Trails:
         self._box = header.box
         untouched = recording.closing.get("contacts.total") == 0 and header.box is None
         self._is_smooth = untouched and bool((np.diff(self._times) > 0.0).all())
-        by = header.coloured_by
-        self._colours = header.static_colours(by if by in STATIC_COLOURS else "group")[recording.shown]
+        self._colours = colours
 
     def show(self, camera: CameraFit, until: float = np.inf) -> None:
         """Fit a camera to the paths up to a time (s), which are drawn, in a direction that suits all of the motion."""

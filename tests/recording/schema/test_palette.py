@@ -95,3 +95,15 @@ def test_the_measures_of_colour_are_right() -> None:
     assert contrast(0x000000FF, 0xFFFFFFFF) == pytest.approx(21.0)
     assert contrast(0x777777FF, 0xFFFFFFFF) == pytest.approx(4.48, abs=0.005)  # WebAIM's contrast checker
     assert lab(linear(0xFF0000FF)) == pytest.approx([53.2, 80.1, 67.2], abs=0.1)  # of sRGB red
+
+
+@pytest.mark.parametrize("theme", ["light", ""])
+@pytest.mark.parametrize("name", palette.NAMED)
+def test_colours_of_bodies_are_made_legible_on_paper_and_in_plots_without_another_hue(name: str, theme: str) -> None:
+    given = palette.NAMED[name]
+    (found,) = palette.legible([given], theme).tolist()
+    for ground in [palette.PLOT_GROUNDS["light"], *([] if theme else [palette.PLOT_GROUNDS["dark"]])]:
+        assert contrast(found, ground) >= 2.95, "3, less the rounding to 8 bits"
+    before, after = (np.argsort([(c >> shift) & 0xFF for shift in (24, 16, 8)], stable=True) for c in (given, found))
+    assert np.array_equal(before, after)
+    assert palette.legible([given], "dark").tolist() == [given]

@@ -93,9 +93,9 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     areas = _areas(canvas, shares)
     views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
     if has_graph(header):
-        views.append(graph_view(header, camera, areas[1]))
+        views.append(graph_view(header, camera, areas[1], added.recoloured))
     if added.close:
-        views.append(added.close.view(header))
+        views.append(added.close.view(header, added.recoloured))
     heights = list(_ROWS)
     if added.plots is not None:
         heights.insert(1, _ROWS[1])
@@ -123,13 +123,13 @@ def _single(
         case "bodies":
             return bodies_view(header, camera, canvas.area(), added)
         case "graph" if has_graph(header):
-            return graph_view(header, camera, canvas.area())
+            return graph_view(header, camera, canvas.area(), added.recoloured)
         case "graph":
             raise RecordingError(
                 "there is no collision graph: bodies neither touch nor feel torques; take the view of bodies"
             )
         case "close-up" if added.close:
-            return added.close.view(header)
+            return added.close.view(header, added.recoloured)
         case "close-up":
             raise RecordingError("no impact is known that a close-up could show; name two bodies")
         case _:

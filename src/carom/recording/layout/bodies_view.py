@@ -130,8 +130,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
     )
 
 
-_GHOST = 0x8A93A630
-_WIRE = 0x8A93A6FF  # bodies behind arrows and edges
+_GHOST = 0x8A93A630  # a mesh behind arrows and edges
 
 
 def has_graph(header: Header) -> bool:
@@ -139,7 +138,7 @@ def has_graph(header: Header) -> bool:
     return header.collides or header.has_torque
 
 
-def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DView:
+def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool = False) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
     # how far (m) arrows of medium length reach out of the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
@@ -154,7 +153,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area) -> rrb.Spatial3DVi
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
-        faint_bodies(header) | edges_by_impulse(header),
+        faint_bodies(header, recoloured) | edges_by_impulse(header),
     )
 
 
@@ -163,15 +162,16 @@ def _name(header: Header) -> str:
     return f"{edges}, torques, angular accelerations" if header.has_torque else edges
 
 
-def faint_bodies(header: Header) -> dict[EntityPathLike, VisualizerLike]:
-    """Draw bodies as thin wires, so that they do not hide edges and arrows."""
+def faint_bodies(header: Header, recoloured: bool = False) -> Overrides:
+    """Draw bodies as thin wires in their own colours, so that they do not hide edges and arrows."""
     match shape(header):
         case "ellipsoids":
-            thin = rr.Radius.ui_points(0.4)
-            return {
-                paths.BODIES: rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", colors=_WIRE, line_radii=thin)
-            }
+            thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(0.4))
+            colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured else {}
+            return {paths.BODIES: thin.visualizer(mappings=_from(colours))}
         case "points":
-            return {paths.BODIES: rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0), colors=_WIRE)}
+            dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0))
+            colours = {"Points3D:colors": "Ellipsoids3D:colors"} if recoloured else {}
+            return {paths.BODIES: dots.visualizer(mappings=_from(colours))}
         case _:
             return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}

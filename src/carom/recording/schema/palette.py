@@ -7,7 +7,7 @@ the theme. Their curves use `LINES`: each colour has a contrast of at least 3 to
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -75,6 +75,35 @@ MOST_SINGLE = 70  # single bodies to which the hues are given in rotation; of mo
 
 _GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) evenly in any prefix
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
+
+
+_BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and of 3 to 1 on a dark plot
+
+
+def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
+    """Return colours of the same hues that have a contrast of at least 3 to 1 on a ground.
+
+    Parameters
+    ----------
+    theme
+        "dark" leaves them as they are, since the palette is for a dark ground; "light" darkens bright ones for white
+        paper. By default they are made for both, as curves must be: a viewer's plots have the ground of its theme.
+    """
+    given = np.array([*colours], dtype=np.uint32)
+    if theme == "dark":
+        return given
+    channels = np.stack([(given >> np.uint32(shift)) & np.uint32(0xFF) for shift in (24, 16, 8)], axis=1) / 255.0
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)  # sRGB
+    luminance = (linear @ np.array([0.2126, 0.7152, 0.0722]))[:, None]
+    linear = linear * np.minimum(1.0, _BRIGHTEST / np.maximum(luminance, _BRIGHTEST))
+    if not theme:
+        linear += (1.0 - linear) * np.maximum(0.0, (_DARKEST - luminance) / (1.0 - luminance).clip(_DARKEST))
+    channels = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    whole = np.round(255.0 * channels).astype(np.uint32)
+    result: NDArray[np.uint32] = given & np.uint32(0xFF)
+    for channel, shift in enumerate((24, 16, 8)):
+        result |= whole[:, channel] << np.uint32(shift)
+    return result
 
 
 def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
