@@ -51,6 +51,11 @@ class BodyColours:
         """The colours (n,) if they hold for the whole run; else None."""
         return self.colours[0] if len(self.steps) == 1 else None
 
+    def on(self, theme: str) -> BodyColours:
+        """Return the same colours for a ground, "dark" or "light"."""
+        shown = palette.legible(self.colours.ravel(), theme).reshape(self.colours.shape)
+        return BodyColours(self.steps, self.times, shown)
+
     def of(self, places: Sequence[int]) -> BodyColours:
         """Return the colours of some bodies, by their places among those that the recording shows."""
         return BodyColours(self.steps, self.times, self.colours[:, list(places)])

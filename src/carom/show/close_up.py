@@ -49,7 +49,6 @@ _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_SPIN_COLOUR = 0x5CE0B0FF  # the palette's green hardly shows on the bodies
 _LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a gap that is rounding
@@ -103,12 +102,15 @@ class CloseUp:
     box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
     eye: View
     colours: BodyColours  # of the bodies, as in the other views
+    theme: str
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
         contents = [BODIES, FOLLOWED, EDGE, NORMAL, IMPULSE, SPIN, LABELS, paths.BODIES, *surroundings(header)]
         return spatial_view(
-            f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured), follows=FOLLOWED
+            *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured)),
+            follows=FOLLOWED,
+            theme=self.theme,
         )
 
     def statics(self, header: Header) -> Iterable[Static]:
@@ -124,13 +126,15 @@ class CloseUp:
                 line_radii=rr.Radius.ui_points(1.0),
             ),
         )
-        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.BACKGROUND)
+        ink = palette.INKS[self.theme]
+        impulse, spin = palette.legible([palette.ARROWS[paths.FORCE_NORMAL], palette.SPIN], self.theme).tolist()
+        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.GROUNDS[self.theme])
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
-        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=palette.WHITE)
-        yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=palette.YELLOW)
-        yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=_SPIN_COLOUR)
-        # white is legible on the grounds of labels in both themes; on the arrows themselves they had their colours
-        yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.WHITE, show_labels=True)
+        yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
+        yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
+        yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
+        # on the arrows themselves the labels had their colours
+        yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=ink, show_labels=True)
 
     def rows(self, header: Header) -> Iterable[Rows]:
         """Yield the positions of the bodies at all frames, and the contact of the step."""
@@ -262,6 +266,7 @@ def close_up(
     pair: Pair,
     aspect: float,
     colours: BodyColours,
+    theme: str,
     instant: ShownStep | None = None,
     *,
     pauses_within: bool = False,
@@ -274,6 +279,8 @@ def close_up(
         Width over height of the view.
     colours
         Of all bodies.
+    theme
+        "dark" or "light".
     instant
         Of an impact of the pair within the step. A pair that touches at the end of the step, too, is shown there.
     pauses_within
@@ -319,6 +326,7 @@ def close_up(
         box=header.box,
         eye=_fit(header.radius[places], seen, contact).view(aspect),
         colours=colours.of(places),
+        theme=theme,
     )
 
 

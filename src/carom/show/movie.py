@@ -100,7 +100,10 @@ def pictures(
     supplement = None
     if view == CLOSE_UP:
         supplement = asked(
-            recording, Request(event=event, bodies=bodies), Canvas(*size, framed=False, rendered=True), view
+            recording,
+            Request(event=event, bodies=bodies),
+            Canvas(*size, framed=False, rendered=True, theme=theme),
+            view,
         ).supplement
     elif not recording.is_overlay:
         supplement = _layout(recording, different, size, view, camera)

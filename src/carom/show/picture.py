@@ -100,7 +100,7 @@ def render(
     view
         One view that fills the picture, or all of them.
     theme
-        Of the viewer, "dark" or "light"; the 3D views are dark in both.
+        Of the viewer and of all views, "dark" or "light".
     watch
         Called while steps without a frame are repeated.
 
@@ -116,7 +116,8 @@ def render(
     if recording.is_overlay:
         moment, extra, missing = recording.moment(request.at), None, ""
     else:
-        shown = asked(recording, request, Canvas(*size, framed=whole, rendered=True), view, watch=watch)
+        canvas = Canvas(*size, framed=whole, rendered=True, theme=theme)
+        shown = asked(recording, request, canvas, view, watch=watch)
         moment, extra, missing = shown.time, shown.supplement, shown.missing
     with headless(recording, window_of(size, whole), theme) as viewer:
         viewer.show(recording)

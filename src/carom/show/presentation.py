@@ -7,13 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from carom.errors import RecordingError
-from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, close_up_area
+from carom.arrays import FloatArray
+from carom.errors import RecordingError, SceneError
+from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, bodies_area, close_up_area
+from carom.recording.layout.bodies_view import FIELD
 from carom.recording.layout.camera import CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
+from carom.recording.layout.drawing import shape
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
-from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
@@ -21,9 +24,13 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.encoder import BatchEncoder, state_rows
 from carom.recording.write.rows import NO_STEPS, Index, Rows
+from carom.recording.write.static_entities import arrow_styles
+from carom.scene.forces import UNIFORM_FIELD
+from carom.show.annotations import field_arrows, names_fit
 from carom.show.body_colours import body_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
+from carom.show.legend import legend
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
 from carom.show.staging import Staging
@@ -140,7 +147,7 @@ def presentation(
     step = shown_step(recording, moment, within, dense=dense, watch=watch)
     until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
     by = colour_by or header.coloured_by
-    colours = body_colours(recording, header, by, step)
+    colours = body_colours(recording, header, by, step).on(canvas.theme)
     staging = Staging.of(recording, header, step.position, until, motion, colours.fixed)
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
@@ -150,11 +157,14 @@ def presentation(
     paused = instant if instant is not None and within_step else step
     close = None
     if chosen is not None:
-        close = close_up(recording, header, step, chosen, aspect, colours, instant, pauses_within=within_step)
-    repeated = list(_steps(recording, header, step))
+        close = close_up(
+            recording, header, step, chosen, aspect, colours, canvas.theme, instant, pauses_within=within_step
+        )
+    references = {name: float(value) for name, value in recording.arrow_references.items()}
+    repeated = list(_steps(recording, header, step, references))
     rows = [*repeated, *(close.rows(header) if close else [])]
     if paused is not step:
-        rows += _instant(recording, header, paused)
+        rows += _instant(recording, header, paused, references)
     statics = list(close.statics(header)) if close else []
     rows += staging.rows()
     statics += staging.statics()
@@ -163,12 +173,32 @@ def presentation(
             plots = replace(plots, colours=dict(zip(recording.shown, colours.fixed.tolist(), strict=True)))
         rows += plots.rows()
         statics += plots.statics()
-    recoloured = by != header.coloured_by
+    recoloured = by != header.coloured_by or (canvas.theme == "light" and shape(header) != "mesh")
     if recoloured:
         rows.append(colours.rows(header))
-    added = Additions(close, staging.trails is not None, recoloured, plots)
+    area = bodies_area(header, canvas, only, close is not None)
+    seen = staging.camera.view(area.aspect, narrow=area.rendered)
+    field = _field(recording, header)
+    if field is not None and seen.motion is CameraMotion.STILL:
+        statics += field_arrows(header, seen, area.aspect, field, canvas.theme)
+    spins = None if close is None else close.spin
+    words = legend(*(header, by, colours.fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
+    statics += [*words.statics(), *arrow_styles(header, canvas.theme)]
+    named = names_fit(header, step.position, seen, area)
+    shows_field = any(path == FIELD for path, _ in statics)
+    added = Additions(close, staging.trails is not None, recoloured, plots, words, named, shows_field)
     layout = blueprint(header, staging.camera, _curves(recording, repeated), canvas, only, added)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
+
+
+def _field(recording: Recording, header: Header) -> FloatArray | None:
+    """Return the uniform field (3,) m/s² of a recording; None if it has none, or its scene cannot be read."""
+    if UNIFORM_FIELD.name not in header.forces or not recording.scene_toml:
+        return None
+    try:
+        return np.array(recorded_scene(recording).gravity.uniform, dtype=np.float64)
+    except (RecordingError, SceneError):
+        return None
 
 
 def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
@@ -189,29 +219,34 @@ def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOu
     return curves
 
 
-def _steps(recording: Recording, header: Header, step: ShownStep) -> Iterator[Rows]:
-    """Yield the rows of the repeated steps, unless all of them are recorded."""
+def _steps(recording: Recording, header: Header, step: ShownStep, references: dict[str, float]) -> Iterator[Rows]:
+    """Yield the rows of the repeated steps, unless all of them are recorded.
+
+    They may be the first that have arrows: then ``references`` gets the magnitudes that these choose.
+    """
     recorded = recording.fingerprints()[STEP].to_numpy()
     if all(np.any(recorded == frame.step) for frame in step.added):
         return
     before = None if step.before is None else step.before.checkpoint
-    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, before=before, everything=True)
+    encoder = BatchEncoder(header, recording.origin, references, before=before, everything=True)
     for rows in encoder.rows(step.added):
         if rows.path not in _ONCE and len(rows.steps):
             yield rows
+    references |= encoder.arrow_references
     yield from _states_after(recording, step.added[-1].step)
 
 
-def _instant(recording: Recording, header: Header, instant: ShownStep) -> Iterator[Rows]:
+def _instant(recording: Recording, header: Header, instant: ShownStep, references: dict[str, float]) -> Iterator[Rows]:
     """Yield the bodies, contacts and energies of an instant within a step, on the timeline of times only."""
     assert instant.frame is not None and instant.state is not None
-    encoder = BatchEncoder(header, recording.origin, recording.arrow_references, everything=True)
+    encoder = BatchEncoder(header, recording.origin, references, everything=True)
     for rows in encoder.at_impacts([instant.state]):
         if rows.path != paths.IMPACT_SPINS:
             yield replace(rows, index=rows.index._replace(impacts=NO_STEPS))
     for rows in encoder.rows([instant.frame]):
         if rows.path in _OF_STEP:
             yield Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
+    references |= encoder.arrow_references
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

@@ -76,12 +76,17 @@ def blueprint(
 
 def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
     """Return the area that the close-up view has in a layout."""
-    return _areas(canvas, _shares(header, True))[-1] if only == ALL else canvas.area()
+    return _areas(canvas, _shares(header, True, True))[-2] if only == ALL else canvas.area()
 
 
-def _shares(header: Header, close: bool) -> list[float]:
-    """Return the widths of the 3D views."""
-    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else [])]
+def bodies_area(header: Header, canvas: Canvas, only: str, close: bool) -> Area:
+    """Return the area of the view of the bodies in a layout with a legend."""
+    return _areas(canvas, _shares(header, close, True))[0] if only == ALL else canvas.area()
+
+
+def _shares(header: Header, close: bool, legend: bool) -> list[float]:
+    """Return the widths of the 3D views and of the legend."""
+    return [3.0, *([2.2] if has_graph(header) else []), *([2.0] if close else []), *([1.7] if legend else [])]
 
 
 def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
@@ -89,13 +94,15 @@ def _areas(canvas: Canvas, shares: list[float]) -> list[Area]:
 
 
 def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canvas, added: Additions) -> rrb.Container:
-    shares = _shares(header, added.close is not None)
+    shares = _shares(header, added.close is not None, added.legend is not None)
     areas = _areas(canvas, shares)
     views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
     if has_graph(header):
         views.append(graph_view(header, camera, areas[1], added.recoloured))
     if added.close:
         views.append(added.close.view(header, added.recoloured))
+    if added.legend:
+        views.append(added.legend.view(areas[-1]))
     heights = list(_ROWS)
     if added.plots is not None:
         heights.insert(1, _ROWS[1])

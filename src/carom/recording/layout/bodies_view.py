@@ -51,6 +51,7 @@ def recent_impacts(header: Header) -> Overrides:
 
 
 TRAILS = "trails"
+FIELD = "field"  # the arrow of a uniform field, and axes
 
 
 def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
@@ -71,11 +72,11 @@ _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enou
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
-def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False) -> Overrides:
-    """Return overrides that add dots to small bodies, and take the colours of a `Supplement` if ``recoloured``."""
+def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False, named: bool = False) -> Overrides:
+    """Return overrides that add dots to small bodies and names to few, and take the colours of a `Supplement`."""
     apparent = header.radius / view.height() * area.height  # points
     small = apparent < LEAST
-    if not (small.any() or recoloured):
+    if not (small.any() or recoloured or named):
         return {}
     # negative radii are in points of the screen (Rerun)
     dots = np.where(small, -LEAST, _HIDDEN * header.radius).astype(np.float32)
@@ -83,7 +84,9 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
     match shape(header):
         case "ellipsoids":
             colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
-            spheres = rr.Ellipsoids3D.from_fields().visualizer(mappings=_from({"Ellipsoids3D:colors": colours}))
+            spheres = rr.Ellipsoids3D.from_fields(show_labels=named).visualizer(
+                mappings=_from({"Ellipsoids3D:colors": colours})
+            )
             return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
         case "points":
             colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
@@ -119,14 +122,16 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             *surroundings(header),
             *([paths.CONTACTS] if header.collides else []),
             *([TRAILS] if added.trails else []),
+            *([f"{FIELD}/**"] if added.field else []),
             *([paths.IMPACTS] if header.records_contacts else []),
             *([paths.IMPACT_SPINS] if header.records_contacts and header.spins else []),
         ],
         {
-            **drawn_bodies(header, view, area, added.recoloured),
+            **drawn_bodies(header, view, area, added.recoloured, added.named),
             **(up_to_cursor() if added.trails else {}),
             **recent_impacts(header),
         },
+        theme=area.theme,
     )
 
 
@@ -154,6 +159,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool =
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
         faint_bodies(header, recoloured) | edges_by_impulse(header),
+        theme=area.theme,
     )
 
 

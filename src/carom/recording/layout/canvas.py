@@ -21,6 +21,7 @@ from carom.recording.schema.paths import PERIODIC_BOX, PLANES, WALLS
 if TYPE_CHECKING:
     from carom.show.body_plots import BodyPlots
     from carom.show.close_up import CloseUp
+    from carom.show.legend import Legend
 
 
 _TITLE = 24  # points, of a view's title bar
@@ -35,6 +36,7 @@ class Area:
     width: float  # points of the screen
     height: float
     rendered: bool = False
+    theme: str = "dark"
 
     @property
     def aspect(self) -> float:
@@ -50,13 +52,14 @@ class Canvas:
     height: int = 1000
     framed: bool = True  # with the viewer's panels and the titles of views
     rendered: bool = False  # without a person who may turn the view, so that it can have a narrow lens
+    theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
         """Return the area of a view that takes these shares of the width and of the height."""
         if not self.framed:
-            return Area(self.width * across, self.height * down, self.rendered)
+            return Area(self.width * across, self.height * down, self.rendered, self.theme)
         height = self.height - _TOP_PANEL - _TIME_PANEL
-        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE), self.rendered)
+        return Area(max(1.0, self.width * across), max(1.0, height * down - _TITLE), self.rendered, self.theme)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,9 @@ class Additions:
     trails: bool = False
     recoloured: bool = False
     plots: BodyPlots | None = None  # of single bodies
+    legend: Legend | None = None
+    named: bool = False  # whether the names of the bodies stand beside them
+    field: bool = False  # whether an arrow and axes show a uniform field
 
 
 NONE = Additions()
@@ -160,6 +166,7 @@ def spatial_view(
     contents: Sequence[str],
     overrides: Mapping[EntityPathLike, VisualizerLike | list[VisualizerLike]] | None = None,
     follows: str | None = None,
+    theme: str = "dark",
 ) -> rrb.Spatial3DView:
     """Lay out a 3D view of some entities; its space is magnified if the eye is very near.
 
@@ -177,7 +184,7 @@ def spatial_view(
         name=name,
         origin=origin,
         contents=list(contents),
-        background=rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
+        background=rrb.Background(color=palette.GROUNDS[theme], kind=rrb.BackgroundKind.SolidColor),
         line_grid=False,
         eye_controls=rrb.EyeControls3D(
             position=larger * view.eye,

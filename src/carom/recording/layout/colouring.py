@@ -9,7 +9,7 @@ from carom.physics.contact.graph import colour_bodies
 from carom.recording.schema import palette
 
 # Matplotlib's plasma from 0.15 to 1, perceptually uniform; its dark end would be invisible on the dark background.
-_SPEEDS = np.array(
+SPEEDS = np.array(
     [0x5001A2FF, 0x7501A8FF, 0x9A169FFF, 0xB83289FF, 0xD14E72FF, 0xE56B5DFF, 0xF58C46FF, 0xFDB130FF, 0xF9DB24FF],
     dtype=np.uint32,
 )
@@ -18,7 +18,7 @@ _SPEEDS = np.array(
 def speed_colours(speed: FloatArray, reference: float) -> ColourArray:
     """Return colours of speeds (m/s) from violet to yellow; the reference is in the middle."""
     share = speed / (speed + reference) if reference > 0.0 else np.zeros(len(speed))
-    return _SPEEDS[np.minimum((len(_SPEEDS) * np.nan_to_num(share)).astype(np.int64), len(_SPEEDS) - 1)]
+    return SPEEDS[np.minimum((len(SPEEDS) * np.nan_to_num(share)).astype(np.int64), len(SPEEDS) - 1)]
 
 
 def speeds(velocity: FloatArray, mass: FloatArray) -> FloatArray:

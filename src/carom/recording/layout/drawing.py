@@ -117,7 +117,7 @@ class References(dict[str, float]):
         self.setdefault(name, magnitude)
 
 
-_REACH = {  # L_max in median body radii
+REACH = {  # L_max in median body radii
     TORQUE: 2.0,
     ANGULAR_ACCELERATION: 4.0,
     FORCE_NORMAL: 2.0,
@@ -127,7 +127,13 @@ _REACH = {  # L_max in median body radii
 
 def arrow_length(header: Header, path: str) -> float:
     """Return L_max (m) of the arrows at an entity."""
-    return longest(header.radius, _REACH[path])
+    return longest(header.radius, REACH[path])
+
+
+def magnitude_at(radii: float, reach: float, reference: float) -> float:
+    """Return the magnitude whose arrow sticks out by some median radii, where L_max is ``reach`` of them."""
+    share = radii / reach
+    return reference * (share / (1.0 - share)) ** 3
 
 
 # Matplotlib's inferno from 0.3 to 1, perceptually uniform; its dark end would be invisible on the dark background.

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from carom.arrays import IntArray
+from carom.recording.schema import paths
 
 ORANGE = 0xE69F00FF
 SKY = 0x56B4E9FF
@@ -24,6 +25,8 @@ PURPLE = 0xCC79A7FF
 GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
+GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # of 3D views
+INKS = {"dark": WHITE, "light": 0x16181DFF}  # of letters and lines on these
 
 # Found by a search for the largest difference between any two, with and without colour blindness: ΔE ≥ 18 (CIE76).
 LINES = {
@@ -54,6 +57,15 @@ NAMED = {
     "white": WHITE,
 }
 BODIES = (SKY, ORANGE, GREEN, YELLOW, PURPLE, BLUE, VERMILION)
+
+ARROWS = {  # by entity: an arrow has one colour in every view
+    paths.TORQUE: ORANGE,
+    paths.ANGULAR_ACCELERATION: GREEN,
+    paths.FORCE_NORMAL: YELLOW,
+    paths.FORCE_FRICTION: PURPLE,
+}
+SPIN = 0x5CE0B0FF  # the palette's green hardly shows on the bodies
+FIELD = GREY
 
 PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
 DT_LIMITS = {

@@ -9,6 +9,7 @@ import rerun as rr
 from rerun.components import FillMode
 
 from carom.arrays import FloatArray, SingleArray
+from carom.recording.layout.bodies_view import force_arrows
 from carom.recording.layout.drawing import arrow_length, line_radii, shape, single
 from carom.recording.layout.plot_views import curve_style
 from carom.recording.schema import palette, paths
@@ -52,15 +53,9 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     )
     if header.data:
         yield paths.GIVEN_STATE, rr.AnyValues(**encode_bodies(header.data))
-    if header.has_torque:
-        yield paths.TORQUE, _arrow_style(header, _THICK, palette.ORANGE)
-        yield paths.ANGULAR_ACCELERATION, _arrow_style(header, _THIN, palette.GREEN)
+    yield from arrow_styles(header)
     if header.collides:
         yield paths.CONTACTS, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(_EDGE_POINTS))
-    if header.records_contacts:
-        yield paths.FORCE_NORMAL, _arrow_style(header, _FORCE, palette.SKY)
-        if header.has_friction:
-            yield paths.FORCE_FRICTION, _arrow_style(header, _FORCE, palette.GREEN)
     yield from _series(header)
     yield paths.PHASE, _states(palette.PHASES)
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
@@ -208,8 +203,14 @@ def _two_tone_sphere() -> rr.Mesh3D:
     )
 
 
-def _arrow_style(header: Header, thickness: float, colour: int) -> rr.Arrows3D:
-    return rr.Arrows3D.from_fields(radii=line_radii(thickness, float(np.median(header.radius))), colors=colour)
+def arrow_styles(header: Header, theme: str = "dark") -> Iterable[Static]:
+    """Yield the widths and colours of the arrows that a recording has."""
+    kinds = {paths.TORQUE: _THICK, paths.ANGULAR_ACCELERATION: _THIN} if header.has_torque else {}
+    kinds |= dict.fromkeys(force_arrows(header), _FORCE)
+    for path, thickness in kinds.items():
+        (colour,) = palette.legible([palette.ARROWS[path]], theme).tolist()
+        width = line_radii(thickness, float(np.median(header.radius)))
+        yield path, rr.Arrows3D.from_fields(radii=width, colors=colour)
 
 
 def _series(header: Header) -> Iterable[Static]:
@@ -330,13 +331,13 @@ def _contacts(header: Header) -> str:
 def _impulse_legend(header: Header) -> list[str]:
     """Explain how impulses and impacts are drawn."""
     longest, m, joules = arrow_length(header, FORCE_NORMAL), _drawn(header, "m"), _drawn(header, "J")
-    friction = ", and the friction on it (green)" if header.has_friction else ""
+    friction = ", and the friction on it (purple)" if header.has_friction else ""
     return [
         "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
         "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
-        f"body (sky blue){friction}, {longest:.4g}{m} · u long.",
+        f"body (yellow){friction}, {longest:.4g}{m} · u long.",
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
         "property `arrows`), as bright as "
         f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline `impact` one "

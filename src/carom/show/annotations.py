@@ -1,0 +1,64 @@
+"""What stands in the view of the bodies beside them: an arrow and axes where a field is, and names of few bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import rerun as rr
+
+from carom.arrays import FloatArray
+from carom.recording.layout.bodies_view import FIELD
+from carom.recording.layout.camera import View
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.drawing import line_radii, shape, single
+from carom.recording.schema import palette
+from carom.recording.schema.header import Header
+from carom.scene.units import dimension
+from carom.show.supplement import Static
+
+MOST_NAMES = 12
+_ROW, _LETTER = 24.0, 7.5  # points, height of a label and width of a letter
+_LENGTH = 0.16  # of the field's arrow, in heights of the view; axes are 0.6 times as long
+_AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y, z
+
+
+def field_arrows(header: Header, view: View, aspect: float, field: FloatArray, theme: str) -> Iterator[Static]:
+    """Draw a uniform field, (3,) m/s², as an arrow at the left border of the view, and the axes of space below it."""
+    height, size = view.height(), float(np.linalg.norm(field))
+    right, up = view.axes()
+    length = _LENGTH * height
+    left = view.target - 0.36 * aspect * height * right
+    top, corner = left + 0.42 * height * up, left - 0.36 * height * up
+    vectors = np.vstack([length * field / size, 0.6 * length * np.eye(3)])
+    ink, arrow = palette.INKS[theme], palette.legible([palette.FIELD], theme)
+    yield (
+        FIELD,
+        rr.Arrows3D(
+            origins=single(np.stack([top, corner, corner, corner])),
+            vectors=single(vectors),
+            colors=np.concatenate([arrow, palette.legible(_AXES, theme)]),
+            radii=line_radii(0.05 * length, 1.0),
+        ),
+    )
+    texts = [f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}", "x", "y", "z"]
+    ends = np.vstack([top + 0.5 * vectors[0], corner + 1.15 * vectors[1:]])
+    yield (
+        f"{FIELD}/labels",
+        rr.Points3D(single(ends), radii=1e-6 * length, labels=texts, colors=ink, show_labels=True),
+    )
+
+
+def names_fit(header: Header, position: FloatArray, view: View, area: Area) -> bool:
+    """Return whether there are names, few enough and far enough apart in a view that they do not overlap.
+
+    ``position`` is (n, 3) m; the view has this ``area``.
+    """
+    n = len(position)
+    if not any(header.names) or n > MOST_NAMES or n != len(header.names) or shape(header) != "ellipsoids":
+        return False
+    points = (position - view.target) @ view.axes().T * area.height / view.height()
+    wide = np.array([_LETTER * (len(name) + 1) for name in header.names])
+    across, up = np.abs(points[:, None] - points[None]).transpose(2, 0, 1)
+    overlap = (across < (wide[:, None] + wide) / 2.0) & (up < _ROW) & ~np.eye(n, dtype=bool)
+    return bool(np.isfinite(points).all()) and not overlap.any()

@@ -1,0 +1,193 @@
+"""The legend beside the 3D views: what each colour, arrow and edge stands for, and the scale of the arrows.
+
+It is a view of its own, with a label for each entry in the colour that it explains. A recording does not hold it: the
+viewer gets it in a `Supplement`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from carom.arrays import ColourArray, FloatArray
+from carom.physics.frame import Frame
+from carom.recording.layout import colouring, drawing
+from carom.recording.layout.canvas import Area
+from carom.recording.layout.drawing import REACH, magnitude_at, shape
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import STATIC_COLOURS, Header
+from carom.recording.write.encoder import SPEED
+from carom.scene.units import dimension
+
+LEGEND = "legend"
+MOST_NAMED = 9  # bodies that have an entry each
+
+_ROW = 25.0  # points, from one line to the next
+_MARGIN = 10.0  # points, around the lines
+_LETTER = 6.1  # points, mean width of a letter
+_LARGE = 1.5  # radii, the longer of the two arrows that stand for the scale
+_DIMENSIONS = {paths.TORQUE: dimension.TORQUE, paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION}
+_NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular acceleration"}
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A line of the legend."""
+
+    text: str
+    colour: int  # 0xRRGGBBAA
+
+
+@dataclass(frozen=True, slots=True)
+class Legend:
+    """The lines, from top to bottom."""
+
+    entries: Sequence[Entry]
+    theme: str = "dark"
+
+    def view(self, area: Area) -> rrb.Spatial2DView:
+        """Lay out the lines in a view of this size; what is too much for it is below its lower edge."""
+        return rrb.Spatial2DView(
+            name="Legend",
+            origin=LEGEND,
+            background=rrb.Background(color=palette.GROUNDS[self.theme], kind=rrb.BackgroundKind.SolidColor),
+            visual_bounds=rrb.VisualBounds2D(x_range=[0.0, area.width], y_range=[0.0, area.height]),
+        )
+
+    def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
+        """Yield the lines as labels of points that are too small to be seen. A label is centred below its point."""
+        texts = [entry.text for entry in self.entries]
+        places = [(_MARGIN + _LETTER * len(text) / 2, _MARGIN + _ROW * k) for k, text in enumerate(texts)]
+        colours = palette.legible([entry.colour for entry in self.entries], self.theme)
+        yield LEGEND, rr.Points2D(places, radii=1e-3, labels=texts, colors=colours, show_labels=True)
+
+
+def legend(
+    header: Header,
+    by: str,
+    colours: ColourArray | None,
+    references: Mapping[str, float],
+    frame: Frame | None,
+    *,
+    spins: FloatArray | None = None,
+    field: FloatArray | None = None,
+    theme: str = "dark",
+) -> Legend:
+    """Explain the views of a recording.
+
+    Parameters
+    ----------
+    header
+        Of the recording.
+    by
+        What colours the bodies.
+    colours
+        (n,) of the bodies, if they hold for the whole run.
+    references
+        The magnitudes in the middle of the scales, as recorded.
+    frame
+        The step that is shown; None if it is not known. Its impulses set the scale of the arrows of impulses.
+    spins
+        (b, 3) rad/s of the bodies of the close-up, if there is one.
+    field
+        (3,) m/s², a uniform field.
+    """
+    lines = [*_bodies(header, by, colours, references), *_edges(header, frame), *_arrows(header, references)]
+    if spins is not None:
+        fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
+        if fastest > 0.0:
+            text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
+            lines.append(Entry(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
+    if field is not None and np.any(field):
+        size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
+        lines.append(Entry(f"→ gravity, {size}", palette.FIELD))
+    return Legend(lines, theme)
+
+
+def _bodies(header: Header, by: str, colours: ColourArray | None, references: Mapping[str, float]) -> Iterator[Entry]:
+    """Explain the colours of bodies."""
+    if by == header.coloured_by and shape(header) == "mesh":
+        yield Entry("■ all bodies; the dark half shows how they turn", palette.SKY)
+    elif by == "material" and header.materials:
+        for name, colour in zip(header.materials.names, header.materials.colours, strict=True):
+            yield Entry(f"■ {name}", colour)
+    elif by in STATIC_COLOURS and colours is not None:
+        yield from _groups(header, colours)
+    elif by == "speed":
+        scale, middle = colouring.SPEEDS.tolist(), references.get(SPEED, 0.0)
+        known = by == header.coloured_by and middle > 0.0
+        text = header.units.text(middle, dimension.VELOCITY, ".3g") if known else "the median speed"
+        yield from (Entry("■ slow", scale[0]), Entry(f"■ {text}", scale[len(scale) // 2]), Entry("■ fast", scale[-1]))
+    elif by == "island":
+        yield Entry("■ one colour: linked by contacts", palette.SKY)
+        yield Entry("■ without contacts", palette.GREY)
+    else:
+        few = zip(palette.BODIES[:3], ("first", "second", "third"), strict=True)
+        yield from (Entry(f"■ {name} colour of the graph", colour) for colour, name in few)
+        yield Entry("■ without contacts", palette.GREY)
+
+
+def _groups(header: Header, colours: ColourArray) -> Iterator[Entry]:
+    """Explain colours by group: a line for each body if they are few, else for each group."""
+    names, known = list(header.names), colours.tolist()
+    if len(known) <= MOST_NAMED and len(known) == len(names):
+        yield from (Entry(f"■ {name or f'body {k}'}", known[k]) for k, name in enumerate(names))
+        return
+    if len(known) != len(names):  # a clip of some bodies
+        return
+    groups = np.unique(header.group)
+    for group in groups[groups >= 0][:MOST_NAMED].tolist():
+        members = np.flatnonzero(header.group == group)
+        name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
+        yield Entry(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])])
+    single = np.flatnonzero(header.group == -1)
+    yield from (Entry(f"■ {names[k] or f'body {k}'}", known[k]) for k in single[:MOST_NAMED].tolist())
+    if len(single) > MOST_NAMED:
+        yield Entry(f"and {len(single) - MOST_NAMED} more, in turns and shades", palette.GREY)
+
+
+def _edges(header: Header, frame: Frame | None) -> Iterator[Entry]:
+    """Explain lines between touching bodies, and points at impacts."""
+    if not header.collides:
+        return
+    if header.engine:
+        yield Entry("— bodies that touch", palette.VERMILION)
+    else:
+        yield Entry("— contact, in the colour of its stage", palette.STAGES[0])
+    if not header.records_contacts:
+        return
+    middle = _middle(header, frame)
+    levels = drawing.COLOURS.tolist()
+    yield Entry("— edge: thin, small impulse", levels[1])
+    yield Entry(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
+    yield Entry("— edge: wide, large impulse", levels[-1])
+    yield Entry("■ impact: size impulse, glow energy lost", levels[-2])
+    yield Entry(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
+    if header.has_friction:
+        yield Entry("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])
+
+
+def _middle(header: Header, frame: Frame | None) -> str:
+    """Write the median of the impulses of a step, which is in the middle of their scale; empty if it has none."""
+    rows = None if frame is None else frame.contact_rows
+    if rows is None:
+        return ""
+    positive = rows["normal_impulse"][rows["normal_impulse"] > 0.0]
+    return header.units.text(float(np.median(positive)), dimension.IMPULSE, ".3g") if len(positive) else ""
+
+
+def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[Entry]:
+    """State the scales of torques and angular accelerations: arrows are not proportional to them."""
+    for path, kind in _DIMENSIONS.items() if header.has_torque else ():
+        name, colour = _NAMES[path], palette.ARROWS[path]
+        if path not in references:
+            yield Entry(f"→ {name}", colour)
+            continue
+        values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
+        one, more = (header.units.text(value, kind, ".3g") for value in values)
+        yield Entry(f"→ {name}, beyond the surface:", colour)
+        yield Entry(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)

@@ -1,0 +1,136 @@
+"""What stands beside the bodies: the legend with its scales, names, and the arrow of a field; and the light theme."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom.recording.layout.bodies_view import FIELD
+from carom.recording.layout.camera import View
+from carom.recording.layout.canvas import Area, Canvas
+from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
+from carom.recording.read.recorded_scene import header_of_recording
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.scene.schema import Scene
+from carom.scene.units import dimension
+from carom.show import close_up
+from carom.show.annotations import names_fit
+from carom.show.legend import LEGEND
+from carom.show.presentation import Presentation, asked
+from carom.show.request import Request
+from carom.show.shown_step import shown_step
+
+
+@pytest.fixture(scope="module")
+def bounce(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Two named spheres that rub as they meet, without a field."""
+    return carom.run(Scene.load("two-spheres", ["record.every=0.25"]), tmp_path_factory.mktemp("bounce") / "bounce.rrd")
+
+
+@pytest.fixture(scope="module")
+def slope(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """Three balls of three materials on a slope, in a uniform field."""
+    return carom.run(Scene.load("incline", ["time.duration=0.1"]), tmp_path_factory.mktemp("slope") / "slope.rrd")
+
+
+def lines_of(shown: Presentation) -> dict[str, int]:
+    """Return the lines of the legend, with their colours."""
+    label: Any = dict(shown.supplement.statics)[LEGEND]
+    texts, colours = label.labels.as_arrow_array().to_pylist(), label.colors.as_arrow_array().to_pylist()
+    return dict(zip(texts, colours, strict=True))
+
+
+def test_the_legend_has_every_body_in_its_colour(bounce: Recording) -> None:
+    lines = lines_of(asked(bounce, Request()))
+    assert lines["■ left"] == palette.SKY and lines["■ right"] == palette.ORANGE
+
+
+def test_the_legend_has_every_material_in_its_colour(slope: Recording) -> None:
+    lines, materials = lines_of(asked(slope, Request())), header_of_recording(slope).materials
+    assert materials is not None
+    for name, colour in zip(materials.names, materials.colours, strict=True):
+        assert lines[f"■ {name}"] == colour
+
+
+@pytest.mark.parametrize("by", ["graph", "island", "speed"])
+def test_the_legend_explains_colours_that_are_asked_for(by: str, bounce: Recording) -> None:
+    texts = " ".join(lines_of(asked(bounce, Request(colour_by=by))))
+    assert {"graph": "colour of the graph", "island": "linked by contacts", "speed": "fast"}[by] in texts
+
+
+def test_the_legend_names_the_scale_of_every_kind_of_arrow(bounce: Recording) -> None:
+    header, lines = header_of_recording(bounce), " ".join(lines_of(asked(bounce, Request())))
+    (impact,) = bounce.impacts().to_pylist()
+    step = shown_step(bounce, bounce.moment(), int(bounce.closing["moments.impact.step"])).frame
+    assert step is not None and step.torque is not None
+    # the only step with torques, which are alike, so they are the middle of the scale: 1 of 2 radii
+    torque = float(np.linalg.norm(step.torque[0]))
+    assert f"1 radius = {header.units.text(torque, dimension.TORQUE, '.3g')}" in lines
+    alpha = magnitude_at(1.0, REACH[paths.ANGULAR_ACCELERATION], torque / header.inertia[0])
+    assert f"1 radius = {header.units.text(alpha, dimension.ANGULAR_ACCELERATION, '.3g')}" in lines
+    assert f"normal impulse: 1 radius = {impact['normal_impulse']:.3g} N s" in lines, "the only one is the median"
+    assert "spin, close up: 1.3 radii = 0.857 rad/s" in lines
+
+
+@pytest.mark.parametrize("radii", [0.01, 1.0, 1.9])
+def test_an_arrow_of_the_magnitude_that_the_legend_names_has_that_length(radii: float) -> None:
+    reference, reach = 3.7, REACH[paths.TORQUE]
+    assert reach * part_of_longest(magnitude_at(radii, reach, reference), reference) == pytest.approx(radii, rel=1e-12)
+
+
+def test_an_arrow_has_the_same_colour_in_the_graph_and_in_the_legend(bounce: Recording) -> None:
+    shown = asked(bounce, Request())
+    lines, statics = lines_of(shown), dict(shown.supplement.statics)
+    for path, word in ((paths.TORQUE, "torque"), (paths.FORCE_NORMAL, "normal impulse")):
+        arrow: Any = statics[path]
+        (colour,) = {colour for text, colour in lines.items() if word in text}
+        assert arrow.colors.as_arrow_array().to_pylist() == [colour]
+        recorded = bounce._entities.static(path)["Arrows3D:colors"]
+        assert [int(each) for each in recorded] == [colour], "as in the file"
+
+
+def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bounce: Recording) -> None:
+    statics = dict(asked(slope, Request()).supplement.statics)
+    arrows: Any = statics[FIELD]
+    vectors = np.array(arrows.vectors.as_arrow_array().to_pylist())
+    np.testing.assert_allclose(vectors[0] / np.linalg.norm(vectors[0]), [0, 0, -1], atol=1e-6)  # float32
+    np.testing.assert_allclose(vectors[1:] / np.linalg.norm(vectors[1]), np.eye(3), atol=1e-6)
+    labels: Any = statics[f"{FIELD}/labels"]
+    assert labels.labels.as_arrow_array().to_pylist() == ["gravity, 9.81 m/s²", "x", "y", "z"]
+    assert FIELD not in dict(asked(bounce, Request()).supplement.statics)
+
+
+def test_names_stand_beside_bodies_only_where_they_do_not_overlap(bounce: Recording) -> None:
+    header, area = header_of_recording(bounce), Area(400.0, 400.0)
+    eye = View(np.zeros(3), 10.0, False, np.array([0.0, -1.0, 0.0]))
+    assert names_fit(header, np.array([[-2.0, 0, 0], [2.0, 0, 0]]), eye, area)
+    assert names_fit(header, np.array([[0, 0, 1.0], [0, 0, 0]]), eye, area), "one above the other"
+    assert not names_fit(header, np.array([[-0.2, 0, 0], [0.2, 0, 0]]), eye, area)
+    assert not names_fit(header, np.array([[-0.2, 0, 0], [0.2, 9.0, 0]]), eye, area), "one behind the other"
+
+
+def luminance(colour: int) -> float:
+    return sum(weight * ((colour >> shift) & 0xFF) for weight, shift in ((0.2126, 24), (0.7152, 16), (0.0722, 8))) / 255
+
+
+@pytest.mark.parametrize("view", ["all", "bodies", "graph", "close-up"])
+def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> None:
+    shown = asked(slope, Request(), Canvas(theme="light"), view)
+    grounds = _grounds(shown.supplement.layout.root_container)
+    assert len(grounds) == (4 if view == "all" else 1) and set(grounds) == {palette.WHITE}
+    for path, archetype in shown.supplement.statics:
+        colours = getattr(archetype, "colors", None)
+        if colours is not None and path != close_up.FOLLOWED:  # points that are not to be seen
+            assert all(luminance(int(each)) < 0.75 for each in colours.as_arrow_array().to_pylist()), path
+    sent = [rows for rows in shown.supplement.rows if rows.path == paths.BODIES]
+    assert any("Points3D:colors" in str(column.component_descriptor()) for rows in sent for column in rows.columns)
+
+
+def _grounds(part: Any) -> list[int]:
+    """Return the grounds of the 2D and 3D views of a layout."""
+    if hasattr(part, "contents") and not hasattr(part, "properties"):
+        return [ground for inner in part.contents for ground in _grounds(inner)]
+    background = part.properties.get("Background")
+    return [] if background is None else background.color.as_arrow_array().to_pylist()
