@@ -131,7 +131,7 @@ def test_the_picture_of_the_bundled_collapse_shows_spheres_arrows_edges_and_plot
     subprocess.run([*carom, "run", "cloud-collapse", "-o", recording], check=True)
     subprocess.run([*carom, "picture", recording, "--at", "7600", "-o", str(png)], check=True)
     pixels = np.asarray(Image.open(png).convert("RGB"), dtype=np.int64)
-    shares = (3, 2.2, 2)  # with the close-up
+    shares = (3, 2.2, 2, 1.7)  # with the close-up and the legend
     bodies, graph = view(pixels, 0, shares), view(pixels, 1, shares)
     assert of_hue(bodies, palette.SKY) > 0.05 * bodies.shape[0] * bodies.shape[1], "spheres"
     assert of_hue(graph, palette.SKY) > 300, "wires, in the colours of their bodies"
