@@ -121,7 +121,7 @@ def filmed(path: Path) -> None:
     """Plan a movie."""
     recording = Recording.open(path)
     times = frame_times(recording, *_ends(recording, None, None), 20)
-    _layout(recording, times.tolist(), (800, 500), ALL)
+    _layout(recording, times.tolist(), Canvas(800, 500), ALL)
 
 
 def tracked(path: Path) -> None:

@@ -69,7 +69,7 @@ class BodyColours:
         return Rows(paths.BODIES, Index(self.steps, self.times), columns, flat.nbytes)
 
 
-def body_colours(recording: Recording, header: Header, by: str, step: ShownStep) -> BodyColours:
+def body_colours(recording: Recording, header: Header, by: str, step: ShownStep | None = None) -> BodyColours:
     """Return the colours of the bodies at all frames and at repeated steps.
 
     Parameters
@@ -77,7 +77,7 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep)
     by
         What colours the bodies. If it is what the recording was coloured by, these are the recorded colours.
     step
-        Whose repeated steps have colours, too.
+        Whose repeated steps have colours, too, unless the colours are recorded.
 
     Raises
     ------
@@ -98,6 +98,8 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep)
         raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
     if own:
         found = _as_recorded(recording, n)
+    elif step is None:
+        raise ValueError(f"colours by {by} of steps that are not known")
     elif by == "speed":
         found = _by_speed(recording, header, step)
     else:

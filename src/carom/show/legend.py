@@ -96,7 +96,7 @@ def legend(
     field
         (3,) m/s², a uniform field.
     """
-    lines = [*_bodies(header, by, colours, references), *_edges(header, frame), *_arrows(header, references)]
+    lines = [*_bodies(header, by, colours, references), *_edges(header, frame, theme), *_arrows(header, references)]
     if spins is not None:
         fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
         if fastest > 0.0:
@@ -150,22 +150,22 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[Entry]:
         yield Entry(f"and {len(single) - MOST_NAMED} more, in turns and shades", palette.GREY)
 
 
-def _edges(header: Header, frame: Frame | None) -> Iterator[Entry]:
+def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[Entry]:
     """Explain lines between touching bodies, and points at impacts."""
     if not header.collides:
         return
-    if header.engine:
+    if header.engine or theme == "light":
         yield Entry("— bodies that touch", palette.VERMILION)
     else:
         yield Entry("— contact, in the colour of its stage", palette.STAGES[0])
     if not header.records_contacts:
         return
     middle = _middle(header, frame)
-    levels = drawing.COLOURS.tolist()
+    levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
     yield Entry("— edge: thin, small impulse", levels[1])
     yield Entry(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
     yield Entry("— edge: wide, large impulse", levels[-1])
-    yield Entry("■ impact: size impulse, glow energy lost", levels[-2])
+    yield Entry("■ impact: size impulse, glow energy lost", int(drawing.COLOURS[-2]))
     yield Entry(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
     if header.has_friction:
         yield Entry("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])

@@ -17,12 +17,15 @@ from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.layout.camera import CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
+from carom.recording.layout.drawing import shape
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
+from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
+from carom.show.body_colours import body_colours
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
@@ -106,7 +109,8 @@ def pictures(
             view,
         ).supplement
     elif not recording.is_overlay:
-        supplement = _layout(recording, different, size, view, camera)
+        canvas = Canvas(*size, framed=view == ALL, rendered=True, theme=theme)
+        supplement = _layout(recording, different, canvas, view, camera)
     return _taken(recording, times, size, view, theme, supplement)
 
 
@@ -187,11 +191,11 @@ class _Studio:
 def _layout(
     recording: Recording,
     times: Sequence[float],
-    size: tuple[int, int],
+    canvas: Canvas,
     view: str,
     motion: CameraMotion | None = None,
 ) -> Supplement:
-    """Lay out the views, with the camera fitted to the bodies of all times."""
+    """Lay out the views, with the camera fitted to the bodies of all times; on paper with colours for it."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
     rows = np.searchsorted(table["time"].to_numpy(), times)
@@ -200,12 +204,14 @@ def _layout(
     middling = np.argsort([_extent(position) for position in positions])[len(positions) // 2]
     staging = Staging.of(recording, header, positions[int(middling)], motion=motion)
     staging.camera.show_all()
-    canvas = Canvas(*size, framed=view == ALL, rendered=True)
-    added = Additions(trails=staging.trails is not None)
+    recoloured = canvas.theme == "light" and shape(header) != "mesh"
+    added = Additions(trails=staging.trails is not None, recoloured=recoloured)
     layout = blueprint(header, staging.camera, recorded_curves(recording), canvas, view, added)
-    moving = staging.camera_rows(layout, steps, moments, positions)
+    drawn = [*staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
+    if recoloured:
+        drawn.append(body_colours(recording, header, header.coloured_by).on(canvas.theme).rows(header))
     clock = TimeScale(float(recording.info["time_scale"]))
-    return Supplement(layout, clock, [*staging.rows(), *moving], list(staging.statics()))
+    return Supplement(layout, clock, drawn, [*staging.statics(), *arrow_styles(header, canvas.theme)])
 
 
 def _extent(position: FloatArray) -> float:

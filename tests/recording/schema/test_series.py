@@ -68,6 +68,16 @@ def test_a_plot_leaves_out_energies_that_are_rounding_errors_of_the_largest() ->
         assert [series.legend for series in shown_series(header, losses, known)] == shown
 
 
+@pytest.mark.parametrize("path", ["energy/relative_error", "step/relative_overlap"])
+def test_a_plot_of_errors_or_overlaps_that_are_rounding_is_hidden(path: str) -> None:
+    (series,) = (each for each in SERIES if each.path == path)
+    assert series.plot is not None
+    # billiards: errors of 1e-14 of the energy; a ball on a slope: overlaps of 1e-15 of its radius; orbits: 2e-9
+    for size, shown in ((1e-14, False), (2e-9, True)):
+        known = {path: CurveOutline.of(np.arange(3.0), np.array([0.0, -size, size]))}
+        assert (series in shown_series(ScriptedRun(20).header, series.plot, known)) == shown
+
+
 def test_a_recording_has_the_series_of_its_scene_and_no_others(tmp_path: Path) -> None:
     for name, scripted in (
         ("all", ScriptedRun(5)),

@@ -13,7 +13,7 @@ from carom.arrays import SingleArray
 from carom.recording.layout.camera import CameraFit, View
 from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings
 from carom.recording.layout.drawing import arrow_length, shape
-from carom.recording.schema import paths
+from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
@@ -28,16 +28,27 @@ def force_arrows(header: Header) -> list[str]:
     return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
 
 
-def edges_by_impulse(header: Header) -> Overrides:
-    """Draw the edges of the collision graph with the widths and colours of their impulses: force chains."""
+def edges_by_impulse(header: Header, theme: str) -> Overrides:
+    """Draw the edges of the collision graph with the widths and colours of their impulses: force chains.
+
+    On white paper the bright end of the colours would be invisible: there the width alone shows the impulse.
+    """
     if not header.records_contacts:
+        return plain_edges(header, theme)
+    widths = {"LineStrips3D:radii": "impulse_width"}
+    if theme == "light":
+        edges = rr.LineStrips3D.from_fields(colors=palette.VERMILION).visualizer(mappings=_from(widths))
+    else:
+        colours = {"LineStrips3D:colors": "impulse_colour"}
+        edges = rr.LineStrips3D.from_fields().visualizer(mappings=_from(colours | widths))
+    return {paths.CONTACTS: edges}
+
+
+def plain_edges(header: Header, theme: str) -> Overrides:
+    """Draw edges in one colour on white paper, where those of some stages, yellow and white, would be invisible."""
+    if theme == "dark" or not header.collides:
         return {}
-    sources = {"LineStrips3D:colors": "impulse_colour", "LineStrips3D:radii": "impulse_width"}
-    mappings = [
-        VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
-        for target, source in sources.items()
-    ]
-    return {paths.CONTACTS: rr.LineStrips3D.from_fields().visualizer(mappings=mappings)}
+    return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
 
 
 def recent_impacts(header: Header) -> Overrides:
@@ -130,6 +141,7 @@ def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions 
             **drawn_bodies(header, view, area, added.recoloured, added.named),
             **(up_to_cursor() if added.trails else {}),
             **recent_impacts(header),
+            **plain_edges(header, area.theme),
         },
         theme=area.theme,
     )
@@ -158,7 +170,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool =
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
-        faint_bodies(header, recoloured) | edges_by_impulse(header),
+        faint_bodies(header, recoloured) | edges_by_impulse(header, area.theme),
         theme=area.theme,
     )
 

@@ -192,7 +192,8 @@ def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float
 
 Curves = Mapping[str, CurveOutline]  # by the paths of the series
 
-_ROUNDING = 1e-12  # of the largest energy; a curve of smaller ones shows rounding errors
+_ROUNDING = 1e-12  # of the largest energy, of its scale, or of a radius; a curve of less shows rounding errors
+_SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
 
 
@@ -204,8 +205,8 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
     header
         Of the recording; it determines the series.
     curves
-        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0, or at energies that
-        are rounding errors, are left out.
+        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0, or at energies,
+        errors or overlaps that are rounding, are left out.
     row
         The area of all columns together.
     """
@@ -239,7 +240,8 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
 def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
     """Return whether a series shows something; ``negligible`` is an energy in J."""
     curve = curves.get(series.path)
-    if curve is None or curve.largest <= (negligible if series.unit == "J" else 0.0):
+    rounding = negligible if series.unit == "J" else _ROUNDING if series.path in _SHARES else 0.0
+    if curve is None or curve.largest <= rounding:
         return False
     return not (series.flat_is_dull and curve.is_flat)
 

@@ -1,7 +1,8 @@
 """Colours, as 0xRRGGBBAA, that colour-blind readers can tell apart.
 
-The 3D views have a dark ground in both themes of the viewer; they use Okabe and Ito's palette. Plots have the ground of
-the theme. Their curves use `LINES`: each colour has a contrast of at least 3 to 1 on both grounds.
+The 3D views use Okabe and Ito's palette on a dark ground; on paper, in the light theme, its bright colours are darkened
+(`legible`). Plots have the ground of the theme. Their curves use `LINES`: each colour has a contrast of at least 3 to 1
+on both grounds.
 """
 
 from __future__ import annotations

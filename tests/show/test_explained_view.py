@@ -15,7 +15,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
 from carom.scene.units import dimension
-from carom.show import close_up
+from carom.show import close_up, movie
 from carom.show.annotations import names_fit
 from carom.show.legend import LEGEND
 from carom.show.presentation import Presentation, asked
@@ -128,9 +128,29 @@ def test_the_light_theme_is_light_everywhere(view: str, slope: Recording) -> Non
     assert any("Points3D:colors" in str(column.component_descriptor()) for rows in sent for column in rows.columns)
 
 
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_legend_explains_what_an_edges_width_and_colour_mean(theme: str, slope: Recording) -> None:
+    lines = lines_of(asked(slope, Request(), Canvas(theme=theme)))
+    edges = {text: colour for text, colour in lines.items() if text.startswith("— edge")}
+    assert any("thin, small impulse" in text for text in edges) and any("wide, large impulse" in text for text in edges)
+    assert any("N s" in text for text in edges), "the middle of the scale"
+    assert len(set(edges.values())) == (3 if theme == "dark" else 1), "on paper only the width has a meaning"
+
+
 def _grounds(part: Any) -> list[int]:
     """Return the grounds of the 2D and 3D views of a layout."""
     if hasattr(part, "contents") and not hasattr(part, "properties"):
         return [ground for inner in part.contents for ground in _grounds(inner)]
     background = part.properties.get("Background")
     return [] if background is None else background.color.as_arrow_array().to_pylist()
+
+
+def test_a_movie_on_paper_has_the_same_grounds_and_colours(slope: Recording) -> None:
+    times = slope.fingerprints()["time"].to_pylist()
+    supplement = movie._layout(slope, times, Canvas(800, 500, theme="light"), "all")
+    assert set(_grounds(supplement.layout.root_container)) == {palette.WHITE}
+    (rows,) = (rows for rows in supplement.rows if rows.path == paths.BODIES)
+    (column,) = rows.columns
+    materials = header_of_recording(slope).materials
+    assert materials is not None
+    assert column.as_arrow_array().to_pylist()[0] == palette.legible(materials.body_colours(), "light").tolist()
