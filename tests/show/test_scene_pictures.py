@@ -93,7 +93,10 @@ def test_bodies_whose_names_the_viewers_font_lacks_have_a_dark_picture_like_othe
 
 @pytest.mark.slow
 @pytest.mark.needs(PICTURES)
-def test_no_box_of_the_mouse_pointer_covers_a_close_up_in_the_light_theme(tmp_path: Path) -> None:
+def test_no_box_of_the_mouse_pointer_covers_a_close_up_in_the_light_theme(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(palette.GROUNDS, "light", palette.BACKGROUND)  # on which the box, which is white, is seen
     pixels = picture(Scene.load("rack-break", ["time.duration=0.06"]), tmp_path, view="close-up", theme="light")
     white = np.mean(pixels.min(axis=2) > 250)
     assert white < 0.01, "labels cover 0.2 % of the picture; the box that says what the pointer is on covers 2 %"
