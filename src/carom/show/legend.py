@@ -35,7 +35,7 @@ _NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular accelerat
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LegendLine:
     """A line of the legend."""
 
     text: str
@@ -46,7 +46,7 @@ class Entry:
 class Legend:
     """The lines, from top to bottom."""
 
-    entries: Sequence[Entry]
+    entries: Sequence[LegendLine]
     theme: str = "dark"
 
     def view(self, area: Area) -> rrb.Spatial2DView:
@@ -101,41 +101,47 @@ def legend(
         fastest = float(np.linalg.norm(spins, axis=1).max(initial=0.0))
         if fastest > 0.0:
             text = header.units.text(fastest, dimension.ANGULAR_VELOCITY, ".3g")
-            lines.append(Entry(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
+            lines.append(LegendLine(f"→ spin, close up: 1.3 radii = {text}", palette.SPIN))
     if field is not None and np.any(field):
         size = header.units.text(float(np.linalg.norm(field)), dimension.ACCELERATION, ".4g")
-        lines.append(Entry(f"→ gravity, {size}", palette.FIELD))
+        lines.append(LegendLine(f"→ gravity, {size}", palette.FIELD))
     return Legend(lines, theme)
 
 
-def _bodies(header: Header, by: str, colours: ColourArray | None, references: Mapping[str, float]) -> Iterator[Entry]:
+def _bodies(
+    header: Header, by: str, colours: ColourArray | None, references: Mapping[str, float]
+) -> Iterator[LegendLine]:
     """Explain the colours of bodies."""
     if by == header.coloured_by and shape(header) == "mesh":
-        yield Entry("■ all bodies; the dark half shows how they turn", palette.SKY)
+        yield LegendLine("■ all bodies; the dark half shows how they turn", palette.SKY)
     elif by == "material" and header.materials:
         for name, colour in zip(header.materials.names, header.materials.colours, strict=True):
-            yield Entry(f"■ {name}", colour)
+            yield LegendLine(f"■ {name}", colour)
     elif by in STATIC_COLOURS and colours is not None:
         yield from _groups(header, colours)
     elif by == "speed":
         scale, middle = colouring.SPEEDS.tolist(), references.get(SPEED, 0.0)
         known = by == header.coloured_by and middle > 0.0
         text = header.units.text(middle, dimension.VELOCITY, ".3g") if known else "the median speed"
-        yield from (Entry("■ slow", scale[0]), Entry(f"■ {text}", scale[len(scale) // 2]), Entry("■ fast", scale[-1]))
+        yield from (
+            LegendLine("■ slow", scale[0]),
+            LegendLine(f"■ {text}", scale[len(scale) // 2]),
+            LegendLine("■ fast", scale[-1]),
+        )
     elif by == "island":
-        yield Entry("■ one colour: linked by contacts", palette.SKY)
-        yield Entry("■ without contacts", palette.GREY)
+        yield LegendLine("■ one colour: linked by contacts", palette.SKY)
+        yield LegendLine("■ without contacts", palette.GREY)
     else:
         few = zip(palette.BODIES[:3], ("first", "second", "third"), strict=True)
-        yield from (Entry(f"■ {name} colour of the graph", colour) for colour, name in few)
-        yield Entry("■ without contacts", palette.GREY)
+        yield from (LegendLine(f"■ {name} colour of the graph", colour) for colour, name in few)
+        yield LegendLine("■ without contacts", palette.GREY)
 
 
-def _groups(header: Header, colours: ColourArray) -> Iterator[Entry]:
+def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     """Explain colours by group: a line for each body if they are few, else for each group."""
     names, known = list(header.names), colours.tolist()
     if len(known) <= MOST_NAMED and len(known) == len(names):
-        yield from (Entry(f"■ {name or f'body {k}'}", known[k]) for k, name in enumerate(names))
+        yield from (LegendLine(f"■ {name or f'body {k}'}", known[k]) for k, name in enumerate(names))
         return
     if len(known) != len(names):  # a clip of some bodies
         return
@@ -143,32 +149,32 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[Entry]:
     for group in groups[groups >= 0][:MOST_NAMED].tolist():
         members = np.flatnonzero(header.group == group)
         name = names[int(members[0])].rstrip(" 0123456789-_#") or f"group {group}"
-        yield Entry(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])])
+        yield LegendLine(f"■ {name}, {len(members)} bodies, in shades", known[int(members[0])])
     single = np.flatnonzero(header.group == -1)
-    yield from (Entry(f"■ {names[k] or f'body {k}'}", known[k]) for k in single[:MOST_NAMED].tolist())
+    yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k]) for k in single[:MOST_NAMED].tolist())
     if len(single) > MOST_NAMED:
-        yield Entry(f"and {len(single) - MOST_NAMED} more, in turns and shades", palette.GREY)
+        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in turns and shades", palette.GREY)
 
 
-def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[Entry]:
+def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[LegendLine]:
     """Explain lines between touching bodies, and points at impacts."""
     if not header.collides:
         return
     if header.engine or theme == "light":
-        yield Entry("— bodies that touch", palette.VERMILION)
+        yield LegendLine("— bodies that touch", palette.VERMILION)
     else:
-        yield Entry("— contact, in the colour of its stage", palette.STAGES[0])
+        yield LegendLine("— contact, in the colour of its stage", palette.STAGES[0])
     if not header.records_contacts:
         return
     middle = _middle(header, frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
-    yield Entry("— edge: thin, small impulse", levels[1])
-    yield Entry(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
-    yield Entry("— edge: wide, large impulse", levels[-1])
-    yield Entry("■ impact: size impulse, glow energy lost", int(drawing.COLOURS[-2]))
-    yield Entry(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
+    yield LegendLine("— edge: thin, small impulse", levels[1])
+    yield LegendLine(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
+    yield LegendLine("— edge: wide, large impulse", levels[-1])
+    yield LegendLine("■ impact: size impulse, glow energy lost", int(drawing.COLOURS[-2]))
+    yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
     if header.has_friction:
-        yield Entry("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])
+        yield LegendLine("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])
 
 
 def _middle(header: Header, frame: Frame | None) -> str:
@@ -180,14 +186,14 @@ def _middle(header: Header, frame: Frame | None) -> str:
     return header.units.text(float(np.median(positive)), dimension.IMPULSE, ".3g") if len(positive) else ""
 
 
-def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[Entry]:
+def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendLine]:
     """State the scales of torques and angular accelerations: arrows are not proportional to them."""
     for path, kind in _DIMENSIONS.items() if header.has_torque else ():
         name, colour = _NAMES[path], palette.ARROWS[path]
         if path not in references:
-            yield Entry(f"→ {name}", colour)
+            yield LegendLine(f"→ {name}", colour)
             continue
         values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
         one, more = (header.units.text(value, kind, ".3g") for value in values)
-        yield Entry(f"→ {name}, beyond the surface:", colour)
-        yield Entry(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)
+        yield LegendLine(f"→ {name}, beyond the surface:", colour)
+        yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)
