@@ -26,7 +26,7 @@ def body_number(recording: Recording, body: int | str) -> int:
     recording
         Whose bodies they are.
     body
-        Its number, its name, or as text its number, such as "3"; "#3" where that is the name of another body.
+        Its number, its name, or its number as text, such as "3"; "#3" if another body has the name "3".
 
     Raises
     ------
@@ -50,7 +50,7 @@ def body_number(recording: Recording, body: int | str) -> int:
 
 
 def _asked_for(number: int, names: Sequence[str]) -> str:
-    """Return what asks for the body of a number, and is no comment in a shell."""
+    """Return the text that selects a body by its number; quoted, since # begins a comment in a shell."""
     return f'"#{number}"' if str(number) in names else str(number)
 
 
@@ -60,7 +60,7 @@ def shown_body(recording: Recording, body: int | str) -> int:
     Raises
     ------
     RecordingError
-        If there is no such body, several have this name, or it is a clip of others.
+        If there is no such body, several have this name, or a clip does not show the body.
     """
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
@@ -84,7 +84,7 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
 
 
 def _begun(text: str, names: Iterable[str]) -> list[str]:
-    """Return the names that begin with a text; numbers are numbers of bodies."""
+    """Return the names that begin with a text; none if the text is a number, which selects a body."""
     if not text or text.isdigit():
         return []
     return [name for name in names if name.casefold().startswith(text.casefold())]

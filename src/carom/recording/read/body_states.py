@@ -1,4 +1,4 @@
-"""Exact states of the bodies as tables: of all bodies at a time, or of one body over a time, and the checkpoints."""
+"""Tables of exact states: all bodies at one time, or one body over an interval; and the checkpoints."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
 
 
 def state_table(states: Sequence[Checkpoint], which: slice | int | IntArray) -> pa.Table:
-    """Tabulate the states of all bodies, of some, or of one, step by step."""
+    """Tabulate the states of all or some bodies, step by step."""
     each = 1 if isinstance(which, int) else len(states[0].position[which])
     columns: dict[str, Any] = {
         STEP: np.repeat([state.step for state in states], each),
@@ -81,7 +81,7 @@ def trajectory(recording: Recording, body: int | str, start: float, end: float, 
 
 
 def _recorded_path(recording: Recording, number: int, steps: IntArray, times: FloatArray) -> pa.Table:
-    """Take positions from the drawn ones, float32, and whole states from checkpoints, float64."""
+    """Return drawn positions (float32), with the exact states (float64) at checkpoints."""
     position = _drawn(recording, number, steps)
     exact = np.isin(steps, recording.checkpoint_steps)
     states: dict[int, Checkpoint] = {}
@@ -130,7 +130,7 @@ def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
 
 
 def _at_checkpoints(quantity: str, states: dict[int, Checkpoint], number: int, rows: int) -> dict[str, pa.Array]:
-    """Make columns that have values at checkpoints, and nulls elsewhere."""
+    """Return columns with values at checkpoints and nulls elsewhere."""
     missing = np.ones(rows, dtype=bool)
     values = np.zeros((rows, len(AXES[quantity])))
     for row, state in states.items():
@@ -144,7 +144,7 @@ def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Val
     Parameters
     ----------
     start
-        The state in which a clip begins; empty if it is a whole run.
+        The state at the beginning of a clip; empty for a whole run.
     """
     from carom.recording.schema.checkpoint_columns import decode  # noqa: PLC0415 - loads Numba
 

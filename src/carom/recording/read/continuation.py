@@ -1,4 +1,4 @@
-"""The frames that a resumed run takes over from its recording, up to the checkpoint that it starts from."""
+"""The frames that a resumed run copies from its recording, up to the checkpoint at which it starts."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 class Continuation:
-    """The frames of a recording up to a checkpoint, which a resumed run writes before its own.
+    """The frames of a recording up to a checkpoint; a resumed run writes them before its own frames.
 
     Parameters
     ----------
@@ -56,11 +56,11 @@ class Continuation:
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=None, integrator=None)
 
     def first_position(self) -> FloatArray:
-        """Where the bodies were at the first checkpoint, (n, 3) m."""
+        """Positions of the bodies at the first checkpoint, (n, 3) m."""
         return self.recording.checkpoint(self.recording.checkpoint_steps[0]).position
 
     def _kept(self, batch: pa.RecordBatch) -> pa.BooleanArray:
-        """Return which rows are of steps, or of impacts, up to the checkpoint."""
+        """Return a mask of the rows of steps and impacts up to the checkpoint."""
         if STEP in batch.schema.names:
             return pc.less_equal(batch[STEP], self.step)
         return pc.less_equal(batch[IMPACT], self.impacts.count)
@@ -79,7 +79,7 @@ class Continuation:
 
 
 def _closes(chunk: Chunk) -> pa.BooleanArray:
-    """Return of each event whether it was written because the run ended."""
+    """Return a mask of the events that were written because the run ended."""
     texts = flat(chunk, "TextLog:text", EVENTS["TextLog:text"]).to_pylist()
     kinds = optional_text(chunk, "kind").to_pylist()
     return pa.array([kind_of(kind, text) in CLOSING for kind, text in zip(kinds, texts, strict=True)], pa.bool_())

@@ -1,6 +1,6 @@
 """The entities of a recording, read chunk by chunk from its file.
 
-`reading` turns every error into one sentence with the file and the remedy. `join_rows` makes tables and checks their
+`reading` replaces every error by one sentence with the file and the remedy. `join_rows` makes tables and checks their
 types and order; only the requested columns are copied out of a chunk, so a table takes no more memory than its rows.
 """
 
@@ -27,7 +27,7 @@ from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.properties import checked
 from carom.scene.wording import command
 
-# Exceptions that a wrong name, type or length in a file may raise.
+# Exceptions caused by wrong names, types or lengths in a file.
 _SURPRISES = (
     *(LookupError, ValueError, TypeError, AttributeError, ArithmeticError, MemoryError, RecursionError),
     pa.ArrowException,
@@ -92,14 +92,14 @@ _UNORDERED = (paths.EVENTS,)  # events logged at the end of a run are about earl
 def join_rows(
     path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], optional: Sequence[str] = ()
 ) -> pa.Table:
-    """Join the rows of an entity. Components with one value a row become plain columns.
+    """Join the rows of an entity. Components with one value in each row become plain columns.
 
     Parameters
     ----------
     path
         The entity, whose chunks come in the order of their first steps.
     optional
-        Columns that older recordings do not have: empty texts then.
+        Columns that older recordings lack; they become empty texts.
 
     Raises
     ------
@@ -136,7 +136,7 @@ def join_rows(
 
 
 def optional_text(chunk: Chunk, name: str) -> pa.Array:
-    """Copy the texts of a component, "" if older recordings lack it. Raises DamageError if they are not texts."""
+    """Copy the texts of a component; "" in older recordings without it. Raises DamageError if they are not texts."""
     if name not in chunk.components:
         return pa.array([""] * chunk.batch.num_rows, pa.string())
     if chunk.batch[name].type.value_type != pa.string():
@@ -187,12 +187,12 @@ class Entities:
             yield from self._container.chunks(entries)
 
     def below(self, root: str) -> dict[str, str]:
-        """Return the paths of what changes with time below an entity, by their last parts."""
+        """Return the paths of the temporal entities below an entity, by their last parts."""
         changing = {entry.entity_path for entry in self._store.entries if not entry.is_static}
         return {path.rsplit("/", 1)[1]: path for path in sorted(changing) if path.startswith(f"{root}/")}
 
     def layout(self) -> list[Chunk]:
-        """Read the chunks of the layout that the file opens with; empty if there is none."""
+        """Read the chunks of the layout with which the file opens; empty if there is none."""
         layouts = [store for store in self._container.stores if store.kind == BLUEPRINT and store.entries]
         return list(self.read(layouts[-1].entries)) if layouts else []
 
@@ -211,7 +211,7 @@ class Entities:
                 yield chunk
 
     def chunks_at(self, step: int, path: str) -> Iterator[Chunk]:
-        """Read those chunks of an entity that a step may be in."""
+        """Read the chunks of an entity that may contain a step."""
         found = [entry for entry in self._store.entries if entry.entity_path == path and entry.holds(step)]
         return self.read(found)
 

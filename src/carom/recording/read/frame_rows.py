@@ -1,4 +1,4 @@
-"""Single frames of a recording: positions as drawn or exact, paths of some bodies, and rows of any entity."""
+"""Single frames of a recording: drawn or exact positions, paths of some bodies, and rows of any entity."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
 
 
 class RecordedPositions:
-    """Positions in m, (n, 3): as they are drawn, or exact where there is a checkpoint."""
+    """Positions (n, 3) in m: drawn ones, or exact ones at checkpoints."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -41,7 +41,7 @@ class RecordedPositions:
         raise RecordingError(f"{self._recording.path} has no positions at step {step}: a piece of it is missing")
 
     def exact(self, step: int) -> FloatArray | None:
-        """Return exact positions of the bodies that the recording shows; None where there is no checkpoint."""
+        """Return the exact positions of the bodies that the recording shows; None without a checkpoint."""
         with reading(self._recording.path):
             values = self._exact.at(step, "position")
             return None if values is None else values.reshape(-1, 3)[self._shown]
@@ -57,7 +57,7 @@ class _Rows:
         self._chunks: OrderedDict[int, Chunk] = OrderedDict()
 
     def at(self, step: int, component: str) -> FloatArray | None:
-        """Return the numbers in a component, flat; None if there is no such row."""
+        """Return the values of a component as a flat array; None if there is no such row."""
         for entry in self._entries:
             if entry.holds(step):
                 chunk = self._chunk(entry)
@@ -78,7 +78,7 @@ class _Rows:
 
 
 class DrawnPaths(NamedTuple):
-    """Where some bodies are drawn in all frames."""
+    """Drawn positions and orientations of some bodies in all frames."""
 
     steps: IntArray  # (k,)
     position: SingleArray  # (k, b, 3) m from the recording's origin
@@ -86,7 +86,7 @@ class DrawnPaths(NamedTuple):
 
 
 def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
-    """Read the paths of some bodies, given by their places among those that the recording shows."""
+    """Read the paths of some bodies, given by their indices among the bodies that the recording shows."""
     steps, positions, turns = [], [], []
     n, chosen = len(recording.shown), list(places)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
@@ -138,7 +138,7 @@ class RecordedRows:
         return sorted(set(self._entries) - set(BY_EVENT))
 
     def at(self, path: str, step: int) -> list[Chunk]:
-        """Return an entity's rows of a step, each as a chunk of its own: one, if all is well."""
+        """Return an entity's rows of a step, each as a chunk of its own; an intact recording has one."""
         found = []
         with reading(self._recording.path):
             for number, entry in enumerate(self._entries.get(path, ())):
@@ -148,7 +148,7 @@ class RecordedRows:
         return found
 
     def block(self, path: str, wanted: IntArray) -> Chunk | None:
-        """Return an entity's rows of some rising steps, if they follow each other in one chunk and nowhere else."""
+        """Return an entity's rows of some rising steps if they are consecutive in a single chunk."""
         first, last = int(wanted[0]), int(wanted[-1])
         entries = enumerate(self._entries.get(path, ()))
         there = [number for number, e in entries if (e.first_step or 0) <= last and (e.last_step or 0) >= first]
@@ -161,7 +161,7 @@ class RecordedRows:
         return Chunk(path, chunk.batch.slice(begin, len(wanted))) if is_block else None
 
     def steps(self, path: str) -> Iterator[IntArray]:
-        """Return the steps that an entity has rows of, chunk by chunk."""
+        """Return the steps of an entity's rows, chunk by chunk."""
         with reading(self._recording.path):
             for number in range(len(self._entries.get(path, ()))):
                 yield self._chunk(path, number)[1]

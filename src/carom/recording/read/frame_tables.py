@@ -1,4 +1,4 @@
-"""What a recording has of each frame, as tables, and the bodies and boxes that it draws."""
+"""Tables with a row for each frame of a recording, and the drawn bodies, boxes and planes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carom.scene.start import HalfSpaces
 
 
 class FrameTables(Statics):
-    """The tables of a recording, a row for each frame or change."""
+    """Tables of a recording with a row for each frame or change."""
 
     @property
     @named
@@ -28,7 +28,7 @@ class FrameTables(Statics):
         return int(self._fingerprints.num_rows)
 
     def require_frames(self) -> None:
-        """Raise a RecordingError that says how the run ended, if it ended before its first frame."""
+        """Raise a RecordingError with the outcome of the run if it ended before its first frame."""
         if self.frames == 0:
             raise RecordingError(f"{self.path} holds no frame: {self.outcome}")
 
@@ -39,9 +39,9 @@ class FrameTables(Statics):
 
     @named
     def energy(self, *names: str) -> pa.Table:
-        """Energies (J) of every frame: the terms the scene has, total, the ledger, the integration error.
+        """Energies (J) of every frame: the terms of the scene, their total, the ledger and the integration error.
 
-        With names, only these are read. RecordingError if nothing is left of one that the scene has.
+        With names, only these columns are read. Raises RecordingError if a column of the scene is lost.
         """
         return self._series(paths.ENERGY, names)
 
@@ -49,7 +49,7 @@ class FrameTables(Statics):
     def steps(self, *names: str) -> pa.Table:
         """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame.
 
-        With names, only these are read. RecordingError if nothing is left of one that the scene has.
+        With names, only these columns are read. Raises RecordingError if a column of the scene is lost.
         """
         return self._series(paths.STEPS, names)
 
@@ -62,7 +62,7 @@ class FrameTables(Statics):
     def events(self) -> pa.Table:
         """Columns step, sim_time, text, level and kind, in the order of steps.
 
-        Recordings made before events had kinds say only of some, by their texts, which kind they are.
+        In older recordings without kinds, the kinds of some events follow from their texts.
         """
         events = self._entities.table(paths.EVENTS, EVENTS, optional=("kind",))
         events = events.rename_columns([name.removeprefix("TextLog:") for name in events.column_names])
@@ -91,7 +91,7 @@ class FrameTables(Statics):
 
     @named
     def dt_limits(self) -> pa.Table:
-        """Columns step, sim_time, state: a row where what limits dt changes."""
+        """Columns step, sim_time, state: a row where the limit of dt changes."""
         return self._states(paths.DT_LIMIT)
 
     def states_at(self, step: int) -> dict[str, str]:
@@ -145,10 +145,10 @@ class FrameTables(Statics):
         return table.rename_columns([name.removeprefix("StateChange:") for name in table.column_names])
 
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
-        """Return some scalars below an entity, or all, of the frames that have a value in each.
+        """Return some or all scalars below an entity, for the frames that have all of them.
 
-        A run that was killed may have sent half a batch, and a repaired file may lack any piece: a scalar without rows
-        is left out.
+        A scalar without rows is left out: a killed run may have sent half a batch, and a repaired file may lack any
+        piece.
         """
         entities, frames = self._entities.below(root), self._fingerprints
         scalars: dict[str, pa.Table] = {}
@@ -175,7 +175,7 @@ class FrameTables(Statics):
 
 
 def rising(fingerprints: pa.Table) -> pa.Table:
-    """Return the rows of frames. DamageError if their times do not rise."""
+    """Return the rows of frames. Raises DamageError if their times do not rise."""
     times = fingerprints["time"].to_numpy()
     if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
         raise DamageError("times that do not rise")

@@ -1,6 +1,6 @@
-"""The time that is shown by default: the hardest impact of a run or, without any, the most contacts.
+"""The time that is shown by default: that of the hardest impact or, without impacts, of the most contacts.
 
-Of a run that was killed, neither is known: then the frame before which contacts took out most energy.
+A killed run has recorded neither; its time is that of the frame before which contacts dissipated most energy.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def check_times(**times: object) -> None:
             raise RecordingError(f"{name} = {time!r}: a time is a number, in seconds")
 
 
-_RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, which people type again
+_RELATIVE_TOLERANCE = 1e-8  # people type the nine digits of a time that `carom inspect` prints
 
 
 def moment(recording: Recording, at: float | None) -> float:
@@ -76,7 +76,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
 
 
 def _refuse_outside(recording: Recording, times: FloatArray, first: float, last: float, asked: str) -> None:
-    """Refuse an interval (s) outside of the frames and of the step that the first one ends."""
+    """Refuse an interval (s) outside of the frames and the step before the first one."""
     begins, ends = float(times[0]), float(times[-1])
     if last < begins and not recording.is_overlay:
         dt = _column(recording.steps("dt"), "dt")
@@ -87,7 +87,7 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
 
 
 def _moment_of_shown(recording: Recording, last: float) -> float:
-    """Return the moment of a clip of some bodies: their impact of the largest impulse on record, or the last frame."""
+    """Return the time of the recorded impact with the largest impulse in a clip of some bodies, or its end."""
     if not recording.records_contacts:
         return last
     found = recording.impacts()
@@ -95,7 +95,7 @@ def _moment_of_shown(recording: Recording, last: float) -> float:
 
 
 def tolerance(time: float) -> float:
-    """Return the error in s of a time that was printed and typed again."""
+    """Return the rounding error (s) of a time that was printed and typed again."""
     return 0.0 if np.isinf(time) else _RELATIVE_TOLERANCE * abs(time)
 
 
@@ -107,7 +107,7 @@ def goal_of(recording: Recording, at: float) -> float:
 def frame_of(recording: Recording, at: float) -> int | None:
     """Return the row of the frame at the end of the step that contains a time (s); None if that step has no frame.
 
-    Times after the last frame belong to it, and times before the first one to that.
+    Times after the last frame belong to the last frame, and times before the first frame to the first.
     """
     steps = recording.steps("dt")
     times, goal = _column(steps, "time"), at - tolerance(at)

@@ -51,7 +51,7 @@ UNITS = {  # of the columns that have one
     "energy_lost": "J",
     **dict.fromkeys(("normal_force", "tangential_force"), "N"),
 }
-SOURCE = "source"  # key of a table's metadata: where its rows come from, in words
+SOURCE = "source"  # key of a table's metadata: the source of its rows, in words
 
 
 def table_of(columns: Mapping[str, Any], source: str) -> pa.Table:
@@ -85,9 +85,9 @@ def forces(columns: Mapping[str, Any], mode: NDArray[np.uint8], dt: float) -> di
 
 
 def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
-    """Return a recorded table, or the one of a replay where a value was too large for float32, above 3.4e38.
+    """Return the recorded table or, if a value exceeds the range of float32 (3.4e38), the table of a replay.
 
-    A run that cannot be repeated keeps its infinite numbers.
+    The numbers stay infinite if the run cannot be repeated.
     """
     if any(bool(np.isinf(recorded[name].to_numpy()).any()) for name in MEASURED):
         with suppress(RecordingError, SceneError):
@@ -119,23 +119,23 @@ def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
 
 
 def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> BoolArray:
-    """Return which pairs (k, 2) join chosen ones of some ``bodies``, or a chosen body and a plane."""
+    """Return a mask of the pairs (k, 2) of two chosen bodies, or of a chosen body and a plane."""
     among = np.isin(pairs, chosen)
     return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
 
 
 def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
-    """Refuse pairs (k, 2) that cannot be. DamageError if there are any."""
+    """Raise DamageError if one of the pairs (k, 2) is impossible."""
     if np.any((pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] >= bodies)):
         raise DamageError(f"/{path} has contacts of bodies that are not there")
 
 
-_SAME = 1e-5  # relative, of sums of float32 impulses, and of the length of a float32 line
+_SAME = 1e-5  # relative error of sums of float32 impulses, and of the length of a float32 line
 _TIME_AND_PLACE = ("time", "x", "y", "z", "nx", "ny", "nz")  # of an impact
 
 
 def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Watcher | None = None) -> pa.Table:
-    """Return the contacts of the step that a time (s) is in; see `Recording.contacts`."""
+    """Return the contacts of the step that contains a time (s); see `Recording.contacts`."""
     at = recording.moment(at)
     row = frame_of(recording, at)
 
@@ -196,10 +196,9 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
 
 
 def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:
-    """Take approach speeds and energies from the step's impacts, where these are all that the contact did.
+    """Add approach speeds and energies of the step's impacts to contacts that did nothing else.
 
-    Bodies that are apart again at the end of the step were somewhere else when they met: time, point and normal then
-    belong to the hardest impact.
+    If the bodies have separated by the end of the step, time, point and normal are those of the hardest impact.
     """
     count, impulse = len(struck), columns["normal_impulse"]
     speed, lost, given, known = np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, dtype=bool)
@@ -225,7 +224,7 @@ def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray
 
 
 def _values(chunk: Chunk, name: str, row: int, kind: pa.DataType) -> NDArray[Any]:
-    """Copy one row of a component, flat. DamageError if it is not there or of another type."""
+    """Copy one row of a component as a flat array. Raises DamageError if it is missing or of another type."""
     if name not in chunk.components:
         raise DamageError(f"/{chunk.entity_path} has no {name}")
     values = chunk.batch[name][row].values

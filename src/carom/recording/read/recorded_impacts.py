@@ -1,4 +1,4 @@
-"""The impacts of a recording, and how many of the run's impacts it has."""
+"""The recorded impacts of a run, and the number of those that were not recorded."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RecordedImpacts:
-    """How many impacts are recorded, and how many are not."""
+    """Numbers of recorded and unrecorded impacts."""
 
     recorded: int = 0
     left_out: int = 0
@@ -77,12 +77,12 @@ def impacts(
 
 
 def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int, int]:
-    """Return the time (s), the step and the ends of the impact of a number, from 1 on, on the timeline ``impact``.
+    """Return the time (s), the step and the ends of an impact, given its number (from 1) on the timeline ``impact``.
 
     Raises
     ------
     RecordingError
-        If it is not recorded; the message says which numbers are.
+        If the impact is not recorded; the message gives the recorded numbers.
     """
     numbers, table = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
@@ -99,9 +99,9 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
-    """Count the impacts up to a step that has a frame; of a clip those since its first frame.
+    """Count the impacts up to a step with a frame; in a clip, those since its first frame.
 
-    A clip of some bodies counts only the impacts that it holds: the others may have been between other bodies.
+    In a clip of some bodies only the recorded impacts count: the others may belong to bodies outside of the clip.
     """
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()
@@ -118,7 +118,7 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
 
 
 def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
-    """Read the numbers of all recorded impacts, (k,) rising, and their rows as they were recorded."""
+    """Read the numbers of all recorded impacts, (k,) rising, and their recorded rows."""
     entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
     return _rows_by_number(recording, entries)
 
@@ -161,7 +161,7 @@ def _steps(recording: Recording) -> Iterator[IntArray]:
 
 
 def count_at(recording: Recording, step: int) -> int:
-    """Return how many impacts the run had up to a frame; 0 if the frame does not say."""
+    """Return the number of impacts up to a frame; 0 if it is not recorded."""
     held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
     with reading(recording.path):
         for chunk in recording.chunks(held):

@@ -1,6 +1,6 @@
-"""The scene of a recording, and the header and outlines of plots from which its layout is made again.
+"""The scene of a recording, and the header and outlines of plots for a new layout.
 
-A recording may come from a stranger, so everything in it is checked before it is used.
+A recording may come from a stranger, so everything is checked before it is used.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def materials_of(recording: Recording) -> ShownMaterials | None:
 
 
 def refuse_missing_extensions(recording: Recording) -> None:
-    """Raise RecordingError, with what to install, if the scene of a recording uses packages that are not there."""
+    """Raise RecordingError, with the packages to install, if packages of the scene are missing."""
     if lack := missing(stamped(recording.info)):
         raise RecordingError(f"{recording.path}: {lack}")
 
@@ -125,14 +125,14 @@ def start_of(recording: Recording, scene: Scene, checkpoint: Checkpoint) -> Init
 
 
 def fixed_of(scene: Scene) -> BoolArray:
-    """Return (n,) which bodies of a scene are fixed; those of groups are not."""
+    """Return a mask (n,) of the fixed bodies of a scene; bodies of groups are never fixed."""
     given = [np.array([body.fixed for body in scene.body], dtype=bool), *(columns.fixed for columns in scene.data)]
     fixed = np.concatenate(given)
     return np.pad(fixed, (0, scene.count - len(fixed)))
 
 
 def header_of_recording(recording: Recording) -> Header:
-    """Return the header of a recorded run, as far as the file has it."""
+    """Return the header of a recorded run, from the data that the file holds."""
     info, bodies = recording.info, recording.bodies
     extensions = stamped(info)
     static = {entry.entity_path for entry in recording.store.entries if entry.is_static}
@@ -172,13 +172,13 @@ def header_of_recording(recording: Recording) -> Header:
 
 
 def _colour_by(info: Mapping[str, Any]) -> str:
-    """Return what the bodies are coloured by; older recordings do not store it."""
+    """Return the quantity that colours the bodies; older recordings do not store it."""
     known = str(info.get("colour_by", "auto"))
     return known if known in COLOUR_BY else "auto"
 
 
 def recorded_curves(recording: Recording, until: int | None = None) -> dict[str, CurveOutline]:
-    """Return the outlines of all recorded and plotted series, by their paths; up to a step if one is given."""
+    """Return the outlines of all plotted series by path, optionally only up to a step."""
     curves: dict[str, CurveOutline] = {}
     tables = {ENERGY: recording.energy(), STEPS: recording.steps()}
     for series in all_series(stamped(recording.info)):

@@ -40,7 +40,10 @@ class Recording(FrameTables):
 
     @classmethod
     def open(cls, path: str | Path) -> Self:
-        """Open a file. RecordingError if it does not exist, is not a recording of carom, or has a newer schema."""
+        """Open a file.
+
+        Raises RecordingError if it does not exist, is not a recording of carom, or has a newer schema.
+        """
         path = Path(path)
         with reading(path):
             if not path.is_file():
@@ -61,9 +64,9 @@ class Recording(FrameTables):
     @cached_property
     @named
     def bodies(self) -> BodyTable:
-        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` is their state at a time.
+        """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` returns their state at a time.
 
-        In a partial clip the numbers of bodies that it does not show are NaN.
+        In a partial clip the values of bodies outside of it are NaN.
         """
         self.refuse_overlay()
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
@@ -80,7 +83,7 @@ class Recording(FrameTables):
     def trajectory(
         self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
     ) -> pa.Table:
-        """Return the path of one body: a row a frame.
+        """Return the path of one body, with a row for each frame.
 
         Parameters
         ----------
@@ -89,7 +92,7 @@ class Recording(FrameTables):
         start, end
             s, both included.
         replay
-            Whether to run the frames again, which gives all columns in float64.
+            Whether to run the frames again, for all columns in float64.
 
         Returns
         -------
@@ -126,7 +129,7 @@ class Recording(FrameTables):
         start, end
             s, both included; by default the whole recording.
         body
-            Number or name of the body whose impacts are wanted; by default all.
+            Number or name of a body, whose impacts are returned; by default all impacts.
         replay
             Whether to run the steps again in any case, for all impacts and all numbers in float64.
         watch
@@ -148,9 +151,9 @@ class Recording(FrameTables):
         return impacts(self, start, end, body, replay=replay, watch=watch)
 
     def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
-        """Return the contacts of the step that a time is in, by pair.
+        """Return the contacts of the step that contains a time, by pair.
 
-        Where that step has no frame, or its contacts are not recorded, it is run again.
+        A step without a frame or without recorded contacts is run again.
 
         Parameters
         ----------
@@ -165,9 +168,9 @@ class Recording(FrameTables):
         -------
         contacts
             The columns of `impacts`. Point and normal are taken at the end of the step, or at the hardest impact of a
-            pair that is apart again by then. In what was recorded, approach_speed and energy_lost are null
-            but for impacts, and contacts that held after the first kick but opened within the step are missing. The
-            metadata of the schema has the ``source``.
+            pair that is apart again by then. Recorded contacts have approach_speed and energy_lost only for impacts
+            (null otherwise), and lack contacts that held after the first kick but opened within the step. The metadata
+            of the schema has the ``source``.
 
         Raises
         ------
@@ -201,7 +204,7 @@ class Recording(FrameTables):
     def rerun(
         self, before: float, *, contacts: bool = False, threads: int | None = None, watch: Watcher | None = None
     ) -> Window:
-        """Run again from the last checkpoint before a time (s), for what is not recorded; see `carom.runs.window`."""
+        """Run again from the last checkpoint before a time (s), for unrecorded data; see `carom.runs.window`."""
         from carom.runs.window import Window  # noqa: PLC0415 - loads the physics
 
         return Window(self, before, contacts=contacts, threads=threads, watch=watch)
@@ -233,10 +236,10 @@ class Recording(FrameTables):
 
     @named
     def moment(self, at: float | None = None) -> float:
-        """Return the time (s) to show: the given one, else the hardest impact, else the most contacts, else the end.
+        """Return the time (s) to show: as given, or else of the hardest impact, the most contacts or the end.
 
-        The hardest impact is known if the run was closed; otherwise it is searched among the frames. Of a clip of some
-        bodies it is the impact among these with the largest impulse.
+        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, it is
+        their impact with the largest impulse.
 
         Raises
         ------
@@ -252,7 +255,7 @@ class Recording(FrameTables):
         return summary(self)
 
     def __repr__(self) -> str:
-        """Return the file, the number of bodies and frames, and how the run ended."""
+        """Return the path, the numbers of bodies and frames, and the outcome of the run."""
         bodies = counted(int(self.info["bodies"]), "body")
         return f"<Recording {self.path}: {bodies}, {counted(self.frames, 'frame')}, {self.outcome}>"
 
@@ -325,5 +328,5 @@ class Recording(FrameTables):
         return self.chunks([entry for entry in self.store.entries if not entry.is_static])
 
     def layout(self) -> list[Chunk]:
-        """Read the chunks of the layout that it opens with; empty if there is none."""
+        """Read the chunks of the layout with which the file opens; empty if there is none."""
         return self._entities.layout()

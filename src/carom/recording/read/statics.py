@@ -1,4 +1,4 @@
-"""What a recording states once: its bodies, its properties, its scene and its units."""
+"""The static data of a recording: its bodies, its properties, its scene and its units."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from carom.scene.wording import SomeNames
 
 @dataclass(frozen=True, slots=True)
 class BodyTable:
-    """The static properties of the bodies; called with a time, their exact state at that time."""
+    """The static properties of the bodies; a call with a time returns their exact state."""
 
     name: Sequence[str]  # (n,)
     group: IntArray  # (n,)
@@ -33,7 +33,7 @@ class BodyTable:
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
-        """Return a table of more bodies, of which these are ``shown``; of the others nothing is known."""
+        """Return a table of more bodies, of which these are ``shown``; the values of the others are unknown."""
 
         def spread(values: FloatArray) -> FloatArray:
             found = np.full(bodies, np.nan)
@@ -52,9 +52,9 @@ class BodyTable:
         )
 
     def __call__(self, at: float | None = None) -> pa.Table:
-        """Return the state of all bodies at the end of the step that a time is in, in float64.
+        """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        It is that of a checkpoint, or else of a replay from the checkpoint before.
+        It comes from a checkpoint, or else from a replay from the checkpoint before.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class Statics:
     @cached_property
     @named
     def properties(self) -> Mapping[str, Any]:
-        """The property `run`: versions, command, git, cpu and whatever else the caller added."""
+        """The property `run`: versions, command, git, cpu and the caller's additions."""
         return self._entities.properties("run")
 
     @cached_property
@@ -125,7 +125,7 @@ class Statics:
     @cached_property
     @named
     def closing(self) -> Mapping[str, Any]:
-        """The property `outcome`: how it ended; empty if the run was killed."""
+        """The property `outcome`: how the run ended; empty if it was killed."""
         return self._entities.properties("outcome")
 
     @cached_property
@@ -136,20 +136,20 @@ class Statics:
 
     @property
     def versions(self) -> dict[str, str]:
-        """Versions of the packages that it was recorded with."""
+        """Versions of the packages that recorded it."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())
         return {package: str(value) for (before, dot, package), value in stamped if dot and not before}
 
     @cached_property
     @named
     def clip(self) -> Mapping[str, Any]:
-        """The property `clip`: where this piece was cut out; empty if it is a whole run."""
+        """The property `clip`: the interval that was cut out; empty for a whole run."""
         return self._entities.properties("clip")
 
     @cached_property
     @named
     def shown(self) -> Sequence[int]:
-        """Numbers of the bodies that it shows: all, unless it is a clip of some."""
+        """Numbers of the bodies that it shows: all bodies, except in a clip of some."""
         if "bodies" not in self.clip:
             return range(int(self.info["bodies"]))
         found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
@@ -160,13 +160,13 @@ class Statics:
     @property
     @named
     def shows_all(self) -> bool:
-        """Whether it shows all bodies of its run; a clip may show some."""
+        """Whether it shows all bodies of its run; a clip may show only some."""
         return len(self.shown) == int(self.info["bodies"])
 
     @property
     @named
     def is_partial(self) -> bool:
-        """Whether it is a clip without the exact states, and without the bodies that it does not show."""
+        """Whether it is a clip without exact states, which holds nothing of bodies outside of the clip."""
         return bool(self.clip.get("partial", False))
 
     @property
@@ -178,11 +178,11 @@ class Statics:
     @property
     @named
     def overlaid(self) -> Mapping[str, Any]:
-        """What an overlay says of its runs, such as the names of their files; empty for a single run."""
+        """The metadata of the runs in an overlay, such as the names of their files; empty for a single run."""
         return self._entities.properties("diff") or self._entities.properties("tradeoff")
 
     def refuse_overlay(self) -> None:
-        """Raise RecordingError if it shows several runs, of which only drawn positions are recorded."""
+        """Raise RecordingError if it shows several runs: an overlay has only drawn positions."""
         if self.is_overlay:
             raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
 
@@ -194,13 +194,13 @@ class Statics:
     @property
     @named
     def engine(self) -> str:
-        """Name and version of the other engine that it was recorded from; empty for carom's own runs."""
+        """Name and version of the engine that computed the run; empty for carom."""
         return str(self.info.get("engine", ""))
 
     @property
     @named
     def check_interval(self) -> float | None:
-        """Time in s between the instants at which errors were judged; None where earlier versions judged at frames."""
+        """Time (s) between checks of energy and momentum; None in older recordings, which were checked at frames."""
         interval = self.info.get("check_interval")
         return None if interval is None else float(interval)
 
@@ -218,7 +218,7 @@ class Statics:
 
     @named
     def data_notes(self, index: int) -> list[str]:
-        """Return what of the file of one [[bodies]] was not used, or read in another way."""
+        """Return the notes on the data file of one [[bodies]]: unused columns and other readings."""
         return str(self.info.get(f"data_notes.{index}", "")).splitlines()
 
     @property
@@ -230,7 +230,7 @@ class Statics:
     @cached_property
     @named
     def units(self) -> UnitSystem:
-        """The units of the scene. Recorded numbers are in SI, or in the scene's own system of units."""
+        """The units of the scene. Recorded numbers are in SI or in the system of units of the scene."""
         return UnitSystem.of_properties(self.info)
 
     @cached_property

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 def summary(recording: Recording) -> dict[str, Any]:
     """Nested numbers; see docs/recording.md for the keys.
 
-    Largest errors are those of the recorded frames, unless the run recorded those of all steps in its property
-    `outcome` under the same dotted key, such as ``contacts.total``. The numbers of a clip are about its own frames; its
-    outcome and expectations are about the whole run.
+    The largest errors of all steps are in the property `outcome`, under the same dotted key, such as
+    ``contacts.total``; without it, those of the recorded frames count. The numbers of a clip describe its own frames;
+    its outcome and expectations describe the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()
@@ -79,7 +79,7 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def _of_engine(recording: Recording) -> dict[str, Any]:
-    """Return how many bodies of another engine's run are judged, and the laws that it broke with their first frames."""
+    """Return the number of judged bodies of another engine's run, and the violated laws with their first frames."""
     if not recording.engine:
         return {}
     judged = recording.closing.get("audit.judged", recording.info["bodies"])
@@ -99,7 +99,7 @@ def _clip(recording: Recording) -> dict[str, Any]:
 
 
 def _impacts(recording: Recording) -> dict[str, int]:
-    """Count the impacts that are recorded and left out; empty if the run was to record none."""
+    """Count recorded and unrecorded impacts; empty if the scene records none."""
     if not recording.records_contacts or not recording.frames:
         return {}
     last = int(recording.fingerprints()["step"][-1].as_py())
@@ -116,7 +116,7 @@ def _energy(energy: pa.Table) -> dict[str, float]:
 
 
 def _changes(recording: Recording) -> dict[str, float]:
-    """Divide the change of the energy of another engine's run, in J: while bodies touched, and otherwise.
+    """Split the energy change (J) of another engine's run into changes with and without touching bodies.
 
     While bodies touch, the energy changes by the work of contacts and by errors of the engine; states do not separate
     the two.
@@ -143,7 +143,7 @@ def _largest(momenta: pa.Table, name: str) -> float | None:
 
 
 def _contacts(recording: Recording) -> dict[str, Any]:
-    """Sum the contacts of the recorded frames, and find their deepest overlap; None where that is lost."""
+    """Return the sum of contacts in the recorded frames and their deepest overlap; None where it is lost."""
     steps = recording.steps("contacts")
     if "contacts" not in steps.column_names or steps.num_rows == 0:
         return {"total": 0, "max_overlap": 0.0, "summed_over": "frames"}
@@ -156,9 +156,10 @@ def _contacts(recording: Recording) -> dict[str, Any]:
 
 
 def _moments(recording: Recording) -> dict[str, Any]:
-    """Nest the worst moments; a property cannot hold a list of unknown length, so bodies are written as ``3,17``.
+    """Nest the worst moments.
 
-    Recordings without `planes` count them among the bodies, from n on, and lack their names.
+    Bodies are written as ``3,17``, since a property cannot hold a list of unknown length. Recordings without `planes`
+    number the planes from n on, after the bodies, and lack their names.
     """
     moments = _complete(_below(recording.closing, "moments"), ("value", "step", "time"))
     n = int(recording.info["bodies"])
@@ -200,7 +201,7 @@ def _below(properties: Mapping[str, Any], section: str) -> dict[str, Any]:
 
 
 def html_of(recording: Recording) -> str:
-    """Return the summary of a recording as an HTML table; of a file that cannot be read, why."""
+    """Return the summary of a recording as an HTML table, or the error if it cannot be read."""
     try:
         rows = _rows(recording.summary(), recording.units)
     except RecordingError as error:

@@ -1,4 +1,4 @@
-"""Encodes and decodes checkpoints: the float64 state from which a run can be resumed bit for bit."""
+"""Encodes and decodes checkpoints: float64 states from which a run resumes with the same bits."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.properties import LARGEST
 
 Values = NDArray[Any] | list[str]
-Column = tuple[Values, list[int]]  # values of all rows, and how many each row has
+Column = tuple[Values, list[int]]  # the values of all rows, and their number in each row
 
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
@@ -36,7 +36,7 @@ _BOOKS = TypeAdapter(Books)
 _BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
 _IF_ASKED = ("contact_audit",)  # extremes that only some runs measure
 _BOOKS_BYTES = 1200  # as JSON
-_CONTACT_BYTES = 56  # two indices, the speed, an impulse of four
+_CONTACT_BYTES = 56  # two indices, the speed, four components of the impulse
 _INTEGRATOR = "integrator_"
 _INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers of a body
 _ORBITS = "orbit_"
@@ -46,7 +46,7 @@ _FULL = 7  # contacts per body in a dense packing, near ones included
 
 
 def size(frame: Frame) -> int:
-    """Bytes of the checkpoint of a frame."""
+    """Return the bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
     if frame.memory is not None and frame.memory.sleep is not None:  # and 4 numbers a body
         contacts += len(frame.memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
@@ -64,7 +64,7 @@ def _carried_size(frame: Frame) -> int:
 
 
 def largest_size(header: Header) -> int:
-    """Bytes of a checkpoint of densely packed bodies."""
+    """Return the bytes of a checkpoint of densely packed bodies."""
     lasts = header.collides and len(header.forces) > 0
     return _size(header.bodies, header.spins, _FULL * header.bodies if lasts else 0, len(header.forces))
 
@@ -75,7 +75,7 @@ def _size(bodies: int, spins: bool, contacts: int, further: int) -> int:
 
 
 def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
-    """Flatten checkpoints into one column per component, row after row; each row has a digest of the others."""
+    """Flatten checkpoints into one column per component, row after row; a further component is a digest of each row."""
     rows = [_row_of(checkpoint) for checkpoint in checkpoints]
     for row in rows:
         row[_DIGEST] = np.array([_digest(row)], dtype=np.uint64)
@@ -84,7 +84,7 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _column(parts: Sequence[Values]) -> Column:
-    """Join the values of a component in all rows; of one row, they are not copied: 130 MB for a million bodies."""
+    """Join the values of a component in all rows. A single row is not copied: it has 130 MB for a million bodies."""
     each = [len(part) for part in parts]
     if len(parts) == 1:
         return parts[0], each
@@ -93,7 +93,7 @@ def _column(parts: Sequence[Values]) -> Column:
 
 
 def _digest(row: Mapping[str, Values]) -> int:
-    """Return 64 bits of all components of a row, by the order of their names."""
+    """Return a digest (64 bits) of all components of a row, in the order of their names."""
     digest = xxhash.xxh64()
     for name in sorted(row):
         values = row[name]
@@ -123,12 +123,15 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
             arrays |= {_ORBITS + name: getattr(carried.orbits, name) for name in ("series", *_ORBIT_ARRAYS)}
     row = {name: np.asarray(array, dtype=np.float64).ravel() for name, array in arrays.items() if array is not None}
     contacts = {} if checkpoint.contacts is None else _contacts_of(checkpoint.contacts)
-    # the books as JSON; parts that the run does not model or audit take no byte
+    # the books as JSON, without the terms that the run does not model or audit
     return {**row, "books": [json.dumps(_plain(checkpoint.books))], **contacts}
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that JSON can hold. `dataclasses.asdict` would copy every number, which takes most of the time."""
+    """Return a value that JSON can hold.
+
+    `dataclasses.asdict` copies every number, which would take most of the time.
+    """
     names = _fields_of(value.__class__)
     if names is None:
         return value
@@ -156,7 +159,7 @@ def _books_of(text: str) -> Books:
 
 
 def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
-    # mostly the impulses are those of the step's own contacts: their pairs are written once
+    # the impulses usually belong to the step's own contacts, whose pairs are then written once
     own = np.array_equal(memory.held_pairs, memory.pairs)
     return {
         "contact_pairs": memory.pairs.ravel().astype(np.uint32),
@@ -185,8 +188,8 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     Raises
     ------
     RecordingError
-        If the row is incomplete, of another number of bodies, not finite, or differs from its digest: a file from a
-        stranger may hold anything. Old recordings without digests are taken as they are.
+        If the row is incomplete, has another number of bodies, is not finite, or differs from its digest: a file from a
+        stranger may hold anything. Rows of old recordings have no digest, and are accepted without one.
     """
     try:
         row = _Row(stored, bodies)
@@ -231,7 +234,7 @@ class _Row:
         return float(self._finite(name, 1)[0])
 
     def further(self, prefix: str, known: Sequence[str]) -> NamedEnergies:
-        """Return the numbers with a prefix besides those that every checkpoint has, in alphabetical order."""
+        """Return the further components with a prefix, which not every checkpoint has, in alphabetical order."""
         names = sorted(name.removeprefix(prefix) for name in self._stored if name.startswith(prefix))
         return tuple((name, self.number(prefix + name)) for name in names if name not in known)
 

@@ -1,4 +1,4 @@
-"""What a recording states about a run before its first frame: bodies, materials, and the parts of its model."""
+"""The header of a recording: bodies, materials and parts of the model, written before the first frame."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ShownMaterials:
 
     @classmethod
     def of(cls, scene: Scene) -> ShownMaterials | None:
-        """Return the materials of a scene; None if it has none but that of [contact]."""
+        """Return the materials of a scene; None if it has no [[material]]."""
         if not scene.material:
             return None
         found = body_materials(scene)
@@ -50,7 +50,7 @@ class ShownMaterials:
 
     @property
     def described(self) -> list[dict[str, Any]]:
-        """Each material, how many bodies have it, and what they may touch, as `carom inspect --json` prints it."""
+        """Return each material with the number of its bodies and its kinds of contacts, for `carom inspect --json`."""
         count = np.bincount(self.index, minlength=len(self.names)).tolist()
         return [
             {
@@ -84,7 +84,7 @@ RECORDED_PARTS = (*_FLAGS, *_FORCES)  # of the model, that series depend on
 
 
 def flag_of(part: str) -> str:
-    """Return the property of a recording that states whether its scene requires a part of the model."""
+    """Return the name of the property that states whether the scene requires a part of the model."""
     if part in _FLAGS:
         return _FLAGS[part]
     return _FORCES[part].present if part in _FORCES else f"{PROPERTY}forces.{part}"
@@ -103,7 +103,7 @@ class SweepMember:
 class Header:
     """Everything static about a run: its bodies, and which parts of the model the scene requires.
 
-    A part whose flag is false has no entity in the recording.
+    A recording has no entities for parts whose flag is false.
     """
 
     title: str
@@ -116,42 +116,42 @@ class Header:
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
-    spins: bool  # angular velocities, and the energy in them
+    spins: bool  # whether bodies have angular velocities and rotational energy
     has_orientation: bool
     has_torque: bool  # and angular accelerations
     has_friction: bool
-    forces: frozenset[str]  # by their names in `scene.forces`, or as parts of extensions
+    forces: frozenset[str]  # named as in `scene.forces` or by extensions
     collides: bool
-    stabilises: bool  # overlaps are undone, which puts energy in
+    stabilises: bool  # whether position correction undoes overlaps, which injects energy
     body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
     duration: float  # s of simulated time, as asked for
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
-    check_interval: float | None = None  # s, between the instants at which errors are judged; None: at the frames
+    check_interval: float | None = None  # s, between checks of energy and momentum; None: at the frames
     promises: bool = False  # an accuracy
-    record_impacts: Literal["auto", "all", "none"] = "none"  # also of contacts, where the scene has any
+    record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
     box: FloatArray | None = None  # (3,) m, size of a periodic domain
-    units: UnitSystem = SI  # of the numbers, and those that they are printed in
-    walls: FloatArray | None = None  # (3,) m, size of a walled one
+    units: UnitSystem = SI  # of the recorded numbers, and of printed ones
+    walls: FloatArray | None = None  # (3,) m, size of a walled domain
     planes: HalfSpaces | None = None  # the static half-spaces besides the walls
     colour_by: str = "auto"  # record.colour_by
     data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene
-    data_notes: Sequence[Sequence[str]] = ()  # of each [[bodies]]: what of its file is not used, or read otherwise
+    data_notes: Sequence[Sequence[str]] = ()  # of each [[bodies]]: unused columns of its file
     materials: ShownMaterials | None = None  # None in a scene without [[material]]
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run
-    engine: str = ""  # name and version of the other engine that it was recorded from; empty for carom's own runs
+    engine: str = ""  # name and version of the engine that computed the run; empty for carom
     exact: bool = False  # whether every frame has a checkpoint
-    extensions: Mapping[str, str] = field(default_factory=dict)  # that the scene uses, see `extensions_of`
+    extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
 
     def models(self, part: str) -> bool:
-        """Return whether the scene requires a part of the model, named as by `carom explain`, that series depend on."""
+        """Return whether the scene requires a part of the model, by its name in `carom explain`."""
         if part in _FLAGS:
             return bool(getattr(self, _FLAGS[part]))
         return (_FORCES[part].name if part in _FORCES else part) in self.forces
 
     @property
     def coloured_by(self) -> str:
-        """What the bodies are coloured by: "group" or "material", both static, "speed", "graph" or "island"."""
+        """The quantity that colours the bodies: "group" or "material" (both static), "speed", "graph" or "island"."""
         if self.colour_by != "auto":
             return self.colour_by
         if self.body_colouring:
@@ -171,7 +171,7 @@ class Header:
 
     @property
     def bodies(self) -> int:
-        """How many bodies there are."""
+        """Number of bodies."""
         return len(self.mass)
 
 
@@ -187,7 +187,7 @@ def application_id(header: Header) -> str:
     """``carom-<schema>-<layout>``.
 
     A viewer keeps one layout, with its camera, per application id. The id therefore includes a hash of the scene.
-    Rerun replaces slashes, so it has none.
+    Rerun replaces slashes, so the id contains none.
     """
     layout = hashlib.sha256(f"{header.scene_toml}\n{header.bodies} {header.spins}".encode()).hexdigest()
     return f"carom-{SCHEMA_VERSION}-{layout[:12]}"

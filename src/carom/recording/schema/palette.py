@@ -29,7 +29,7 @@ BACKGROUND = 0x0B0E14FF
 GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # of 3D views
 INKS = {"dark": WHITE, "light": 0x16181DFF}  # of letters and lines on these
 
-# Found by a search for the largest difference between any two, with and without colour blindness: ΔE ≥ 18 (CIE76).
+# A search maximised the smallest difference of two colours, with and without colour blindness: ΔE ≥ 18 (CIE76).
 LINES = {
     "blue": 0x4A66F0FF,
     "red": 0xD42A1EFF,
@@ -84,9 +84,9 @@ DT_LIMITS = {
     "end": GREEN,
 }
 
-MOST_SINGLE = 70  # single bodies to which the hues are given in rotation; of more, each hue would have more than ten
+MOST_SINGLE = 70  # the most single bodies that get hues in rotation; above this, a hue would have more than ten bodies
 
-_GOLDEN = 0.6180339887498949  # fractional parts of its multiples fill (0, 1) evenly in any prefix
+_GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
 _SHADE = 0.45  # how much darker the darkest body of a group is than its hue
 
 
@@ -128,7 +128,7 @@ def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
 def body_colours(group: IntArray) -> NDArray[np.uint32]:
     """Return the static colours of bodies: a hue per group and per single body, in rotation, and a shade per body.
 
-    With few bodies each has its own hue. More than `MOST_SINGLE` single bodies share one.
+    Up to `MOST_SINGLE` single bodies get hues of their own; more share one hue.
     """
     count, turn, single = len(group), group, np.flatnonzero(group == -1)
     few = count <= len(BODIES)
@@ -148,7 +148,7 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:
-    """Return the colours of materials: as given by name or as "#rrggbb", otherwise from the unused colours."""
+    """Return the colours of materials: the scene's, by name or as "#rrggbb", or else one of the unused colours."""
     chosen = [None if colour is None else NAMED.get(colour) or int(f"{colour[1:]}ff", 16) for colour in given]
     left = itertools.cycle([hue for hue in BODIES if hue not in chosen] or BODIES)
     return [next(left) if colour is None else colour for colour in chosen]

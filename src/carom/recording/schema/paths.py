@@ -17,7 +17,7 @@ SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed;
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
 WORLD = "world"
-MAGNIFIED = "magnified"  # transforms, by which views magnify small scenes
+MAGNIFIED = "magnified"  # transforms with which views magnify small scenes
 BODIES = "world/bodies"
 PLANES = "world/planes"
 PLANE_LINES = 13  # of the grid that shows a plane, in each direction
@@ -39,16 +39,16 @@ EVENTS = "events"
 FINGERPRINT = "state/fingerprint"
 MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
-START = "state/start"  # in a clip: the exact state that its first frame follows from
+START = "state/start"  # in a clip: the exact state before its first frame
 STATIC_STATE = "state/bodies"
 GIVEN_STATE = "scene/bodies"  # the bodies of [[bodies]] at time 0
 
-CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # by how bodies are drawn
+CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
 
 
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends: a resumed run writes its own
 
-_BY_TEXT = (  # the texts, or their beginnings, of events in older recordings without kinds
+_BY_TEXT = (  # beginnings of the texts of events, for older recordings without kinds
     (re.compile(r"^end: "), "end"),
     (re.compile(r" of the run[,:.]"), "extreme"),
     (re.compile(r"^Energy rose"), "energy-rise"),

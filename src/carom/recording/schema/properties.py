@@ -11,7 +11,7 @@ from typing import Any
 from carom.errors import DamageError
 
 MOST_BODIES = 10_000_000
-LARGEST = 1e150  # of a coordinate or a speed, whose squares are computed with
+LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 
 NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]]
 _NUMBERS = re.compile(r"([0-9]{1,9}(,[0-9]{1,9})*)?")
@@ -109,14 +109,12 @@ _REQUIRED = {"carom": ("bodies", "time_scale"), "clip": ("source", "from", "to")
 
 
 def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a property whose values are what carom writes under their keys; an empty one was never written.
-
-    Keys that this version does not know are left as they are.
+    """Return a property after checking the values of all known keys; an empty property was never written.
 
     Raises
     ------
     DamageError
-        Naming the key, and what would be right.
+        With the key and the valid values, if a value is wrong.
     """
     for key in _REQUIRED.get(name, ()) if values else ():
         if key not in values:

@@ -1,4 +1,4 @@
-"""The scalars of every frame: the one table that encoder, plots, inventory and docs/recording.md are made from.
+"""The scalars of every frame: the table behind the encoder, the plots, the inventory and docs/recording.md.
 
 A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md. Scenes add the series of
 installed packages by ``record.series``, and those of their forces by ``[forces]``. The inventory at the end
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 BLUE, RED, GREEN, PURPLE, GREY = (LINES[name] for name in ("blue", "red", "green", "purple", "grey"))
-THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen: a thinner one is blended with the ground
+THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen; thinner curves would be blended with the background
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Plot:
     unit: str
 
     def name_in(self, units: UnitSystem, engine: str = "") -> str:
-        """Return what stands above the plot of a scene with these units, or of another engine's run."""
+        """Return the title of the plot, with the unit of the scene or of another engine's run."""
         unit, title = units.recorded_unit(self.unit), self.title
         if engine and self == _TAKEN:
             title = "Energy lost while touching"
@@ -57,10 +57,10 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 
 
 class Sample(NamedTuple):
-    """What a scalar may be computed from."""
+    """The arguments from which a scalar is computed."""
 
     frame: Frame
-    before: Frame | Checkpoint | None  # the frame recorded before it; None at the first
+    before: Frame | Checkpoint | None  # the frame before; None at the first frame
     overlap: float  # m, the deepest of the frame's contacts; 0 without any
     relative_overlap: float  # the largest overlap / smaller radius of a contact
     colours: float  # number of colours of the contacts
@@ -68,9 +68,9 @@ class Sample(NamedTuple):
 
 
 class Past(Enum):
-    """How much of the run a value depends on: a replay that begins later than that cannot compare it."""
+    """The part of the run that a value depends on; a replay that begins later cannot compare the value."""
 
-    NONE = auto()  # the state alone, as a checkpoint keeps it
+    NONE = auto()  # only the state, which a checkpoint holds
     STEP = auto()  # the step that led to the state
     INTERVAL = auto()  # the steps since the frame before
     RUN = auto()  # all frames before
@@ -90,8 +90,8 @@ class Series:
     part: str | None = None  # the part of the model (`carom explain`) without which it is not recorded; None: always
     past: Past = Past.NONE
     width: float = THIN
-    inside: bool = False  # whether only the engine that computes the step knows it, so other engines' runs lack it
-    flat_is_dull: bool = False  # its plot is left out if it is constant; every series' is if it is 0 throughout
+    inside: bool = False  # whether it is internal to the solver, so that runs of other engines lack it
+    flat_is_dull: bool = False  # leaves out the plot of a constant series, too; a series of zeros is never plotted
 
     def __post_init__(self) -> None:
         if self.path.partition("/")[0] not in (ENERGY, STEPS):
@@ -101,7 +101,7 @@ class Series:
 
 
 def _impact_rate(sample: Sample) -> float:
-    """Return (impacts since the frame before) / (simulated time since then), 1/s."""
+    """Return the impacts per simulated time (1/s) since the frame before."""
     frame, before = sample.frame, sample.before
     if before is None or frame.time <= before.time:
         return 0.0
@@ -124,7 +124,7 @@ def _potential(kind: ForceKind) -> Series:
 
 
 def _loss(kind: ForceKind) -> Series:
-    """Return the series of a force without one."""
+    """Return the series of a force without a potential."""
     entry = kind.loss
     return Series(
         f"{ENERGY}/ledger/{entry}",
@@ -181,7 +181,7 @@ SERIES = (
 # fmt: on
 
 
-# of another engine, whose contacts are not known: path → legend and meaning
+# for other engines, whose contacts are unknown: path → legend and meaning
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",
@@ -222,7 +222,7 @@ def recorded(header: Header) -> Iterator[Series]:
 
 
 def _of_engine(series: Series) -> Series:
-    """Return a series of another engine's run, under the name of what the engine reports."""
+    """Return a series of another engine's run, with the legend and meaning for that run."""
     if series.path not in OF_ENGINES:
         return series
     legend, meaning = OF_ENGINES[series.path]
@@ -271,7 +271,7 @@ _ALWAYS = {  # entity → why it is recorded
 
 
 class Content(NamedTuple):
-    """An entity, whether a recording of the scene has it, and why."""
+    """An entity: whether a recording of the scene contains it, and why."""
 
     path: str
     recorded: bool

@@ -1,7 +1,7 @@
 """Names of bodies, and the bodies of [[bodies]] at time 0, as a recording stores them.
 
-Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are stored with
-those of all bodies, and only once.
+Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are stored once,
+together with those of all bodies.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ _COUNT, _FIRST = "name_count", "name_first"
 def encode_names(names: Sequence[str]) -> dict[str, Any]:
     """Return the components that hold the names.
 
-    Without numbered names there is one, ``name``. Otherwise ``name_count`` is the number of bodies with a prefix, or 0
-    for a whole name; ``name_first`` is the number of the first body with the prefix.
+    Without numbered names there is one, ``name``. Otherwise ``name_count`` is the number of bodies with a prefix (0 for
+    a whole name), and ``name_first`` the number in the name of the first of them.
     """
     parts = names.parts if isinstance(names, JoinedNames) else (names,)
     if not any(isinstance(part, NumberedNames) for part in parts):
@@ -51,7 +51,7 @@ def encode_names(names: Sequence[str]) -> dict[str, Any]:
 
 
 def decode_names(stored: Stored) -> Sequence[str]:
-    """Undo `encode_names`. DamageError if they do not fit together."""
+    """Undo `encode_names`. Raises DamageError if the components contradict each other."""
     texts = stored["name"]
     if not isinstance(texts, list):
         raise DamageError("names of its bodies are not texts")
@@ -73,7 +73,7 @@ def decode_names(stored: Stored) -> Sequence[str]:
 
 
 def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
-    """Return the components, but for any that is zero for all bodies."""
+    """Return the components, without those that are zero for all bodies."""
     vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in VECTORS}
     kept = {name: values for name, values in vectors.items() if name == "position" or values.any()}
     fixed = np.concatenate([columns.fixed for columns in data])
@@ -93,7 +93,7 @@ def decode_bodies(
     index
         Which [[bodies]] of the scene.
     row
-        Of its first body in the components.
+        Row of its first body in the components.
     place
         Numbers of its bodies.
     bodies

@@ -14,8 +14,8 @@ from carom.errors import RecordingError
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
-_COARSEST = 1.0e-6  # s; in a shorter step, impacts would have times of less than three digits
-_FINE = 1.0e-3  # s, length of the shortest step after scaling, if it needs scaling: times in it have six digits
+_COARSEST = 1.0e-6  # s; impacts within shorter steps would have times with less than three digits
+_FINE = 1.0e-3  # s, of the shortest step after scaling: times within a step have six digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +29,9 @@ class TimeScale:
 
     @classmethod
     def fitting(cls, duration: float, shortest_dt: float) -> TimeScale:
-        """Choose the scale: 1 if it can be, more for long scenes, less for very short steps.
+        """Choose the scale: 1 if possible, above 1 for long scenes, below 1 for very short steps.
 
-        If both cannot be had, the duration fits and short steps are rounded.
+        If a scene has both, the duration fits, and short steps are rounded.
         """
         least = math.ceil(math.log10(duration / _LONGEST)) if _positive(duration) else -300
         if least > 0:
@@ -42,7 +42,7 @@ class TimeScale:
         return cls()
 
     def nanoseconds(self, times: Sequence[float] | FloatArray) -> IntArray:
-        """Turn simulated seconds into whole nanoseconds of the timeline: rounded, never truncated."""
+        """Convert simulated seconds to whole nanoseconds of the timeline, by rounding."""
         shown = np.asarray(times, dtype=np.float64) / self.scale
         if not bool(np.all(np.abs(shown) <= _LONGEST * 1.02)):
             raise RecordingError(f"simulated time {np.max(np.abs(times)):g} does not fit the timeline")
@@ -60,7 +60,7 @@ class TimeScale:
         impacts: Sequence[int] | IntArray = (),
         ends: FloatArray | None = None,
     ) -> list[rr.TimeColumn]:
-        """Timelines for the rows of a batch: step and time, or one of them, and the number of the impact."""
+        """Return the time columns of a batch: step, time, the number of the impact, or several of these."""
         columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
         if len(times):
             shown = self.within(np.asarray(times), ends)
