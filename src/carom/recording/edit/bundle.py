@@ -21,7 +21,7 @@ from carom.recording.write.whole_file import Claim, whole_file
 CLIP = "clip.rrd"
 LARGEST = 10_000_000  # bytes of a bundle, a common limit of attachments
 MOST_UNPACKED = 1_000_000_000  # bytes
-MOST_TIMES = 1000  # highest compression ratio of deflate; more is a zip bomb
+MOST_TIMES = 1000  # highest compression ratio of deflate; a higher ratio is a zip bomb
 MOST_MEMBERS = 100
 _PIECE = 1 << 20
 
@@ -35,7 +35,7 @@ _SURPRISES = (
 def is_bundle(path: Path) -> bool:
     """Return whether a file begins like a zip file."""
     try:
-        if not path.is_file():  # a pipe would be waited for
+        if not path.is_file():  # opening a pipe would block
             return False
         with path.open("rb") as file:
             return file.read(4) == b"PK\x03\x04"
@@ -88,7 +88,7 @@ def opened(path: Path) -> Iterator[Path]:
             raise RecordingError(f"{path} is not a bundle of carom's, or is damaged ({error})") from error
         try:
             yield out
-        except RecordingError as error:  # a person knows the bundle, and not what it is unpacked to
+        except RecordingError as error:  # the message should name the bundle, not the temporary file
             error.args = (str(error).replace(str(out), str(path)), *error.args[1:])
             raise
 

@@ -36,8 +36,8 @@ class Selection:
     """Keeps the spheres and arrows of some bodies and the contacts among them.
 
     A contact is kept if both its bodies are, or its body is and the other side is a plane. Recordings before schema 3
-    have no numbers of the bodies that it joins. There they are found from where its line ends, and the chunk with the
-    centres has to come before that with the contacts.
+    lack the numbers of its bodies. These follow from the ends of its line, so the chunk with the centres has to come
+    before the chunk with the contacts.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class Selection:
     box
         (3,) m, of a periodic domain.
     bodies
-        How many bodies there are.
+        Number of bodies.
     """
 
     def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: FloatArray | None, bodies: int) -> None:
@@ -60,7 +60,7 @@ class Selection:
         self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until its contacts are read
 
     def of(self, chunk: Chunk) -> Chunk:
-        """Return a chunk without the rows' parts of other bodies."""
+        """Return a chunk with only the values of the kept bodies."""
         match chunk.entity_path:
             case paths.BODIES:
                 self._remember(chunk)
@@ -81,7 +81,7 @@ class Selection:
         return chunk
 
     def _joins(self, ends: IntArray) -> BoolArray:
-        """Return which contacts, whose ends (2m,) these are, join kept bodies, or a kept body and a plane."""
+        """Return a mask of the contacts with ends (2m,) that join kept bodies, or a kept body and a plane."""
         return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
     def _bodies(self, chunk: Chunk) -> Chunk:
@@ -101,7 +101,7 @@ class Selection:
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
     def _among(self, step: int, lines: SingleArray) -> BoolArray:
-        """Return which of a frame's lines (m, 2, 3) join kept bodies, or a kept body and a plane."""
+        """Return a mask of a frame's lines (m, 2, 3) that join kept bodies, or a kept body and a plane."""
         centres = self._centres.pop(step)
         kept = centres[self._places]
         begins = np.any(np.all(lines[:, 0, None] == kept, axis=2), axis=1)  # a line begins at a centre, to the bit
@@ -126,7 +126,7 @@ def _rows(chunk: Chunk, name: str) -> list[IntArray]:
 
 
 def _vectors(chunk: Chunk, name: str) -> list[SingleArray]:
-    """Read each row's vectors, (k, 3), or of lists of them all that are in them."""
+    """Read the vectors of each row, (k, 3), from vectors or from lists of vectors."""
     found = []
     for row in chunk.batch[name]:
         values = row.values
@@ -183,7 +183,7 @@ class Clip:
     start: float  # s, of the first frame
     end: float  # s, of the last frame
     replays_from: int | None  # the step of the exact state in /state/start; None: there is none
-    bodies: list[int] | None  # that are shown; None: all
+    bodies: list[int] | None  # bodies in the clip; None: all
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,8 +208,8 @@ def clip(
 ) -> Clip:
     """Cut the frames of an interval of simulated time out of a recording.
 
-    Only the chunks that overlap the interval are read. The exact states and fingerprints stay those of all bodies, so
-    that a clip of a few bodies replays, too.
+    Only the chunks that overlap the interval are read. Exact states and fingerprints still describe all bodies, so that
+    a clip of a few bodies replays, too.
 
     Parameters
     ----------
@@ -222,8 +222,8 @@ def clip(
     bodies
         Numbers of the bodies to show; None shows all.
     exact
-        Whether it has the exact states of all bodies. Without them it is smaller: it has nothing of the bodies that it
-        does not show, and cannot be run again.
+        Whether the clip holds the exact states of all bodies. Without them it is smaller, holds nothing of the other
+        bodies, and cannot be run again.
 
     Raises
     ------
@@ -342,7 +342,7 @@ def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
 
 
 def _at_impacts(recording: Recording, numbers: Sequence[IntArray]) -> Iterator[Chunk]:
-    """Read the bodies at the moments of impacts that the clip has."""
+    """Read the bodies at the impacts in the clip."""
     if not numbers:
         return
     kept = pa.array(np.concatenate(numbers))
@@ -390,7 +390,7 @@ def _within(chunk: Chunk, cut: _Cut) -> Chunk:
 
 
 def _start(recording: Recording, cut: _Cut) -> Chunk | None:
-    """Find the exact state at or before the first frame, and store it as static data of the clip."""
+    """Store the last exact state at or before the first frame as static data of the clip."""
     entry = _last_before(recording.store.entries, paths.CHECKPOINT, cut.first)
     if entry is None:
         carried = [e for e in recording.store.entries if e.is_static and e.entity_path == paths.START]

@@ -29,11 +29,11 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-_LOOKS = 50  # frames by which the camera is placed
+_LOOKS = 50  # frames to which the camera is fitted
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:
-    """Lay out a recording as the recorder would have done. RecordingError if too little of it is left."""
+    """Lay out a recording as the recorder would have done. Raises RecordingError if too little of it is left."""
     header = header_of_recording(recording)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     entries = sorted(entries, key=lambda entry: entry.first_step or 0)
@@ -89,7 +89,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
 
 
 def _recording(source: Path, found: Salvage) -> Store:
-    """Choose the recording with the most chunks; a wrong byte may have created others."""
+    """Return the recording with the most chunks; a wrong byte may have created others."""
     stores = [store for store in found.stores if store.kind == RECORDING]
     store = max(stores, key=lambda store: len(store.entries), default=None)
     if store is None or not store.entries:
@@ -100,7 +100,7 @@ def _recording(source: Path, found: Salvage) -> Store:
 
 
 def _refuse_unbegun(recording: Recording) -> None:
-    """Refuse a file without the static data by which its frames are read."""
+    """Refuse a file without the static data that its frames require."""
     try:
         known = bool(recording.info)
     except RecordingError:
@@ -157,7 +157,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
 
 
 def _has_frames(recording: Recording) -> bool:
-    """Return whether the table of frames, without which nothing is shown, can be read."""
+    """Return whether the table of frames can be read, which everything else needs."""
     try:
         recording.fingerprints()
     except RecordingError:
@@ -166,7 +166,7 @@ def _has_frames(recording: Recording) -> bool:
 
 
 def _refuse_unreadable(out: Path, source: Path) -> None:
-    """Delete a repaired file whose frames cannot be read, since nothing could be done with it."""
+    """Delete a repaired file whose frames cannot be read, since it would be useless."""
     try:
         Recording.open(out).fingerprints()
     except RecordingError as error:
@@ -192,7 +192,7 @@ def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]
 
 
 def _ending(recording: Recording) -> str:
-    """Describe how the run ended, if its end was not lost."""
+    """Describe the end of the run, if it was not lost."""
     ended = recording.outcome
     return "unfinished: the run was killed, or its end lost" if ended == UNFINISHED else ended
 

@@ -1,4 +1,4 @@
-"""Writes bodies of a recording into a file whose ending names the format, one of `carom.registry`."""
+"""Writes the bodies of a recording into a file; its suffix selects a format of `carom.registry`."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ class Snapshot:
     """The bodies that a recording shows, at the end of a step, in float64 and SI units."""
 
     state: Checkpoint  # of all bodies
-    body: IntArray  # (n,) numbers of those that are shown
+    body: IntArray  # (n,) numbers of the shown bodies
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
-    others: Mapping[str, NDArray[Any]]  # (n,) what else a [[bodies]] section would not know of these bodies
+    others: Mapping[str, NDArray[Any]]  # (n,) further columns that a [[bodies]] section needs
     box: tuple[float, ...] | None = None  # m, size of a periodic domain about the origin
 
     @property
@@ -90,7 +90,7 @@ def snapshots(
 
 
 def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
-    """Yield the exact states of some frames, which cannot be run again."""
+    """Yield the exact states of some frames of a run that cannot be repeated."""
     own = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
     kept = recording.checkpoint_times
     if missing := [int(step) for step in steps if step not in kept]:
@@ -102,9 +102,9 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
-    """Return the numbers, masses and radii of the bodies that are shown, and their other columns.
+    """Return the numbers, masses, radii and further columns of the shown bodies.
 
-    These are moments of inertia (kg m²), which bodies are fixed, and names, each if it is not the default.
+    Further columns are moments of inertia (kg m²), fixed bodies and names, each if it is not the default.
     """
     bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
     mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
@@ -118,12 +118,12 @@ def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, 
     return shown, mass, radius, found
 
 
-VTK = ".vtk"  # the one format whose files hold a single step
+VTK = ".vtk"  # the only format with a single step per file
 SERIES = ".series"  # appended to the name of a .vtk of many steps
 
 
 def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
-    """Raise RecordingError if the ending of a file names no format; by default one of `carom.registry`."""
+    """Raise RecordingError if the suffix of a file names no format, by default of `carom.registry`."""
     if formats is None:
         formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:
@@ -132,14 +132,14 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
 
 
 def refuse_series(path: Path, force: bool) -> None:
-    """Raise RecordingError if the folder of a .vtk of many steps is there, unless its files may be replaced."""
+    """Raise RecordingError if the folder of a .vtk of many steps exists, unless its files may be replaced."""
     folder = series_of(path)[1]
     if folder.exists() and not (force and folder.is_dir()):
         raise ExistsError(folder)
 
 
 def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path, int]:
-    """Write snapshots into a file that appears when it is complete; return what was written and how many steps.
+    """Write snapshots into a file that appears when it is complete; return its path and the number of steps.
 
     A .vtk holds one step. Several go into a folder ``NAME-vtk`` beside ``NAME.vtk.series``, which lists their times.
 

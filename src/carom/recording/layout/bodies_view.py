@@ -18,11 +18,11 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
 
-_OF_LATE = 1 / 300  # of the duration, for which an impact stays visible
+_OF_LATE = 1 / 300  # time for which an impact stays visible, as a fraction of the duration
 
 
 def force_arrows(header: Header) -> list[str]:
-    """Return the entities of the arrows of impulses that a recording has."""
+    """Return the entities of the impulse arrows in a recording."""
     if not header.records_contacts:
         return []
     return [paths.FORCE_NORMAL, *([paths.FORCE_FRICTION] if header.has_friction else [])]
@@ -52,7 +52,7 @@ def plain_edges(header: Header, theme: str) -> Overrides:
 
 
 def recent_impacts(header: Header) -> Overrides:
-    """Show impacts for a short time; by default each would stay visible until the next."""
+    """Return overrides that show impacts for a short time; by default each stays visible until the next."""
     if not header.records_contacts:
         return {}
     clock = TimeScale.fitting(header.duration, header.shortest_dt_hint)
@@ -73,9 +73,8 @@ def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
 
 
 # Overrides by which a view draws bodies: in other colours than the recorded ones, and with a least size on the
-# screen. Spheres have their true radii in metres. If that is less than two points of the screen at the camera's
-# distance, the view also draws a dot of fixed size at the body's centre. It takes the recorded centres, so the file
-# does not grow.
+# screen. Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws
+# a dot of fixed size at the recorded centre, so the file does not grow.
 
 LEAST = 2.0  # points of the screen, the radius of a dot
 _HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enough
@@ -114,7 +113,7 @@ def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
 
 
 def _from(sources: dict[str, str]) -> list[VisualizerComponentMapping]:
-    """Map each component of a visualizer to the one that it is taken from."""
+    """Map each component of a visualizer to its source component."""
     return [
         VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
         for target, source in sources.items()

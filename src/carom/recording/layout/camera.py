@@ -399,7 +399,7 @@ def _outermost(position: FloatArray, radius: FloatArray) -> IntArray:
 
 
 def _shown(radius: FloatArray) -> slice | IntArray:
-    """Return which of many bodies stand for all."""
+    """Return the indices of a sample of many bodies."""
     if len(radius) <= _MOST:
         return slice(None)
     chosen = np.zeros(len(radius), dtype=bool)
@@ -409,7 +409,7 @@ def _shown(radius: FloatArray) -> slice | IntArray:
 
 
 def _near(position: FloatArray) -> BoolArray:
-    """Return which bodies have finite positions and, if there are more than a few, are not much farther out."""
+    """Return a mask of the bodies with finite positions, without distant ones if there are more than a few."""
     finite: BoolArray = np.all(np.isfinite(position), axis=1)
     if np.count_nonzero(finite) <= _FEW_NEAR:
         return finite

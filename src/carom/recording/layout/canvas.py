@@ -1,4 +1,4 @@
-"""What the views of a layout share: sizes on the screen, additions, magnified spaces, and the frame of 3D views."""
+"""Common parts of the views of a layout: screen sizes, additions, magnified spaces, and the frame of 3D views."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Canvas:
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
-        """Return the area of a view that takes these shares of the width and of the height."""
+        """Return the area of a view that fills these fractions of the width and of the height."""
         if not self.framed:
             return Area(self.width * across, self.height * down, self.rendered, self.theme)
         height = self.height - _TOP_PANEL - _TIME_PANEL
@@ -64,7 +64,7 @@ class Canvas:
 
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """Parts of a layout that are not in the file: the viewer gets them in a `Supplement`. By default none."""
+    """Parts of a layout that are not in the file but in a `Supplement` for the viewer. By default none."""
 
     close: CloseUp | None = None
     trails: bool = False
@@ -79,9 +79,9 @@ NONE = Additions()
 
 
 # Magnified spaces, in which views show small scenes. Rerun's camera draws nothing nearer than 0.01 units (Rerun 0.41),
-# and this cannot be changed: grains of a millimetre would be invisible in metres. A view of such a scene therefore
-# has an entity as its origin whose transform shrinks by a power of ten, so that everything else is larger in the
-# space of the view. The numbers in the file stay as they are.
+# and this cannot be changed: millimetre grains would be invisible in metres. The origin of such a view is therefore an
+# entity whose transform shrinks by a power of ten, so that everything else appears larger. The numbers in the file stay
+# as they are.
 
 NEAREST = 0.5  # units, of the camera from its target: bodies are drawn, and so are arrows in front of them
 EVERYTHING = "/"
@@ -90,14 +90,14 @@ _UNSEEN = 1e-3  # units; Rerun draws nothing nearer than 0.01
 
 
 def space(distance: float) -> str:
-    """Return the origin of a view whose camera is this far (m) from its target."""
+    """Return the origin of a view by the distance (m) of its camera from the target."""
     if not 0.0 < distance < NEAREST:
         return EVERYTHING
     return f"/{paths.MAGNIFIED}/{math.ceil(math.log10(NEAREST / distance))}"
 
 
 def scale(origin: str) -> float:
-    """Return how much larger than in metres things are in a view with this origin."""
+    """Return the magnification of a view with this origin, relative to metres."""
     return 1.0 if origin == EVERYTHING else 10.0 ** int(origin.rpartition("/")[2])
 
 
@@ -200,6 +200,6 @@ def spatial_view(
 
 
 def surroundings(header: Header) -> list[str]:
-    """Return the entities of planes, walls and periodic box that the scene has."""
+    """Return the entities of the planes, walls and periodic box of the scene."""
     parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
     return [path for path, part in parts if part is not None]

@@ -7,8 +7,8 @@ centre and sticks out of the sphere by
 
 so its vector is ``(r + L) m̂`` (`encoding.draw_arrows`). L grows with m, is less than L_max and can be inverted:
 m = m_ref · (u / (1 - u))³ with u = L / L_max. Thanks to the cube root, six decades fit between 9 % and 91 % of L_max.
-m_ref is therefore taken from the first frame that has arrows and holds for the whole recording; even if it is wrong by
-a factor of 1000, the arrows are visible.
+m_ref therefore comes from the first frame with arrows and applies to the whole recording; arrows are visible even if it
+is wrong by a factor of 1000.
 
 A sphere's torque and angular acceleration are parallel (τ = I α). Torques are drawn short and thick, angular
 accelerations long and thin.
@@ -34,18 +34,18 @@ from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
 
-MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times what points cost
+MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times as much as points
 
 
 def shape(header: Header) -> str:
-    """Return how bodies are drawn: "ellipsoids", or if there are many "mesh" (with orientations) or "points"."""
+    """Return the shape of drawn bodies: "ellipsoids" or, for many bodies, "mesh" (with orientations) or "points"."""
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
     return "mesh" if header.has_orientation else "points"
 
 
 def single(values: FloatArray) -> SingleArray:
-    """Round to float32; what is too large for it becomes infinite, as where kernels cast positions."""
+    """Round to float32; larger values become infinite, as in the kernels that cast positions."""
     with np.errstate(over="ignore"):
         return values.astype(np.float32)
 
@@ -99,12 +99,12 @@ def reference(magnitude: FloatArray, natural_unit: float) -> float:
 
 
 class References(dict[str, float]):
-    """Magnitudes m_ref by name. The first frame that has something to draw chooses the magnitudes that are not given.
+    """Magnitudes m_ref by name. The first frame with arrows chooses the magnitudes that are not given.
 
     Attributes
     ----------
     chosen
-        What the frames choose, also where something else was given.
+        The choices of the frames, even where a magnitude was given.
     """
 
     def __init__(self, given: Mapping[str, float]) -> None:
@@ -112,7 +112,7 @@ class References(dict[str, float]):
         self.chosen: dict[str, float] = {}
 
     def choose(self, name: str, magnitude: float) -> None:
-        """Use a magnitude, unless one was given."""
+        """Set a magnitude, unless one was given."""
         self.chosen[name] = magnitude
         self.setdefault(name, magnitude)
 

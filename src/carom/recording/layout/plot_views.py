@@ -19,7 +19,7 @@ from carom.recording.layout.canvas import Area
 from carom.recording.schema.header import Header
 from carom.recording.schema.series import PLOTS, THIN, Plot, Series, all_plots, recorded
 
-_SPANS = 512  # the edge of a legend is then known to a few pixels
+_SPANS = 512  # resolves the edge of a legend to a few pixels
 _CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
 
 
@@ -30,7 +30,7 @@ class CurveOutline:
         self._time = np.zeros(0)  # (k,) s, start of each span
         self._low = np.zeros(0)  # (k,)
         self._high = np.zeros(0)  # (k,)
-        self._between = (np.inf, -np.inf)  # lowest and highest value without the first and the last
+        self._between = (np.inf, -np.inf)  # extremes of all values but the first and the last
         self._last = np.zeros(0)  # the last value; empty up to the first value, which is left out
         self._begun = False
 
@@ -69,7 +69,7 @@ class CurveOutline:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is constant without its first and last value: dt begins at 0, and the last step is shortened."""
+        """Whether it is constant, ignoring its first and last value: dt begins at 0, and the last step is shortened."""
         low, high = self._between
         return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
 
@@ -96,20 +96,19 @@ class CurveOutline:
 
 
 def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
-    """Style a curve. Where many frames share a pixel it shows the lowest and the highest, so that no peak is lost."""
+    """Style a curve. A pixel with many frames shows their lowest and highest value, so that no peak is lost."""
     return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
 # Placement of a plot's legend, so that it covers no curve. Rerun draws the legend into a corner of the plot, over the
-# curves. The size of the legend follows from its texts, and that of the plot from the layout and its window. If a
-# curve passes behind the legend, the vertical axis is extended on that side. The legend gets the corner that needs
-# the shortest axis.
+# curves. The size of the legend follows from its texts, the size of the plot from the layout and its window. If a curve
+# passes behind the legend, the vertical axis is extended on that side. The chosen corner needs the shortest axis.
 
 _ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
 _LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
 _PAD = 0.05  # of the range of the values, left free above and below
-_FLAT = 1e-9  # of a value; a smaller range is rounding, and is not shown enlarged
-_LARGEST = 0.75  # of the plot's height; a larger legend would leave too little room for the curves
+_FLAT = 1e-9  # of a value; a smaller range is rounding and is not magnified
+_LARGEST = 0.75  # of the plot's height; a larger legend would leave too little height for the curves
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +218,7 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
 
 
 def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
-    """Lay out the plot of the energies alone, in an area of this size: without a title, so the legend has the unit."""
+    """Lay out the plot of the energies alone in an area of this size, without a title; the legend has the unit."""
     plot = PLOTS[0][0]
     unit = header.units.recorded_unit(plot.unit)
     legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
@@ -227,7 +226,7 @@ def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
-    """Return the series of a plot that are recorded and, if the curves are known, show something."""
+    """Return the recorded series of a plot, without those whose known curves are flat."""
     every = list(recorded(header))
     series = [each for each in every if each.plot == plot]
     if curves is None:
@@ -238,7 +237,7 @@ def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> li
 
 
 def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
-    """Return whether a series shows something; ``negligible`` is an energy in J."""
+    """Return whether a series is worth a plot; ``negligible`` is an energy in J."""
     curve = curves.get(series.path)
     rounding = negligible if series.unit == "J" else _ROUNDING if series.path in _SHARES else 0.0
     if curve is None or curve.largest <= rounding:
@@ -253,7 +252,7 @@ def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.
 
 
 def _laid_out(title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
-    """Lay out the plot of some series, with the texts of its legend; empty ones are left out."""
+    """Lay out the plot of some series, with the texts of its legend; plots without series are left out."""
     known = [curves[each.path] for each in legends] if curves is not None else []
     texts = [text for text in legends.values() if text]
     names = {each.path: text for each, text in legends.items() if text not in ("", each.legend)}
@@ -273,7 +272,7 @@ def time_series_view(
     Parameters
     ----------
     title
-        It stands above the plot, unless the plot fills the picture.
+        Title above the plot, unless the plot fills the picture.
     paths
         Of the series.
     legends

@@ -26,7 +26,7 @@ END, STORE, CHUNK, ACTIVATION = 0, 1, 2, 3  # kinds of messages
 
 _MAGIC, _PROTOBUF = b"RRF2", 2
 _MESSAGE = struct.Struct("<QQ")
-# where the end message's body lies, its length and checksum; magic, how many footers
+# offset, length and checksum of the end message's body; magic, number of footers
 _FOOTER = struct.Struct("<QQI8sI")
 _FOOTER_MAGIC = b"RRF2FOOT"
 _FOOTER_SEED = 7850921  # of the checksum
@@ -34,7 +34,7 @@ _FOOTER_SEED = 7850921  # of the checksum
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """Where a message's body lies in a file."""
+    """Position of a message's body in a file."""
 
     kind: int
     offset: int
@@ -42,12 +42,12 @@ class Message:
 
     @property
     def end(self) -> int:
-        """Where the next message begins."""
+        """Offset of the next message."""
         return self.offset + self.length
 
 
 def is_rrd(file: BinaryIO) -> bool:
-    """Whether a file begins like an .rrd that can be read."""
+    """Return whether a file begins like a readable .rrd."""
     file.seek(0)
     header = file.read(STREAM_HEADER)
     return len(header) == STREAM_HEADER and header.startswith(_MAGIC) and header[9] == _PROTOBUF
@@ -63,7 +63,7 @@ def is_newer(file: BinaryIO) -> bool:
 
 
 def looks_recorded(path: Path) -> bool:
-    """Return whether a file begins like a recording of any version, or has its footer, so that it may be repaired."""
+    """Return whether a file begins or ends like a recording of any version, so that it may be repaired."""
     try:
         with path.open("rb") as file:
             begins = file.read(len(_MAGIC))
@@ -74,7 +74,7 @@ def looks_recorded(path: Path) -> bool:
 
 
 def messages(file: BinaryIO, start: int = STREAM_HEADER) -> Iterator[Message]:
-    """Go from message to message, up to the end message or the end of the file.
+    """Yield the messages up to the end message or the end of the file.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def is_footer(file: BinaryIO, at: int) -> bool:
 class MessageSplitter:
     """Cuts a stream of bytes, fed in pieces of any size, into whole messages.
 
-    The stream header counts as the first message, and what follows the end message (the stream footer) as the last.
+    The stream header counts as the first message, the stream footer as the last.
     """
 
     def __init__(self) -> None:
@@ -146,7 +146,7 @@ class MessageSplitter:
         self._pending += piece
 
     def pass_on(self, write: Callable[[memoryview], None]) -> bool:
-        """Pass the next message to a function, as memory that it must not keep; return whether one was complete."""
+        """Pass the next whole message to a function, which must not keep its memory; return whether there was one."""
         length = self._next_length()
         if length is None or length > len(self._pending):
             return False
@@ -156,7 +156,7 @@ class MessageSplitter:
         return True
 
     def _next_length(self) -> int | None:
-        """Size of the next message in bytes; None if too little of it has arrived."""
+        """Return the size (bytes) of the next message; None while it is unknown."""
         if not self._in_messages:
             self._in_messages = len(self._pending) >= STREAM_HEADER
             return STREAM_HEADER

@@ -26,12 +26,12 @@ from carom.recording.schema.paths import SIM_TIME, STEP
 
 LARGEST = 1 << 31  # bytes of a chunk; carom writes some 4 MB, and 1.3 GB for the state of 10⁷ bodies that spin
 
-_LARGE = 50_000_000  # bytes that Arrow has had at once, from which on memory is given back
+_LARGE = 50_000_000  # bytes allocated by Arrow at once, above which memory is released
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot compress more
 _DEEPEST = 8  # nested types; Rerun's layouts have five levels
-_WIDEST = 16  # values of a list of fixed size: a quaternion has 4, an identifier 16
+_WIDEST = 16  # values in a list of fixed size: a quaternion has 4, an identifier 16
 _MOST_COLUMNS = 10_000  # of an index: four a component
 _BITS = 8  # no value takes less than one bit
 
@@ -42,14 +42,14 @@ _LEAVES = {
 
 
 def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordBatch:
-    """Unpack and decode one record batch.
+    """Decompress and decode one record batch.
 
     Parameters
     ----------
     compression
         As Rerun numbers it: LZ4, or none.
     size
-        Bytes of the payload when it is unpacked.
+        Bytes of the decompressed payload.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordB
 
 
 def release_memory() -> None:
-    """Give the memory of large chunks that are gone back to the system: 400 MB for a recording of a million bodies."""
+    """Return the memory of freed large chunks to the system: 400 MB for a recording of a million bodies."""
     pool = pa.default_memory_pool()
     if pool.max_memory() > _LARGE:
         pool.release_unused()
@@ -116,7 +116,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
     kind = column.type
     if depth > _DEEPEST:
         raise DamageError("a chunk of types in types in types")
-    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # a layout's unions mark with null what is left out
+    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values with null
         return
     fixed = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= _WIDEST
     union = pa.types.is_union(kind) and kind.mode == "dense"

@@ -13,7 +13,7 @@ from carom.recording.rrd.container import ChunkIndex, Container
 from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_FOOTER, STREAM_HEADER, Message
 from carom.recording.rrd.messages import LARGEST, RECORDING, Entry, Store, read_body
 
-_WINDOW = 1 << 22  # bytes that are searched at a time
+_WINDOW = 1 << 22  # bytes searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
 _PATIENCE = 4  # times the size of the file: the most bytes to read in search of messages
 
@@ -39,7 +39,7 @@ class Salvage:
 
 
 def salvage(path: Path) -> Salvage:
-    """Try every message of a file. OSError if the file cannot be read."""
+    """Decode every readable message of a file. Raises OSError if the file cannot be read."""
     found = Salvage()
     listed = _listed(path)
     with path.open("rb") as file:
@@ -80,7 +80,7 @@ def _listed(path: Path) -> list[Store] | None:
 
 
 class _Pass:
-    """One pass through a file, from message to message, skipping everything else."""
+    """One pass through the messages of a file that skips all other bytes."""
 
     def __init__(self, file: BinaryIO, size: int, found: Salvage) -> None:
         self._file = file
@@ -111,7 +111,7 @@ class _Pass:
         self._found.stores = self._index.stores()
 
     def _end(self, at: int) -> None:
-        """Count what follows the footer, which begins at an offset, as lost."""
+        """Count the bytes after the footer, which begins at an offset, as lost."""
         more = self._size - (at + STREAM_FOOTER)
         if more > 0:
             self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))

@@ -1,4 +1,4 @@
-"""The audit of another engine's run: which laws it breaks, and when, judged from its states alone.
+"""The audit of another engine's run: the violated laws and their times, judged from states alone.
 
 Between two states, the bodies are divided into clusters that cannot have touched each other. In a cluster that met
 neither a plane nor anything fixed,
@@ -6,9 +6,8 @@ neither a plane nor anything fixed,
     Σ m Δv = Σ m g Δt        momentum
     Δ Σ (m (x - X) × (v - V) + I ω) = 0        angular momentum about the centre of mass X
 
-hold whatever the engine's contacts do, and the energy may fall in contacts only and rise never. A soft contact gives
-back energy that it took: a rise counts once it is more than the contact has taken. Bodies that pull each other are one
-cluster.
+hold for any contact model. The energy never rises, and falls only in contacts. A soft contact returns energy: a rise
+counts once it exceeds the energy that the contact has taken. Bodies that attract each other are one cluster.
 """
 
 from __future__ import annotations
@@ -36,9 +35,9 @@ class Clusters:
 
     label: IntArray  # (n,)
     count: int
-    touched: BoolArray  # (count,) whether anything in it may have touched
-    judged: BoolArray  # (count,) whether it holds no body whose laws are unknown
-    free: BoolArray  # (count,) whether it also met nothing fixed
+    touched: BoolArray  # (count,) whether any of its bodies may have touched
+    judged: BoolArray  # (count,) whether the laws of all its bodies are known
+    free: BoolArray  # (count,) whether it also touched nothing fixed
 
     def sum(self, values: FloatArray) -> FloatArray:
         """Add up values of bodies, (n,) or (n, 3), by cluster."""
@@ -48,7 +47,7 @@ class Clusters:
 
 
 def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
-    """Divide the bodies into clusters; into one if ``whole``, since bodies that pull each other are one."""
+    """Divide the bodies into clusters; into one if ``whole``, as for bodies that attract each other."""
     n = len(setup)
     anchored = np.zeros(n, bool)
     i, j = near.pairs.T
@@ -73,7 +72,7 @@ def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """How much may be wrong before a law counts as broken."""
+    """Largest errors at which a law still counts as kept."""
 
     energy: float = 1e-3  # of the energy of the cluster, between two frames
     drift: float = 1e-2  # of the energy scale, since the start
@@ -84,7 +83,7 @@ class Tolerances:
     def __post_init__(self) -> None:
         for each in fields(self):
             value = getattr(self, each.name)
-            if not value >= 0.0:  # NaN would find nothing
+            if not value >= 0.0:  # NaN would accept everything
                 raise RecordingError(f"the tolerance {each.name} is {value}; it must be 0 or more")
 
 
@@ -111,19 +110,19 @@ class AuditFinding:
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, dissipated by contacts; negative where contacts returned energy
-    unjudged: float = 0.0  # J, that clusters with a body that is not judged lost, to whatever
+    unjudged: float = 0.0  # J, lost by clusters with bodies that are not judged
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
     impacts: int = 0  # how many did
     hardest: float = 0.0  # J
     hardest_pair: tuple[int, int] = (0, 0)
 
 
-UNCHANGED = 1e-3  # of the closing speed; a contact that changes it less did nothing
-TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it through each other did not collide
+UNCHANGED = 1e-3  # of the closing speed; smaller changes are no contact
+TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it while they pass through each other did not collide
 SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
-FOUND = 5e-3  # of the smaller radius; a contact this deep must push, even a soft one
+FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must push
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
-AT_LEAST = 1e-2  # of a typical body's momentum or energy: what changes by less is noise
+AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
 MOST_NAMED = 8  # bodies in a sentence
 TOLD = 3  # events of one law
 
@@ -136,7 +135,7 @@ class LawAudit:
     setup
         Of the run.
     tolerances
-        How much may be wrong.
+        Largest accepted errors.
     names
         Of the bodies and planes.
     units
@@ -148,7 +147,7 @@ class LawAudit:
         self._tolerances = tolerances
         self._names = names
         self._units = units
-        self._owed = np.zeros(len(setup))  # J, that contacts took from each body since it last was free
+        self._owed = np.zeros(len(setup))  # J, taken from each body by contacts since it was last free
         self._typical = 0.0  # m/s
         self._scale = 0.0  # J, the largest kinetic energy so far
         self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
@@ -168,9 +167,9 @@ class LawAudit:
         before, now
             The moment of the frame before, and this.
         near
-            The ends that may have touched in between.
+            The pairs that may have touched in between.
         potentials
-            J, of the bodies' own gravity at both; None without any.
+            J, of the bodies' own gravity at both moments; None without gravity.
         """
         found = AuditFinding()
         relative = now.velocity - self._setup.mass @ now.velocity / self._setup.mass.sum()
@@ -186,7 +185,7 @@ class LawAudit:
         return found
 
     def drifted(self, step: int, time: float, energy: Energy) -> Fault | None:
-        """Judge the energy of the judged bodies, summed since the start, that no contact explains."""
+        """Judge the energy change of the judged bodies since the start that no contact explains."""
         error = energy.integration_error
         relative = energy.relative(error)
         if abs(error) <= self._allowed or abs(relative) <= self._tolerances.drift or "energy" in self.first:
@@ -197,7 +196,7 @@ class LawAudit:
         return fault if self._tell(fault) else None
 
     def closing(self) -> Iterator[tuple[str, str | int | float]]:
-        """Yield the first fault of each law and how many frames broke it, under the dotted keys of `outcome`.
+        """Yield the first fault of each law and the number of its frames, under the dotted keys of `outcome`.
 
         The number of judged bodies comes first, unless all were judged.
         """
@@ -261,7 +260,7 @@ class LawAudit:
         scale: FloatArray,
         most: float,
     ) -> Iterator[Fault]:
-        """Report the free cluster whose momentum changed most, if it is too much."""
+        """Report the free cluster whose momentum changed most, if the change exceeds the tolerance."""
         share = np.where(clusters.free & (scale > 0.0), change / np.where(scale > 0.0, scale, 1.0), 0.0)
         worst = int(np.argmax(share))
         if share[worst] <= most:
@@ -285,7 +284,7 @@ class LawAudit:
         potentials: tuple[float, float] | None,
         found: AuditFinding,
     ) -> Iterator[Fault]:
-        """Compare the energy of every cluster whose laws are known; book what contacts took."""
+        """Compare the energy of every cluster with known laws; book the energy that contacts took."""
         setup, g = self._setup, self._setup.gravity
         dt, strength = now.time - before.time, float(np.sqrt(g @ g))
         kinetic = [self._kinetic(moment) for moment in (before, now)]
@@ -322,7 +321,7 @@ class LawAudit:
         yield Fault("energy", *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
 
     def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
-        """Divide what contacts took among the bodies of each cluster; one that touches nothing is owed nothing."""
+        """Divide the energy that contacts took among the bodies of each cluster; without contacts, nothing is owed."""
         label = clusters.label
         members = np.bincount(label, minlength=clusters.count)
         left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
@@ -351,7 +350,7 @@ class LawAudit:
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
         normal = np.where(plane[:, None], near.normal, at)
-        # a plane does not fall: what the field adds to the speed towards it is no impulse
+        # a plane does not fall: the speed that the field adds towards the plane is no impulse
         push = np.where(plane, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
@@ -368,7 +367,7 @@ class LawAudit:
             text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
             yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
-        met &= near.gap_before <= closing * dt  # or it is another body that turned them
+        met &= near.gap_before <= closing * dt  # otherwise another body reversed them
         self._impacts(near, np.where(met & known & (closing > still), closing, 0.0), found)
 
     def _impacts(self, near: Near, closing: FloatArray, found: AuditFinding) -> None:

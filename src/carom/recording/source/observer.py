@@ -1,4 +1,4 @@
-"""`Observer`: makes the frames of a recording out of the states that another engine shows."""
+"""`Observer`: makes frames of a recording from the states of another engine."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from carom.scene.start import InitialBodies
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
 
-DT_LIMIT = "engine"  # what set dt, in the recording
+DT_LIMIT = "engine"  # the recorded limit of dt
 
 
 class Observer:
-    """Turns states into frames, with energies, momenta, contacts and the faults that the audit finds.
+    """Turns states into frames with energies, momenta, contacts and the faults found by the audit.
 
     Parameters
     ----------
     setup
-        What does not change.
+        The constants of the run.
     first
         The first state.
     tolerances
@@ -74,7 +74,7 @@ class Observer:
         return self.extremes.highlights(self.names, self.units, energy_error="change of the energy without contact")
 
     def frame(self, step: int, state: State, store: FrameStore | None = None) -> Frame:
-        """Return the frame of a state; states come in the order of time, and are finite."""
+        """Return the frame of a state; states are finite and come in order of time."""
         self._take(state)
         now, before = self._moment(state), self._before
         dt = 0.0 if before is None else now.time - before.time
@@ -127,9 +127,9 @@ class Observer:
         faults = seen.faults if drift is None else [*seen.faults, drift]
         events = [*self._first_contact(step, time, contacts), *(fault.event for fault in faults)]
         statistics = self._statistics(contacts, seen)
-        if statistics.contacts or statistics.impacts:  # or the worst of nothing would be named
+        if statistics.contacts or statistics.impacts:  # otherwise there is no extreme to name
             self.extremes.add_contacts(step, time, statistics)
-        # update the extremes of the energy; what soft contacts give back is no gain
+        # update the extremes of the energy; energy returned by soft contacts is no gain
         extremes = self.extremes
         extremes.add_energy(step, time, energy)
         self._lowest_error = min(self._lowest_error, energy.integration_error)
@@ -176,7 +176,7 @@ class Observer:
         return self.audit.see(step, before, now, near, potentials), contacts
 
     def _named(self, known: Any) -> IntArray:
-        """Return the contacts that the engine names; refuse ends that are no bodies or planes."""
+        """Return the contacts that the engine reports; refuse ends that are neither bodies nor planes."""
         pairs, ends = np.asarray(known, dtype=np.int64), len(self.setup) + len(self.setup.planes)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
             raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} in place of (m, 2)")
@@ -274,7 +274,7 @@ def header_of_source(
 
 
 def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
-    """Name the first body whose state is not finite, or too large to compute with; None if all are."""
+    """Name the first body whose state is not finite or would overflow; None if there is none."""
     for name in ("position", "velocity", "orientation", "angular_velocity"):
         values = getattr(state, name)
         if values is None:

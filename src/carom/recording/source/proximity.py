@@ -29,7 +29,7 @@ class EngineMoment:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Ends that may have touched since the moment before: bodies, and planes from n on."""
+    """Pairs that may have touched since the moment before: bodies, and planes from n on."""
 
     pairs: IntArray  # (k, 2)
     reach: FloatArray  # (k,) m, r_i + r_j
@@ -46,7 +46,7 @@ class Near:
         return len(self.pairs)
 
     def directions_of_touch(self) -> FloatArray:
-        """Return the directions from i to j in which the pairs first touched on straight paths, or were nearest."""
+        """Return the directions from i to j at first touch on straight paths, or at the smallest distance."""
         path = self.now - self.before
         a, b = np.einsum("ij,ij->i", path, path), np.einsum("ij,ij->i", self.before, path)
         c = np.einsum("ij,ij->i", self.before, self.before) - self.reach**2
@@ -60,7 +60,7 @@ class Near:
         return np.asarray(np.where(length > 0.0, at / np.where(length > 0.0, length, 1.0), self.normal))
 
     def passed_deep(self) -> BoolArray:
-        """Return of each pair whether its straight path led more than a twentieth of the reach into the other."""
+        """Return a mask of the pairs whose straight paths overlap by more than a twentieth of the sum of radii."""
         path = self.now - self.before
         a = np.einsum("ij,ij->i", path, path)
         s = np.clip(-np.einsum("ij,ij->i", self.before, path) / np.where(a > 0.0, a, 1.0), 0.0, 1.0)
@@ -68,14 +68,14 @@ class Near:
 
 
 class Proximity:
-    """Finds ends near each other."""
+    """Finds pairs of bodies and planes near each other."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self._grid = HierarchicalGrid(setup.radius, setup.box) if setup.collides and len(setup) > 1 else None
 
     def between(self, before: EngineMoment, now: EngineMoment) -> Near:
-        """Return the ends that may have touched between two moments, or are about to."""
+        """Return the pairs that may have touched between two moments, or soon will."""
         setup, dt = self._setup, now.time - before.time
         moved = now.position - before.position
         drift = np.median(moved, axis=0)
@@ -88,7 +88,7 @@ class Proximity:
         return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
-        """Return the contacts at a moment: the pairs that the engine names, or else all pairs that are near enough."""
+        """Return the contacts at a moment: the pairs that the engine reports, or else all near pairs."""
         which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
         touching = np.flatnonzero(which)
         if len(touching) == 0:
@@ -99,7 +99,7 @@ class Proximity:
         return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
 
     def _is_named(self, near: Near, known: IntArray) -> BoolArray:
-        """Return which of the pairs that are near the engine names."""
+        """Return a mask of the near pairs that the engine reports."""
         total = len(self._setup) + len(self._setup.planes)
         keys = near.pairs[:, 0] * total + near.pairs[:, 1]
         ordered = np.sort(known, axis=1)
@@ -153,7 +153,7 @@ class Proximity:
         )
 
     def _image(self, apart: FloatArray) -> FloatArray:
-        """Return differences of positions to the nearest image."""
+        """Return the differences of positions, to the nearest periodic image."""
         box = self._setup.box
         return minimum_images(apart, box)
 

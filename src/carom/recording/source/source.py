@@ -1,4 +1,4 @@
-"""`Source`: what another engine shows of its run. Everything is in SI units, or in any other consistent ones."""
+"""`Source`: the model and the states of another engine's run, in SI or other consistent units."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Plane(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Model:
-    """What does not change in a run.
+    """The constants of a run.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ class Model:
     fixed
         (n,) whether a body never moves; by default none.
     judged
-        (n,) whether a body is a free sphere, so that the audit knows what its laws are; by default all. Others are
-        drawn as spheres, and what they touch is not judged.
+        (n,) whether a body is a free sphere, whose laws the audit knows; by default all. Other bodies are drawn as
+        spheres, and bodies that touch them are not judged.
     gravity
         (3,) m/s², a uniform field.
     constant, softening
@@ -63,9 +63,8 @@ class Model:
     units
         Of all numbers, as in `Recorder`; empty: SI.
     every
-        Calls of `Recorder.frame` for one frame, unless the recorder has its own number: more than 1 where the engine
-        takes long
-        to hand over a state.
+        Calls of `Recorder.frame` for one frame, unless the recorder has its own number: above 1 for engines that are
+        slow to copy a state.
     """
 
     engine: str
@@ -103,7 +102,7 @@ class Source(Protocol):
 
     @property
     def model(self) -> Model:
-        """What does not change."""
+        """The constants of the run."""
 
     def state(self) -> State:
         """Return the present state."""
@@ -114,7 +113,7 @@ class SteppedSource(Protocol):
     """A source that counts the time, because its engine does not report it."""
 
     def stepped(self) -> None:
-        """Note another call of `Recorder.frame`, after the first; it may be one that is not recorded."""
+        """Count a call of `Recorder.frame` after the first, recorded or not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +143,12 @@ class Setup:
 
 
 def setup_of(model: Model, first: State) -> Setup:
-    """Check a model and its first state, and fill in what it leaves out.
+    """Check a model and its first state, and fill in missing arrays.
 
     Raises
     ------
     RecordingError
-        Naming the array and the body.
+        With the name of the array and the body.
     """
     engine = model.engine
     if not isinstance(engine, str) or not engine:
@@ -193,7 +192,7 @@ def setup_of(model: Model, first: State) -> Setup:
 
 
 def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> FloatArray:
-    """Return an array of a shape, finite, as float64; RecordingError names the first wrong number."""
+    """Return a finite float64 array of a given shape. RecordingError names the first wrong number."""
     array = _numbers(engine, name, values)
     if array.shape != shape:
         raise RecordingError(f"{engine}: {name} has the shape {array.shape} in place of {shape}")
@@ -206,7 +205,7 @@ def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> Flo
 
 
 def time_of(state: State) -> float:
-    """Return the time of a state in s; RecordingError says what it is if it is no number."""
+    """Return the time (s) of a state. RecordingError quotes a value that is no number."""
     try:
         return float(state.time)
     except (TypeError, ValueError):
@@ -243,7 +242,7 @@ def _box(engine: str, size: Any) -> FloatArray:
 
 
 def _column(engine: str, name: str, values: Any, n: int | None = None) -> FloatArray:
-    """Return numbers of all bodies that are not negative."""
+    """Return non-negative numbers, one for each body."""
     array = np.atleast_1d(_numbers(engine, name, values))
     array = array_of(engine, name, array, (len(array) if n is None else n,))
     if len(array) and array.min() < 0.0:
@@ -298,8 +297,8 @@ _Floats = NDArray[np.floating[Any]]
 class StateMemory:
     """Memory that holds one state at a time.
 
-    The engine's own thread fills it, so that makes few calls: one copy an array, and two passes over the block to
-    see that all is finite.
+    The engine's thread fills it, so there are few calls: one copy for each array, and two passes over the block to
+    check that all numbers are finite.
 
     Parameters
     ----------
@@ -333,7 +332,7 @@ class StateMemory:
             view = getattr(own, name)
             if view is not None:
                 values = getattr(state, name)
-                if np.shape(values) != view.shape:  # or numpy would repeat the rows that there are
+                if np.shape(values) != view.shape:  # or numpy would broadcast the rows
                     raise RecordingError(
                         f"{name} has the shape {np.shape(values)} and had {view.shape}: a recording keeps its bodies; "
                         "begin another one"
@@ -343,8 +342,8 @@ class StateMemory:
 
     @property
     def bounded(self) -> bool:
-        """Whether all numbers are finite and not too large to compute with."""
-        # NaN is out of bounds, too, and both return it; as Python's numbers, since float32 ends before LARGEST
+        """Whether all numbers are finite and below the overflow bound."""
+        # both return NaN, which fails the comparison; Python's numbers, since float32 ends before LARGEST
         return (
             -LARGEST <= self.state.time <= LARGEST
             and float(_LEAST(self.block, None)) >= -LARGEST
@@ -354,7 +353,7 @@ class StateMemory:
 
 @runtime_checkable
 class BulkSource(Protocol):
-    """A source that copies the engine's memory into a snapshot at once, without arrays in between."""
+    """A source that copies the engine's memory directly into a snapshot, without temporary arrays."""
 
     def memory(self) -> StateMemory:
         """Return memory that `read` can fill."""
@@ -364,10 +363,10 @@ class BulkSource(Protocol):
 
 
 def memory_of(source: Source, like: State) -> Callable[[], StateMemory]:
-    """Return what makes memory for the states of a source."""
+    """Return the function that allocates memory for the states of a source."""
     return source.memory if isinstance(source, BulkSource) else lambda: StateMemory.like(like)
 
 
 def reader_of(source: Source) -> Callable[[StateMemory], None]:
-    """Return what copies the present state of a source into a snapshot."""
+    """Return the function that copies the present state of a source into a snapshot."""
     return source.read if isinstance(source, BulkSource) else lambda snapshot: snapshot.take(source.state())

@@ -26,14 +26,14 @@ from carom.recording.write.rows import Index, Rows, any_column, array_bytes, fra
 
 
 class BatchContacts:
-    """The contacts and impacts of a batch of frames, where they lie.
+    """The contacts and impacts of a batch of frames, as views of the frames' arrays.
 
     Attributes
     ----------
     frames
         The arrays of each frame.
     edges, contacts, impacts
-        (frames,) how many edges of the graph, `CONTACT_ROW` of contacts and of impacts each frame has.
+        (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
     """
 
     def __init__(self, batch: Sequence[Frame]) -> None:
@@ -42,7 +42,7 @@ class BatchContacts:
         self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
 
     def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice]]:
-        """Yield each frame's arrays, and its part of an array to which the frames contribute so many elements each."""
+        """Yield the arrays of each frame, and its slice of an array with so many elements for each frame."""
         ends = np.cumsum(each).tolist()
         return zip(self.frames, map(slice, [0, *ends[:-1]], ends), strict=True)
 
@@ -52,16 +52,16 @@ class BatchContacts:
         return np.array([encoding.middle_of(frame.rows, scratch) for frame in self.frames])
 
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
-        """Return the impacts of the largest normal impulses in order of time, and which of each frame they are.
+        """Return the impacts with the largest normal impulses, in order of time, and their indices in each frame.
 
-        Of equal ones these are the first. ``counts`` says how many of each frame, (frames,).
+        ``counts`` is their number in each frame, (frames,). Among equal impulses the first are taken.
         """
         return self._strongest([frame.impacts for frame in self.frames], self.impacts, counts)
 
     def strongest_contacts(self, counts: IntArray) -> Records:
-        """Return the contacts of the largest normal impulses of each frame, the largest first; of equal ones the first.
+        """Return the contacts with the largest normal impulses of each frame, the largest first.
 
-        ``counts`` says how many of each frame, (frames,).
+        ``counts`` is their number in each frame, (frames,). Among equal impulses the first are taken.
         """
         rows, _ = self._strongest([frame.rows for frame in self.frames], self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
@@ -136,7 +136,7 @@ def force_rows(
     middle
         (frames,) N s, the middle of each frame's scale.
     drawn
-        (frames,) how many contacts of each frame, those of the largest normal impulses.
+        (frames,) number of drawn contacts, those with the largest normal impulses.
     longest
         m.
     origin
@@ -170,7 +170,7 @@ def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> SingleArr
     return single(impulse * scale[:, None])
 
 
-_ROUND_OFF = 1e-12  # of J v_n: less energy than that is not lost but rounded
+_ROUND_OFF = 1e-12  # of J v_n; smaller energy losses are rounding
 
 
 class ContactEncoder:
@@ -183,11 +183,11 @@ class ContactEncoder:
     origin
         (3,) m, of what is drawn.
     references
-        Magnitudes in the middle of the scales; those not known yet are added when there is something to draw.
+        Magnitudes in the middle of the scales; unknown ones are added by the first frame with something to draw.
     before
         The impacts before the first frame.
     everything
-        Whether nothing is left out, whatever the scene says: for a comparison with what was recorded.
+        Whether to encode everything, whatever the scene says, for a comparison with a recording.
     """
 
     def __init__(
@@ -238,13 +238,13 @@ class ContactEncoder:
         """Return arrows and impacts of the last encoded batch."""
         header, kept, impacts = self._header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
-        # also where none is drawn, which clears the contacts of the frame before
+        # even without arrows, to clear the contacts of the frame before
         yield from force_rows(
             index, self._contacts, self._middle, kept.arrows, longest, self._origin, header.has_friction
         )
         self._recorded += len(impacts)
         if len(impacts):
-            # where the tap left out some itself, numbers go to the contacts that it kept
+            # if the tap left out some, the numbers apply to the contacts that it kept
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
             yield impact_rows(impacts, numbers, self._references, header.radius, self._origin)
 
@@ -254,7 +254,7 @@ class ContactEncoder:
         Parameters
         ----------
         batch
-            The frames whose rows were asked for last.
+            The frames whose rows were returned last.
         before
             The frame before them.
         """
@@ -270,7 +270,7 @@ class ContactEncoder:
         return found
 
     def _look(self, frame: Frame) -> None:
-        """Choose references by the first frame that has something to draw."""
+        """Choose references from the first frame with something to draw."""
         chosen, rows = self._references.chosen, frame.impacts
         if rows is not None and len(rows) and not (IMPACTS in chosen and IMPACT_ENERGY in chosen):
             if IMPACTS not in chosen:

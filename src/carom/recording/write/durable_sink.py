@@ -60,7 +60,7 @@ FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer coun
 _SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
 _PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
 _POLL = 0.001  # s
-_GATHER = 0.002  # s between two reads: each takes the interpreter's lock, for which the physics waits
+_GATHER = 0.002  # s between two reads: each takes the interpreter lock from the physics
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -87,7 +87,7 @@ class DurableSink:
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()
         self._spare = mmap.mmap(-1, _SPARE)
-        self._piece = memoryview(bytearray(_PIPE))  # taken now: later there may be no memory for it
+        self._piece = memoryview(bytearray(_PIPE))  # allocated now: later there may be no memory
         self._turn = threading.Lock()
         self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
@@ -98,7 +98,7 @@ class DurableSink:
         return f"/dev/fd/{self._entry}"
 
     def opened(self) -> None:
-        """Close our end of the pipe after Rerun's sink opened its own: the pipe then ends when that sink closes."""
+        """Close our end of the pipe after Rerun's sink has opened its own: the sink then ends the pipe."""
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
@@ -145,7 +145,7 @@ class DurableSink:
         while size:
             waiting.poll()
             time.sleep(_GATHER)
-            with self._turn:  # `drain` may then conclude from an empty pipe that all is written
+            with self._turn:  # so that an empty pipe means to `drain` that all is written
                 size = os.readv(self._source, [self._piece])
                 if self.error is None:  # or else drain the pipe: Rerun's sink would block for ever
                     self._write_whole(self._piece[:size])
@@ -200,7 +200,7 @@ def _bytes_waiting(descriptor: int) -> int:
     return count[0]
 
 
-# Addresses that are kept free under ``ulimit -v``: Rerun's encoder aborts the process when there are none left.
+# Addresses kept free under ``ulimit -v``: Rerun's encoder aborts the process when none are left.
 
 _STATM = Path("/proc/self/statm")
 
@@ -213,9 +213,9 @@ _STATIC_PER_BODY = 1000
 
 
 class AddressReserve:
-    """Refuses a batch for which there are too few addresses, while there are still enough to close the file.
+    """Refuses a batch when addresses run short, while enough remain to close the file.
 
-    It works only where `ulimit -v` limits addresses and the system reports how many are in use.
+    It works only where `ulimit -v` limits addresses and the system reports their use.
     """
 
     def __init__(self, bodies: int) -> None:
@@ -229,11 +229,11 @@ class AddressReserve:
 
     @property
     def limited(self) -> bool:
-        """Whether addresses are limited, and the system reports how many are in use."""
+        """Whether addresses are limited and the system reports their use."""
         return self._limit is not None
 
     def require(self, batch: Sequence[Frame], path: Path) -> None:
-        """Keep what closing the file needs. RecordingError if that and encoding a batch do not fit."""
+        """Reserve the addresses for closing the file. Raises RecordingError if too few remain to encode a batch."""
         if self._limit is None:
             return
         contacts = [len(frame.contacts.pairs) for frame in batch]
@@ -247,7 +247,7 @@ class AddressReserve:
             )
 
     def _keep(self, size: int) -> bool:
-        """Keep at least so many bytes; return whether there are as many."""
+        """Reserve at least so many bytes; return whether that succeeded."""
         if size > self._size:
             self.release()
             try:
@@ -257,7 +257,7 @@ class AddressReserve:
         return True
 
     def release(self) -> None:
-        """Let others have the addresses."""
+        """Release the addresses."""
         if self._kept is not None:
             self._kept.close()
         self._kept, self._size = None, 0

@@ -58,8 +58,8 @@ NO_IMPACTS = RecordedImpacts()
 class BatchEncoder:
     """Turns batches of frames into rows, entity by entity.
 
-    It remembers what the rows depend on: the origin, the phase and dt limit last written, the arrows' references, the
-    last frame, and what it kept of contacts. ``curves`` are the outlines of the series encoded so far.
+    It keeps the state on which rows depend: the origin, the last written phase and dt limit, the arrows' references,
+    the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so far.
 
     Parameters
     ----------
@@ -68,9 +68,9 @@ class BatchEncoder:
     origin
         (3,) m, of what is drawn.
     arrow_references, last_state, before, impacts_before
-        Where a run is resumed: what the rows before it depend on, and the impacts in them.
+        For a resumed run: the state after the rows before it, and the number of impacts in them.
     everything
-        Whether no impact is left out: for a comparison with what was recorded.
+        Whether to encode every impact, for a comparison with a recording.
     """
 
     def __init__(
@@ -100,11 +100,11 @@ class BatchEncoder:
 
     @property
     def impacts(self) -> RecordedImpacts | None:
-        """How many impacts are recorded so far; None if none are to be."""
+        """Number of impacts recorded so far; None if the scene records none."""
         return self._contacts.impacts if self._contacts else None
 
     def rows(self, batch: Sequence[Frame], store: FrameStore | None = None) -> Iterable[Rows]:
-        """All entities' rows of a batch, checkpoints apart; in a store its frames follow each other."""
+        """Return the rows of all entities of a batch, without checkpoints. In a store, the frames are consecutive."""
         index, position = Index.of(batch), _stacked("position", batch, store)
         points = np.empty((len(batch), self.header.bodies, 3), dtype=np.float32)
         encoding.cast_positions(position, self.origin, points)
@@ -187,7 +187,7 @@ class BatchEncoder:
                 kind, turned = rr.Points3D, None
                 places = kind.descriptor_positions()
             case _:
-                # an instance without a scale in its own row would be drawn at scale 1; one colour for all of them
+                # each instance needs a scale, or it would be drawn at scale 1; one colour serves all
                 kind, colours = rr.InstancePoses3D, None
                 places = kind.descriptor_translations()
                 scales = single(np.tile(np.repeat(self.header.radius, 3), len(centres) // n).reshape(-1, 3))
@@ -226,7 +226,7 @@ class BatchEncoder:
     def _arrows(
         self, index: Index, batch: Sequence[Frame], store: FrameStore | None, points: SingleArray
     ) -> Iterable[Rows]:
-        """Torques, and angular accelerations τ/I, of the bodies that feel any."""
+        """Return the arrows of torques and of angular accelerations τ/I, for bodies with a torque."""
         torque = _stacked("torque", batch, store)
         most = self.header.bodies * len(batch)
         body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
@@ -246,7 +246,10 @@ class BatchEncoder:
         body: NDArray[np.uint32],
         magnitude: FloatArray,
     ) -> Rows:
-        """Arrows of one kind: ``each`` frame's bodies follow each other in ``body``, with their torques' magnitudes."""
+        """Return arrows of one kind.
+
+        ``body`` lists the bodies frame by frame (``each`` has their numbers), with the magnitudes of their torques.
+        """
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
         if len(body) and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
@@ -278,7 +281,7 @@ class BatchEncoder:
         points: SingleArray,
         extremes: FloatArray,
     ) -> Rows:
-        """Draw the edges of the collision graphs, and find each frame's `encoding_kernels.draw_edges` extremes."""
+        """Draw the edges of the collision graphs; return the extremes of each frame (see `draw_edges`)."""
         contacts = BatchContacts(batch)
         columns, size = self._edges(contacts, points, extremes)
         if self._contacts:
@@ -338,7 +341,7 @@ class BatchEncoder:
 
 
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
-    """Return one of the arrays of all frames, (frames, n, …): as it lies in the store, or else copied together."""
+    """Return one of the arrays of all frames, (frames, n, …): a view of the store, or else a copy."""
     first = batch[0].slot
     if store is not None and first is not None:
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]

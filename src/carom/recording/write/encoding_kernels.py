@@ -1,8 +1,8 @@
 """Loops over the bodies and contacts of a batch of frames that turn float64 state into the float32 that is drawn.
 
-They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. Those
-over bodies handle a whole batch at a time and release the lock. Those over contacts handle a frame, whose arrays lie
-where the physics made them, and keep the lock: they take microseconds, and waiting for the lock takes longer.
+They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. Loops
+over bodies handle a whole batch and release the lock. Loops over contacts handle one frame, in the arrays of the
+physics. They keep the lock, since they take microseconds and waiting for the lock takes longer.
 """
 
 from __future__ import annotations

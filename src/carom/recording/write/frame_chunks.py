@@ -1,4 +1,4 @@
-"""The chunks that a run would be recorded as; a replay compares them with the chunks of the file."""
+"""The chunks of a recording of a run; a replay compares them with the chunks of the file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
 
 
 def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Iterator[Chunk]:
-    """Encode frames as the recorder does; a chunk for each entity that every frame has one row of."""
+    """Encode frames like the recorder; return a chunk for each entity with one row in every frame."""
     for rows in encoder.rows(frames):
         if rows.path not in BY_EVENT and len(rows.steps):
             yield chunk_of(rows, clock)
@@ -51,7 +51,7 @@ def chunk_of(rows: Rows, clock: TimeScale) -> Chunk:
 
 
 def statics_of(header: Header, clock: TimeScale, origin: FloatArray, reach: float, name: str) -> Iterator[Chunk]:
-    """Encode what a recording of this name states once; see `statics`."""
+    """Encode the static data of a recording of this name; see `statics`."""
     archetypes: list[tuple[str, rr.AsComponents]] = [
         (IDENTITY, any_values(identity(header, clock, origin))),
         ("__properties", rr.archetypes.RecordingInfo(name=name)),

@@ -1,4 +1,4 @@
-"""Impacts in a recording: how many of each frame, their rows, and where the bodies are at their moments."""
+"""Impacts in a recording: the number for each frame, their rows, and the positions of the bodies at their times."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
 
-# Where the bodies are at the moments of impacts, between two frames. A body that has impacts between the frames is at
-# the contact point of each, on the straight lines from one to the next. The others go along the cubic that has their
-# positions and velocities in both frames. Orientations are interpolated.
+# Positions of the bodies at impacts between two frames. A body that has impacts between the frames is at the contact
+# point of each, on the straight lines from one to the next. The others follow the cubic through their positions and
+# velocities in both frames. Orientations are interpolated.
 
 
 def positions_at(
@@ -60,7 +60,7 @@ def positions_at(
 
 
 def _by_body(impacts: Records, bodies: int) -> tuple[IntArray, IntArray]:
-    """Return where the impacts of each body begin, (n + 1,), and the impacts body after body, each body's in order."""
+    """Return the impacts ordered by body and time, and the offset of each body's impacts, (n + 1,)."""
     struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
     order = np.argsort(struck, kind="stable")
     return np.searchsorted(struck[order], np.arange(bodies + 1)), order // 2
@@ -91,9 +91,9 @@ def _pass_through(
     way: FloatArray,
     found: FloatArray,
 ) -> None:
-    """Move the bodies that have impacts onto the straight lines from one to the next; see `positions_at`.
+    """Move bodies with impacts onto the straight lines from one impact to the next; see `positions_at`.
 
-    ``clock`` and ``way`` hold the times and positions of one body's corners. (Made in here, they took a second to
+    ``clock`` and ``way`` hold the times and positions of one body's corners. (Allocated in here, they took a second to
     compile.)
     """
     for body in range(len(radius)):
@@ -140,7 +140,7 @@ _BUDGET = record(  # bytes so far
 
 
 class Kept(NamedTuple):
-    """What is recorded of each frame of a batch, (frames,)."""
+    """Numbers of recorded contacts and impacts in each frame of a batch, (frames,)."""
 
     impacts: IntArray  # impacts since the frame before, with the largest normal impulses
     arrows: IntArray  # contacts that are drawn with arrows
@@ -150,14 +150,14 @@ class Kept(NamedTuple):
 class ImpactPlan:
     """Decides how many impacts and contacts of each frame are recorded.
 
-    All impacts are kept while everything that is recorded of contacts takes at most a fifth of the file so far. Then
-    the largest normal impulses are kept, at least one of each frame. The choice depends on the frames alone,
-    not on how they are batched, so that the same run always has the same rows.
+    All impacts are kept while contacts take at most a fifth of the file. Beyond that, only the largest normal impulses
+    are kept, at least one in each frame. The choice depends on the frames but not on the batches, so that the same run
+    always has the same rows.
 
     Parameters
     ----------
     everything
-        Whether all impacts are kept and all contacts get arrows, whatever they cost.
+        Whether to keep all impacts and to draw arrows at all contacts, regardless of their size.
     oriented, turned
         Whether bodies have orientations and torques.
     """
@@ -170,7 +170,7 @@ class ImpactPlan:
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
-        """Return the plan of a recording; with everything if its scene asks for that, or if it is asked for here."""
+        """Return the plan of a recording; it keeps everything if the scene or the caller requests it."""
         everything = everything or header.record_impacts == "all"
         return cls(everything=everything, oriented=header.has_orientation, turned=header.has_torque)
 
@@ -182,7 +182,7 @@ class ImpactPlan:
         position
             (frames, n, 3) m.
         edges, contacts, impacts
-            (frames,) how many each has.
+            (frames,) their numbers.
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
@@ -194,7 +194,7 @@ class ImpactPlan:
 
 
 def largest(impacts: Records, count: int) -> IntArray:
-    """Return which impacts have the largest normal impulses, in order of time; of equal ones the first."""
+    """Return the indices of the impacts with the largest normal impulses, in order of time; among equals, the first."""
     if len(impacts) <= count:
         return np.arange(len(impacts))
     return np.sort(np.argsort(-impacts["normal_impulse"], kind="stable")[:count])
@@ -214,7 +214,7 @@ def _spend(
     budget: Records,
     kept: Kept,
 ) -> None:
-    """Decide for frames, (frames,), by how many bodies moved, edges, contacts and impacts each has."""
+    """Decide for frames from their numbers of moved bodies, edges, contacts and impacts, (frames,) each."""
     used = budget[0]
     scene = _SCENE + bodies * (28 if oriented else 12)
     arrow = 2 * _ARROW if turned else _ARROW  # with friction two
@@ -239,9 +239,9 @@ def _spend(
 
 @inline
 def _size(bodies: int, moved: float, edges: int, oriented: bool, turned: bool) -> float:
-    """Estimate what else a frame takes in the file: bodies, arrows of torques, edges, scalars, checkpoints; in bytes.
+    """Estimate the other bytes of a frame in the file: bodies, arrows of torques, edges, scalars, checkpoints.
 
-    What does not change from frame to frame is packed to little; ``moved`` is the share of the bodies that do.
+    Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
     """
     drawn = bodies * (2 + moved * (26 if oriented else 10))
     arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if turned else 0.0
@@ -265,7 +265,7 @@ def impact_rows(
     impacts
         (k,) `CONTACT_ROW`, at least one.
     numbers
-        (k,) their places among all impacts of the run, from 1 on.
+        (k,) their numbers among all impacts of the run, from 1.
     references
         The impulse (N s) and the energy (J) in the middle of their scales.
     radius

@@ -31,15 +31,15 @@ from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
-# A bounded queue between the physics thread and the recorder, read in batches. The reader sleeps until a batch is
-# full or due. `queue.Queue` would wake it for every frame, and each time it would take the interpreter lock from the
-# physics, which costs a tenth of a run of 1000 bodies (benchmarks/recording.py).
+# A bounded queue between the physics thread and the recorder, read in batches. The reader sleeps until a batch is full
+# or due. `queue.Queue` would wake the reader for every frame. Each time, the reader would take the interpreter lock
+# from the physics: a tenth of a run of 1000 bodies (benchmarks/recording.py).
 
 _Item = TypeVar("_Item")
 
 
 class BatchQueue(Generic[_Item]):
-    """Holds at most ``capacity`` items. `take` returns ``batch`` of them, or after ``seconds`` as many as there are."""
+    """Holds at most ``capacity`` items. `take` returns ``batch`` items, or all available ones after ``seconds``."""
 
     def __init__(self, capacity: int, batch: int, seconds: float) -> None:
         self._capacity = max(capacity, batch)
@@ -53,7 +53,7 @@ class BatchQueue(Generic[_Item]):
 
     def wait_for_room(self) -> None:
         """Wait while the queue is full; return at once after `fail`. Only the thread that puts items may call it."""
-        if len(self._items) < self._capacity:  # nobody else makes it longer
+        if len(self._items) < self._capacity:  # no other thread adds items
             return
         with self._changed:
             self._changed.wait_for(lambda: self._error is not None or len(self._items) < self._capacity)
@@ -83,7 +83,7 @@ class BatchQueue(Generic[_Item]):
             self._changed.notify_all()
 
     def take(self, within: float | None = None) -> list[_Item] | None:
-        """Wait for a batch; an empty one means that the queue is closed, None that no item came within a time in s."""
+        """Wait for a batch. An empty one means that the queue is closed, None that no item came within a time (s)."""
         with self._changed:
             latest = None if within is None else time.monotonic() + within
             while not self._closed and len(self._items) < self._batch:
@@ -103,14 +103,13 @@ class BatchQueue(Generic[_Item]):
 class CheckpointPlan:
     """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
 
-    The first frame always carries one, and so does the frame before a warning, until warnings alone have used up
-    another tenth. The choice depends on the frames alone, not on how they are batched, so that the same run always has
-    the same checkpoints.
+    The first frame always carries one. So does the frame before a warning, until warnings have used another tenth. The
+    choice depends on the frames but not on the batches, so that the same run always has the same checkpoints.
 
     Parameters
     ----------
     every_frame
-        Whether every frame carries one: what cannot be run again has its exact states nowhere else.
+        Whether every frame carries one, as for runs that cannot be repeated.
     """
 
     _SHARE = 0.1
@@ -163,15 +162,15 @@ _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
 _BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
 _QUEUE_BYTES = 64_000_000
-_LOOK = 1.25  # times as many frames from one update of the camera to the next
+_LOOK = 1.25  # factor between the frame counts at two updates of the camera
 _LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
 
 
 class FrameRecorder:
     """Writes one recording.
 
-    ``put`` only enqueues, and blocks while the queue is full: no frame is dropped. The first fault
-    (a full disk, say) closes the file as well as can be, and is raised by the next ``put`` and by ``finish``.
+    ``put`` only enqueues, and blocks while the queue is full: no frame is dropped. The first error, such as a full
+    disk, closes the file as far as possible, and is raised by the next ``put`` and by ``finish``.
     """
 
     def __init__(
@@ -212,7 +211,7 @@ class FrameRecorder:
         self._closed = False
         self._start: FloatArray | None = None  # (n, 3) m, of the centres
         self._start_known = threading.Event()  # or the recorder is closed
-        self._begun = threading.Event()  # what is static is in the file, or never will be
+        self._begun = threading.Event()  # static data is in the file, or never will be
         self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
         self._thread.start()
 
@@ -223,11 +222,11 @@ class FrameRecorder:
 
     @property
     def impacts(self) -> RecordedImpacts | None:
-        """How many impacts are recorded so far; None if none are to be."""
+        """Number of impacts recorded so far; None if the scene records none."""
         return self._encoder.impacts if self._encoder else None
 
     def begin(self, position: FloatArray) -> None:
-        """Write what is static, for centres (n, 3) in m at the start; `put` does so if nobody has.
+        """Write the static data, for centres (n, 3) in m at the start; otherwise the first `put` does so.
 
         A run that fails before its first frame then leaves a readable file, too.
         """
@@ -237,7 +236,7 @@ class FrameRecorder:
             self._begun.wait()
 
     def store_for(self, bodies: Bodies) -> FrameStore:
-        """Begin, and return memory for frames; a frame's arrays are reused once this recorder is done with it."""
+        """Begin, and return memory for frames; the arrays of a frame are reused after it has been recorded."""
         self.begin(bodies.position)
         self._store = FrameStore(self._slots, bodies, self._queue.wait_for_room)
         return self._store
@@ -303,7 +302,7 @@ class FrameRecorder:
         del start
         self._begun.set()
         while (batch := self._queue.take(self._stream.patience)) is None or batch:
-            if batch is None:  # the physics takes a long step: earlier frames are due
+            if batch is None:  # during a long step, earlier frames become due
                 self._stream.flush()
             else:
                 self._write(batch, encoder)
@@ -368,7 +367,7 @@ class FrameRecorder:
             self._stream.send_blueprint(blueprint(self.header, self._camera_fit, self._encoder.curves))
 
     def _fail(self, error: RecordingError) -> None:
-        """Close the file as it is, and then report the error to the physics."""
+        """Close the file in its present state, and then report the error to the physics."""
         try:
             self._close(str(error), {}, ())
         except Exception as second:  # report the first error
@@ -414,12 +413,12 @@ class FrameRecorder:
 
 
 def _new_file(path: Path) -> Path:
-    """Return the file to write for a path: a new one beside it if it exists, without what a killed run left there.
+    """Return the file to write for a path: a new one beside an existing recording. Remove the remains of a killed run.
 
     Raises
     ------
     RecordingError
-        If what was left cannot be removed.
+        If these cannot be removed.
     """
     try:
         path = path.resolve()

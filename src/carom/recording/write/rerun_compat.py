@@ -33,25 +33,25 @@ if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
     from rerun.notebook import Viewer
 
-_UNKNOWN = (AttributeError, TypeError)  # what a private interface raises that is not there, or takes something else
+_UNKNOWN = (AttributeError, TypeError)  # exceptions of a private interface that is missing or has other arguments
 _TESTED = "0.41.0"
 _DRIVEN_BY = ("connect", "open", "get_state", "set_time", "take_screenshot")  # methods of `ViewerClient`
 
 
 def end_earlier_streams() -> None:
-    """Free the threads and megabytes that Rerun keeps of each closed stream until `rr.init` is called.
+    """Free the threads and memory that Rerun keeps for each closed stream until `rr.init` is called.
 
-    Where Rerun has no such function they stay. A forked child cannot end the streams of its parent, whose threads it
-    does not have; Rerun raises RuntimeError.
+    Without that function of Rerun, they stay. A forked child lacks the threads of its parent and cannot end its
+    streams; Rerun raises RuntimeError.
     """
     with contextlib.suppress(RuntimeError, *_UNKNOWN):
         bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Blueprint) -> None:
-    """Send a layout as `rr.send_blueprint` does, and close the stream that it is sent through.
+    """Send a layout like `rr.send_blueprint`, and close the stream used for it.
 
-    The recording gets the transforms of the magnified spaces that the layout has.
+    The recording gets the transforms of the layout's magnified spaces.
 
     `rr.send_blueprint` leaves that stream open: two threads and 4 MB for each recording of a sweep. It is the fallback.
     """
@@ -83,7 +83,7 @@ def send_to_notebook(viewer: Viewer, rrd: bytes) -> None:
 
 
 def connect_viewer(url: str) -> ViewerClient:
-    """Connect to a viewer, to drive it. RecordingError where Rerun no longer offers that under the name of 0.41."""
+    """Connect to a viewer, to drive it. Raises RecordingError if Rerun no longer has the interface of 0.41."""
     try:
         from rerun.experimental import ViewerClient  # noqa: PLC0415 - experimental, and so may move
     except ImportError:
@@ -109,7 +109,7 @@ class StoredLayout(rrb.Blueprint):
 
 
 def rerun_chunks(batch: pa.RecordBatch) -> list[rrc.Chunk]:
-    """Make Rerun's chunks of rows read from a file, with new ids: two chunks of one id would replace each other."""
+    """Return Rerun's chunks for rows read from a file, with new ids: chunks with the same id replace each other."""
     kinds = {field.name: (field.metadata or {}).get(b"rerun:kind") for field in batch.schema}
     kept = [field for field in batch.schema if kinds[field.name] != b"control"]
     timelines = [name for name, kind in kinds.items() if kind == b"index"]

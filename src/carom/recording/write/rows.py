@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
 
-# Columns of a batch: the values of a component, row after row, and how many of them each row has. Rerun's own columns
-# copy their values, and make offsets for every single value before a column is partitioned. That took most of the
-# recorder's time, under the interpreter's lock. These wrap the arrays as they are.
+# Columns of a batch: the values of a component, row after row, and their number in each row. Rerun's own columns copy
+# their values, and make offsets for every single value before a column is partitioned. That took most of the recorder's
+# time, under the interpreter's lock. These wrap the arrays as they are.
 
-Each = IntArray | int  # values of each row; a number if all have as many
+Each = IntArray | int  # values in each row; one number if all rows have the same
 Descriptor = rr.ComponentDescriptor
 
 _VECTOR = pa.list_(pa.field("item", pa.float32(), nullable=False), 3)
@@ -39,7 +39,7 @@ class BatchColumn(ComponentColumn):
 
     @classmethod
     def of_rows(cls, descriptor: Descriptor, rows: pa.ListArray) -> ComponentColumn:
-        """Return a column of values that are cut into rows already."""
+        """Return a column of values that are already divided into rows."""
         column = cls.__new__(cls)
         column.descriptor, column._rows = descriptor, rows
         return column
@@ -50,7 +50,7 @@ class BatchColumn(ComponentColumn):
 
 
 def any_column(name: str, values: NDArray[Any] | list[str], each: Each = 1) -> ComponentColumn:
-    """Return a column of a component that Rerun does not know."""
+    """Return a column of a component that is unknown to Rerun."""
     return BatchColumn(Descriptor(name), pa.array(values), each)
 
 
@@ -98,9 +98,9 @@ NO_STEPS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 
 
 class Index(NamedTuple):
-    """Where rows stand on the timelines. The entities of a batch share it."""
+    """Positions of rows on the timelines, shared by the entities of a batch."""
 
-    steps: IntArray  # empty where the rows are within a step, or on the timeline of impacts only
+    steps: IntArray  # empty for rows within a step, and for rows only on the timeline of impacts
     times: FloatArray  # s
     impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
     ends: FloatArray = _NO_TIMES  # s, of the frames before whose nanosecond the rows lie, where they are within a step
@@ -149,7 +149,7 @@ def kind_of(rows: Rows) -> tuple[str, bool, bool, bool, tuple[str, ...]]:
 
 
 def joined(batches: Sequence[Rows]) -> Rows:
-    """Return the rows of several batches, which are of one kind, as one batch."""
+    """Join the rows of several batches of the same kind into one batch."""
     first = batches[0]
     if len(batches) == 1:
         return first

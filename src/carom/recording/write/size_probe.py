@@ -32,12 +32,12 @@ class Taken:
 
 
 def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Taken]:
-    """Write a batch that repeats some frames, and measure the size of each entity. The file is not kept.
+    """Write a batch of repeated frames to a temporary file, and measure the size of each entity.
 
     Returns
     -------
     taken
-        For each entity, in the order in which they are written.
+        The cost of each entity, in the order of writing.
     """
     rr.set_strict_mode(True)
     clock = TimeScale()

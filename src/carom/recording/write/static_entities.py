@@ -1,4 +1,4 @@
-"""What is logged once: texts, sizes, colours, names of series, and the document at /scene."""
+"""The static entities of a recording: texts, sizes, colours, names of series, and the document at /scene."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to a
 
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
-    """Yield everything static, entity by entity; at the start all bodies are within ``reach`` (m) of the origin."""
+    """Yield the static data, entity by entity; at the start all bodies are within ``reach`` (m) of the origin."""
     yield (
         paths.SCENE,
         rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
@@ -65,7 +65,7 @@ STATES_AT_IMPACTS = "states_at_impacts"  # in the property `carom`: whether impa
 
 
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
-    """Return the property `carom`: what the scene is, which parts of the model it has, and how it is drawn."""
+    """Return the property `carom`: the scene, the parts of its model, and the style of its drawing."""
     properties: dict[str, Scalar | FloatArray] = {
         "schema_version": paths.SCHEMA_VERSION,
         "title": header.title,
@@ -158,7 +158,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
     """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
 
-    ``reach`` is that of the bodies around the centre, in m.
+    All bodies are within ``reach`` (m) of the centre.
     """
     if header.planes is not None and len(header.planes):
         planes = zip(header.planes.normal, header.planes.offset, strict=True)
@@ -183,7 +183,7 @@ def _grid(normal: FloatArray, offset: float, centre: FloatArray, reach: float) -
 
 
 def _two_tone_sphere() -> rr.Mesh3D:
-    """Make a unit sphere with one dark half, so that rotation is visible."""
+    """Return a unit sphere with one dark half, so that rotation is visible."""
     polar = np.linspace(0.0, np.pi, _MESH_RINGS + 1)
     around = np.linspace(0.0, 2.0 * np.pi, 2 * _MESH_RINGS, endpoint=False)
     theta, phi = np.meshgrid(polar, around, indexing="ij")
@@ -246,7 +246,7 @@ def _run(header: Header) -> str:
 
 
 def _data(header: Header) -> str:
-    """List what of data files is not used, or read in another way; empty if all is."""
+    """List the notes on data files (unused columns, other readings); empty without any."""
     notes = [note.replace("`", "'") for notes in header.data_notes for note in notes]
     return "\n".join(["## Data", *(f"- `{note}`" for note in notes)]) if notes else ""
 
@@ -279,13 +279,13 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
 
 
 def _drawn(header: Header, si: str) -> str:
-    """Return the unit of recorded numbers, after a space, by its name in SI; empty if they have none."""
+    """Return the unit of recorded numbers, after a space, given its name in SI; empty for pure numbers."""
     unit = header.units.recorded_unit(si)
     return "" if unit == "1" else f" {unit}"
 
 
 def _units(header: Header) -> list[str]:
-    """Name which units the scene has, if it is not SI."""
+    """Name the units of the scene, unless they are SI."""
     units = header.units
     if units.is_si:
         return []
@@ -318,7 +318,7 @@ def _legend(header: Header) -> str:
 
 
 def _contacts(header: Header) -> str:
-    """Give the coefficients of the contacts of each two materials; empty without [[material]]."""
+    """List the contact coefficients of each pair of materials; empty without [[material]]."""
     if header.materials is None or not header.collides:
         return ""
     lines = ["## Contacts", "| | e | μs | μk |", "|---|---|---|---|"]

@@ -33,7 +33,7 @@ _PATIENCE = 5.0  # s; a viewer that takes longer for one second of frames counts
 
 
 class LiveView:
-    """Sends the recorded data to a running viewer, too."""
+    """Sends the recorded data also to a running viewer."""
 
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
         host, port = _host_and_port(address)
@@ -61,7 +61,7 @@ class LiveView:
         self._hang_up()
 
     def _hang_up(self) -> None:
-        """Disconnect; a viewer that does not answer is left after `_PATIENCE`."""
+        """Disconnect; give up on a viewer that does not answer within `_PATIENCE`."""
         if self._stream is not None:
             disconnecting = threading.Thread(target=self._stream.disconnect, name="carom-live-end", daemon=True)
             disconnecting.start()
@@ -85,14 +85,14 @@ def _probe(host: str, port: int) -> None:
         ) from error
 
 
-BATCH_BYTES = 4_000_000  # a batch costs some milliseconds besides its data, whatever its size
+BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
 
-# Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. Batches are
-# therefore joined as a run grows old, so that their number grows with the logarithm of time and size: 28 800 batches
-# make a footer of 2 GB, the largest that is read.
-PROMPT_BATCHES = 100  # that are written as they come
-OF_TIME = 0.01  # of the time that the run has taken: the most that a killed one loses
-OF_SIZE = 0.004  # of what is recorded
+# Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
+# therefore joins batches, so that their number grows with the logarithm of time and size: 28 800 batches make a footer
+# of 2 GB, the largest readable one.
+PROMPT_BATCHES = 100  # first batches, which are written without joining
+OF_TIME = 0.01  # largest fraction of its time that a killed run loses
+OF_SIZE = 0.004  # of the recorded bytes
 JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 GB; 28 800 of them are 1.8 TB
 _ENCODED = 1.3  # bytes in the file for each byte of data, at most
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
@@ -130,7 +130,7 @@ class Stream:
         self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
-        # for a batch in flight when the disk fills up, the last checkpoint and the end of the file
+        # for the current batch when the disk fills up, the last checkpoint and the end of the file
         self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
         self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()
@@ -199,7 +199,7 @@ class Stream:
         self.send(event_rows([event]), clock)
 
     def send_statics(self, clock: TimeScale, origin: FloatArray, reach: float) -> None:
-        """Send everything static; at the start all bodies are within ``reach`` (m) of the origin."""
+        """Send the static data; at the start all bodies are within ``reach`` (m) of the origin."""
         for stream in self._streams():
             stream.send_recording_name(self._header.member.name if self._header.member else self._header.title)
         self.send_property("carom", identity(self._header, clock, origin))
@@ -241,7 +241,7 @@ class Stream:
             raise RecordingError(f"cannot write more of {self.path}: no space left on the disk")
 
     def close(self) -> None:
-        """Write what waits and the footer, and close the file; raises if it cannot be written."""
+        """Write the waiting rows and the footer, and close the file; raises if it cannot be written."""
         self._send_waiting()
         self._stream.disconnect()
         self._sink.close()

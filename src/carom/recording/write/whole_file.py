@@ -37,9 +37,9 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)
 class Claim:
     """Keeps other carom processes from writing a path, until it is released or the process ends.
 
-    The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced by another file
-    while it is claimed. A killed process leaves that file, which then locks nothing. File systems without locks, such
-    as some network ones, do not refuse the second writer.
+    The lock is on a file beside the output, ``.NAME.lock``, because the output itself may be replaced while it is
+    claimed. A killed process leaves that file, without its lock. File systems without locks, such as some network ones,
+    do not refuse the second writer.
 
     Raises
     ------
@@ -77,7 +77,7 @@ class Claim:
 
 
 def _locked(path: Path) -> int:
-    """Open and lock a file that is still there once it is locked; BlockingIOError if another has the lock."""
+    """Open and lock a file, and check that it still exists. Raises BlockingIOError if another process has the lock."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
         try:
@@ -96,8 +96,8 @@ def _locked(path: Path) -> int:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new path with the same ending; its file moves to this one on success and is removed on failure.
 
-    In a folder that is open to other users no link of theirs is followed: nobody can foresee the name, and where they
-    could exchange the new file by its name, it is filled in the private folder.
+    In a folder that is open to other users, no link of theirs is followed. Nobody can foresee the name; where others
+    could replace the file, it is written in the private folder instead.
     """
     with new_name(path, path.suffix) as part, contextlib.ExitStack() as stack:
         if is_fixed(path):
@@ -113,7 +113,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def new_name(path: Path, ending: str) -> Iterator[Path]:
-    """Yield an unused path beside another; remove what is there in the end. Open it with ``x``."""
+    """Yield an unused path beside another, and remove its file at the end. Open it with ``x``."""
     part = path.with_name(f".{path.stem}.{secrets.token_hex(4)}{ending}")
     try:
         yield part
@@ -157,7 +157,7 @@ class Writer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Close the file. RecordingError if not everything sent is in it."""
+        """Close the file. Raises RecordingError if some of the data is not in it."""
         try:
             self._stream.disconnect()
             self._sink.close()

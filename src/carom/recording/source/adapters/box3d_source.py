@@ -11,21 +11,21 @@ from carom.recording.source.adapters.package import engine_package, named_versio
 from carom.recording.source.source import Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
-MOST_SHAPES = 64  # of a body that are looked at
+MOST_SHAPES = 64  # examined for each body
 
 
 class Box3DSource:
     """The bodies of a world. Box3D computes in single precision.
 
-    Dynamic bodies of one sphere are judged, if no joint is attached to anything. Others are drawn as spheres of their
-    own size, and static ones as spheres that never move.
+    Dynamic bodies of one sphere without joints are judged. Other bodies are drawn as spheres of their own size, static
+    ones as spheres that never move.
 
     Parameters
     ----------
     world
         A robox3d.World, with its bodies and shapes.
     planes
-        The planes that its static shapes make, such as the top of a large box; Box3D itself has none.
+        The planes of its static shapes, such as the top of a large box; Box3D itself has none.
     """
 
     def __init__(self, world: Any, planes: tuple[Plane, ...] = ()) -> None:
@@ -69,7 +69,7 @@ class Box3DSource:
         return StateMemory(state, block, (poses, rates))
 
     def read(self, into: StateMemory) -> None:
-        """Let Box3D write into the snapshot, without a copy."""
+        """Have Box3D write directly into the snapshot."""
         poses, rates = into.parts
         self._group.poses(poses)
         self._group.velocities(rates)
@@ -82,7 +82,7 @@ def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3DSource:
 
 
 def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
-    """Return the radius of a body's sphere in m, and whether it has more than that; None if it has no sphere."""
+    """Return the radius (m) of a body's sphere, and whether the body has further shapes; None without a sphere."""
     ffi, lib = backend.ffi, backend.lib
     shapes = ffi.new("b3ShapeId[]", MOST_SHAPES)
     count = lib.b3Body_GetShapes(body.id, shapes, MOST_SHAPES)
@@ -96,5 +96,5 @@ def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
 
 
 def _drawn(body: Any) -> float:
-    """Return the radius of a sphere of water with the mass of a body, in m: something to draw."""
+    """Return the radius (m) for drawing a body: that of a sphere of water with its mass."""
     return float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0))

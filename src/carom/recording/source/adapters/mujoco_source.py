@@ -11,7 +11,7 @@ from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import Model, Plane, State
 
-WORLD = 0  # the body that everything static belongs to
+WORLD = 0  # the body that owns everything static
 
 
 class MuJoCoSource:
@@ -137,7 +137,7 @@ def _reach(model: Any, data: Any, body: int, geoms: IntArray) -> float:
 
 
 def _ends(model: Any, moving: list[int], still: list[int], planes: list[int]) -> IntArray:
-    """Return the end that each shape belongs to: a body, from n on a plane, or -1 for none."""
+    """Return the end of each shape: a body, a plane (from n on), or -1 for none."""
     ends = np.full(model.ngeom, -1)
     of_body = {body: k for k, body in enumerate(moving)}
     for geom in range(model.ngeom):
@@ -154,7 +154,7 @@ def _plane(model: Any, data: Any, geom: int) -> Plane:
 
 
 def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
-    """Turn vectors from the frames of the bodies into that of the world, (n, 3); quaternions are wxyz."""
+    """Rotate vectors (n, 3) from the frames of the bodies into the frame of the world; quaternions are wxyz."""
     w, axis = quaternion[:, :1], quaternion[:, 1:]
     twice = 2.0 * np.cross(axis, local)
     return np.asarray(local + w * twice + np.cross(axis, twice))

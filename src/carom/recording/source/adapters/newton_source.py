@@ -12,8 +12,8 @@ from carom.errors import RecordingError
 from carom.recording.source.adapters.package import engine_package, named_version
 from carom.recording.source.source import Model, Plane, State
 
-WORLD = -1  # the body that static shapes belong to
-_NAMES = ("body_label", "body_key")  # of the array of names, in newer and older versions
+WORLD = -1  # the body that owns static shapes
+_NAMES = ("body_label", "body_key")  # attributes with the names, in newer and older versions
 
 
 class NewtonSource:
@@ -82,7 +82,7 @@ def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> NewtonSource:
 
 
 def _plane(place: SingleArray, number: int) -> Plane:
-    """Return a plane from its place and turn; its normal is its own z axis."""
+    """Return a plane from its position and rotation; its normal is its own z axis."""
     turn = place[None, 3:].astype(np.float64)
     normal = _turned(turn, np.array([[0.0, 0.0, 1.0]]))[0]
     x, y, z = (float(v) for v in normal)
@@ -90,7 +90,7 @@ def _plane(place: SingleArray, number: int) -> Plane:
 
 
 def _turned(quaternion: FloatArray, local: FloatArray) -> FloatArray:
-    """Turn vectors, (n, 3), by quaternions xyzw."""
+    """Rotate vectors (n, 3) by quaternions xyzw."""
     axis, w = quaternion[:, :3], quaternion[:, 3:]
     twice = 2.0 * np.cross(axis, local)
     return np.asarray(local + w * twice + np.cross(axis, twice))

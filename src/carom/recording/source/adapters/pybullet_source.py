@@ -14,7 +14,7 @@ from carom.recording.source.adapters.package import engine_package, named_versio
 from carom.recording.source.source import SPHERE, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
-SLOW = 200  # bodies, which take a thirtieth of a step to hand over their states
+SLOW = 200  # bodies; copying their states takes a thirtieth of a step
 SELDOM = 5  # steps for a frame of 1000 bodies: reading it takes a sixth of one step
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
@@ -22,8 +22,8 @@ UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 class PyBulletSource:
     """The bodies of a physics server.
 
-    Each body takes two calls to hand over its state, so a `Recorder` takes each fifth frame of 1000 by default.
-    PyBullet tells neither the time nor the field: give both, as they were set.
+    The state of a body takes two calls, so a `Recorder` of 1000 bodies records every fifth frame by default. PyBullet
+    reports neither the time nor the field: pass both, as they were set.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class PyBulletSource:
     client
         The number of the physics client.
     steps_per_frame
-        How many steps are taken between two calls of `Recorder.frame`.
+        Number of steps between two calls of `Recorder.frame`.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class PyBulletSource:
         )
 
     def stepped(self) -> None:
-        """Note that the steps up to the next frame were taken."""
+        """Count the steps up to the next frame."""
         self._frames += 1
 
     def state(self) -> State:
@@ -104,7 +104,7 @@ def pybullet(
 
 
 def calls_per_frame(bodies: int) -> int:
-    """Return how many steps to take for a frame, so that copying the states takes a small fraction of the time."""
+    """Return the number of steps for a frame for which copying the states takes a small fraction of the time."""
     return min(SELDOM, 1 + bodies // SLOW)
 
 

@@ -1,4 +1,4 @@
-"""REBOUND: particles that pull each other, and hard spheres."""
+"""REBOUND: particles that attract each other, and hard spheres."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def rebound(simulation: Any, radius: float | None = None) -> ReboundSource:
 
 
 def _variational(simulation: Any) -> int:
-    """Return how many of the N particles are variational: none where these have an array of their own, as in 5.2."""
+    """Return the number of variational particles among the N: none if these have their own array, as in 5.2."""
     return 0 if hasattr(simulation, "particles_var") else int(getattr(simulation, "N_var", 0))
 
 
@@ -101,7 +101,7 @@ def _setting(simulation: Any, name: str) -> str:
 
 
 def _units(simulation: Any) -> str:
-    """Name the units that the simulation was given; without any, its G tells whether they are SI."""
+    """Return the units that were set for the simulation; without any, SI if its G has the value of SI."""
     without = "" if math.isclose(simulation.G, G_SI, rel_tol=1e-3) else WITHOUT
     return units_of_rebound(simulation.units) or without
 
@@ -115,7 +115,7 @@ def _name(particle: Any, number: int) -> str:
 
 
 def _size_of(particle: Any) -> int:
-    """Return the bytes of a particle; refuse a version whose particles are laid out otherwise in memory."""
+    """Return the bytes of a particle; refuse a version with another layout of particles in memory."""
     if [getattr(particle, name).offset for name in READ] != [8 * k for k in range(len(READ))]:
         raise RecordingError(f"{named_version('rebound')} keeps its particles in another order; carom knows 5.x")
     return ctypes.sizeof(particle)
