@@ -1,8 +1,8 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
-The common times fall within steps, and cutting steps there would change the run. The state is therefore interpolated
-between the ends of each such step: by a polynomial of degree five, or of degree three if the integrator has no forces
-at the ends. After an impact, a body flies freely until its next one.
+Common times fall within steps, and cutting the steps would change the run. The state is therefore interpolated between
+the ends of a step, by a polynomial of degree five, or three if the integrator has no forces there. After an impact, a
+body flies freely until its next one.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
 from carom.extend import TIME, auto, every, minimum_images, whole_file, write_whole
 
-# How far a compared run may go: a number of steps, which is the same on every machine, and a CPU time.
+# Bounds of a compared run: a number of steps, which is the same on every machine, and a CPU time.
 TELLING = 5.0  # s between two lines of progress
 
 
@@ -35,8 +35,8 @@ class Setting:
 
     name: str  # such as "step × 2, integrator = euler"
     overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # None for those of the study
-    engine: str = ""  # another engine, whose own keys `overrides` are then; empty for carom
+    threads: int | None = None  # None: as in the study
+    engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
         """Return the scene with this setting.
@@ -83,7 +83,7 @@ class RunGuard:
     Parameters
     ----------
     bound
-        How far it may go.
+        The bound.
     tell
         Called with a step and a simulated time in s, every `TELLING` seconds.
     """
@@ -106,13 +106,13 @@ class RunGuard:
 
     @property
     def is_late(self) -> bool:
-        """Whether the CPU time is over, not the number of steps."""
+        """Whether the CPU time has run out, rather than the number of steps."""
         return self.seconds > self._bound.seconds
 
 
 SAMPLES = 200  # times at which trajectories are compared
 EARLIER = (3.0 - 5.0**0.5) / 2.0  # of the time between two samples; the golden section avoids simple ratios
-LATE = 0.9  # of the samples, from which on bodies are assumed to have come to rest
+LATE = 0.9  # of the samples; after it, bodies are assumed to have come to rest
 MORE_SAMPLES_UP_TO, MORE_SAMPLES = 20, 600  # more samples of few bodies cost nothing, and their paths can be drawn
 
 
@@ -120,7 +120,7 @@ UNBOUNDED = RunBound()
 
 
 def _ignore(step: int, time: float) -> None:
-    """Say nothing of a run."""
+    """Ignore the progress of a run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +132,7 @@ class Trajectory:
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
     met: FloatArray  # (m,) s, the time of their first contact
-    energy_error: float  # largest |integration error| over the energy scale, or energy put in by contacts if more
+    energy_error: float  # largest |integration error| over the energy scale, or energy injected by contacts
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # likewise
@@ -141,7 +141,7 @@ class Trajectory:
     impacts: int  # contacts that closed faster than at rest, summed over the steps
     steps: int
     frames: int  # in a recording of the run; 0 for a reference, which is not recorded
-    # of exact references only: the ends of every impact, (k, 2), and its time in s, (k,)
+    # only in exact references: the ends of every impact, (k, 2), and its time, (k,) s
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -172,8 +172,8 @@ class Trajectory:
 def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
 
-    The fractions are computed first, so the last is exactly 1 and no time is rounded past the end of the run. The other
-    times are not round numbers: an impact may happen at a round time, where the velocity has two values.
+    The last fraction is exactly 1, so that no time is rounded past the end of the run. The other times are not round
+    numbers, because impacts often happen at round times, and a velocity then has two values.
     """
     count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count
@@ -184,14 +184,14 @@ def sample_times(scene: Scene) -> FloatArray:
 def follow(
     space: Space, times: FloatArray, bound: RunBound = UNBOUNDED, tell: Callable[[int, float], None] = _ignore
 ) -> Trajectory:
-    """Run a space to its end and collect its data; this does not change the steps.
+    """Run a space to its end and collect its data, without a change of its steps.
 
     Parameters
     ----------
     times
         (K,) s, at which it is sampled.
     bound
-        How far it may go.
+        The bound.
     tell
         Called with the step and the time in s now and then.
 
@@ -236,7 +236,7 @@ def follow(
 
 
 class _Watch:
-    """A schedule that asks for a frame after each step that passes a time, and keeps the state before it."""
+    """A schedule that requests a frame after each step that passes a time, and keeps the state before that step."""
 
     def __init__(self, space: Space, times: FloatArray, guard: RunGuard) -> None:
         self.is_over = False  # whether the run was stopped at its bound
@@ -253,9 +253,9 @@ class _Watch:
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Copy the state before a step: this is called when its length is known and nothing has moved yet.
+        """Copy the state before a step, once its length is known and before anything moves.
 
-        An integrator with a solution within its steps calls it after the step.
+        An integrator with a solution within its steps calls this after the step.
         """
         if self._space.has_solution:
             self._began = before
@@ -299,7 +299,7 @@ class _Watch:
         return float(overlaps.mean()) if len(overlaps) else 0.0
 
     def sample(self, frame: Frame) -> None:
-        """Take the samples that the step of a frame has passed."""
+        """Store the samples within the step of a frame."""
         n, graph = len(frame.position), frame.contacts
         if len(self.position) >= LATE * len(self._times):
             self._overlaps.append(graph.overlaps / self._space.state.ends.radius[graph.pairs].min(axis=1))
@@ -343,7 +343,7 @@ class _Watch:
 class _Flight:
     """The paths of all bodies from the beginning of a step, with their impacts.
 
-    Accelerations are those of all forces but -v/τ of a drag, and change evenly; the drag has its closed form.
+    Accelerations change linearly; drag, -v/τ, is excluded from them and solved in closed form.
     """
 
     def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray, scene: Scene) -> None:
@@ -389,5 +389,5 @@ def between(
 
 
 def write_document(path: Path, document: dict[str, Any]) -> None:
-    """Write the document of a study, so that an interrupted study can be continued."""
+    """Write the document of a study, from which an interrupted study continues."""
     write_whole(path, json.dumps(document, indent=1, ensure_ascii=False))

@@ -47,7 +47,7 @@ _FUNCTIONS: dict[str, Callable[..., Any]] = {"abs": abs, "min": min, "max": max,
 
 
 class UnknownNameError(Exception):
-    """A summary does not have a name that an expression uses."""
+    """An expression uses a name that is not in a summary."""
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -100,17 +100,17 @@ class Expression:
         return [name for name in self.names if name not in known]
 
     def explain_unknown(self, name: str, summary: Mapping[str, Any]) -> str:
-        """Say that a summary has no such name, and which one is nearest."""
+        """Return the message about an unknown name, with the nearest known one."""
         near = nearest(name, list(_leaves(summary)))
         hint = f'; did you mean "{near}"?' if near else ""
         return f"{self.option} {self.text}: the summary has no {name}{hint} (`carom inspect --json` prints all names)"
 
     def measured(self, summary: Mapping[str, Any]) -> str:
-        """Describe what the summary has under each name, for a message."""
+        """Describe the value of each name, for a message."""
         return ", ".join(f"{name} is {_shown(_looked_up(name, summary))}" for name in self.names)
 
     def _names(self, node: ast.expr) -> Iterator[str]:
-        """Yield all names; refuse every node that is not part of a condition."""
+        """Yield all names; refuse every node that a condition cannot contain."""
         match node:
             case ast.Name() | ast.Attribute():
                 name = self._dotted(node)
@@ -196,20 +196,20 @@ STEADY = 0.01  # of the smaller radius: an overlap at rest changes less in `LAST
 
 
 class Touches:
-    """The pairs that met so far, by their names, which stay when other bodies are left out.
+    """The pairs that touched so far, by their names, which do not change when other bodies are left out.
 
     Attributes
     ----------
     pairs
-        Those that met.
+        All pairs that touched.
     sunk
-        Those that overlap at rest: the overlap over the smaller radius.
+        The pairs that overlap at rest, with the overlap over the smaller radius.
     """
 
     def __init__(self, space: Space) -> None:
         self._names = Names(list(space.names), list(half_spaces(space.scene).name))
         self._radius = space.state.radius
-        self._since: dict[Pair, tuple[int, float]] = {}  # step from which on an overlap is steady, and the overlap then
+        self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
         self.pairs: set[Pair] = set()
         self.sunk: dict[Pair, float] = {}
 
@@ -251,9 +251,9 @@ class Observation:
     touches
         The pairs that met so far.
     error
-        The message with which it failed; empty if it did not.
+        The error message of a failed run; empty otherwise.
     stated
-        Whether that is a PhysicsError, which the engine gives as a reason.
+        Whether the error is a PhysicsError, whose message gives the reason.
     """
 
     def __init__(
@@ -282,7 +282,7 @@ class Observation:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """The numbers that `carom inspect --json` prints of a recording, without those of the recording itself."""
+        """The numbers that `carom inspect --json` prints, without those about the file."""
         space = self.space
         closing = _nested(closing_summary(space, space.named_extremes(), self.verdicts))
         for moment in closing.get("moments", {}).values():
@@ -312,7 +312,7 @@ class Observation:
 
 
 def said_by(error: Exception) -> str:
-    """Return the message of a PhysicsError; of any other exception also its type."""
+    """Return the message of a PhysicsError; for any other exception, with its type."""
     return str(error) if isinstance(error, PhysicsError) else f"{type(error).__name__}: {error}"
 
 

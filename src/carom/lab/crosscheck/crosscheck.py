@@ -1,4 +1,4 @@
-"""Runs a scene in other engines, and says where each diverges from the reference and which law it breaks there.
+"""Runs a scene in other engines, and finds where each diverges from the reference and which law it violates there.
 
 Each run is first recorded and examined: `carom.record` audits every step, and the scene's [expect] has the criteria.
 `Study` then measures the costs of all runs, in rotation.
@@ -47,14 +47,14 @@ class Examination:
 
     name: str
     criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
-    laws: dict[str, dict[str, Any]]  # those broken: the first frame, and how many
-    parting: dict[str, Any] | None  # see `Parting`; None if it stays with the reference as far as that is compared
+    laws: dict[str, dict[str, Any]]  # violated laws, with the first frame and the number of frames
+    parting: dict[str, Any] | None  # see `Parting`; None without a divergence in the compared time
     recording: str  # its file, in the folder
     energy: dict[str, float | None]  # changes over the energy scale; see `energy_changes`
 
 
 def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) -> Examination:
-    """Return what a run of carom shows; its warnings are the laws that it breaks."""
+    """Return the examination of a run of carom; its warnings are the violated laws."""
     warned = {event.kind: event for event in reversed(outcome.warnings)}
     laws = {
         kind: {"step": event.step, "time": event.time, "text": event.text.splitlines()[0], "frames": 1}
@@ -67,7 +67,7 @@ def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) ->
 def examined_other(
     name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: Path
 ) -> Examination:
-    """Return what a run of another engine shows. Criteria that only carom's own account can judge are left out."""
+    """Return the examination of a run of another engine, without criteria that only carom's own books can judge."""
     whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
     verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
     laws = {
@@ -75,8 +75,8 @@ def examined_other(
         for fault in seen.faults
     }
     criteria = [
-        # a limit that a run kept until it ended early may be exceeded later; and what an engine's contacts take cannot
-        # be separated from the error of its integrator, so that only a lower bound of that is measured
+        # a run that ended early might have exceeded a limit later; and since energy taken by contacts cannot be
+        # separated from the integrator's error, only a lower bound of that error is measured
         _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
         for v in verdicts
         if v.name != "contact_audit" and not v.name.startswith("warned_")
@@ -87,8 +87,8 @@ def examined_other(
 def energy_changes(path: Path) -> dict[str, float | None]:
     """Return the changes of the energy in a recording, over the energy scale.
 
-    ``change`` is that of the total. Of another engine ``in_contact`` is what changed while bodies touched, to contacts
-    and by errors of the engine together, and ``without_contact`` the others, which are errors.
+    ``change`` is the change of the total. For another engine, ``in_contact`` is the change while bodies touched, by
+    contacts and errors together; ``without_contact`` is the remaining change, which is error.
     """
     energy = Recording.open(path).summary()["energy"]
     found = {"change": energy["final"] - energy["initial"]}
@@ -110,14 +110,14 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
     }
 
 
-# Follows runs of engines, several at a time in processes of their own; nothing is timed meanwhile.
+# Follows runs of engines, several at a time in their own processes; nothing is timed meanwhile.
 MIN_RUNS_FOR_PROCESSES = 8  # for fewer, processes take longer to start than they save
 _TICK = 60.0  # s of a wait for runs
 
 
 @dataclass(frozen=True, slots=True)
 class CrosscheckTask:
-    """A run of an engine that is to be followed."""
+    """A run of an engine to follow."""
 
     scene: Scene
     setting: Setting
@@ -127,7 +127,7 @@ class CrosscheckTask:
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """What came of a task."""
+    """The result of a task."""
 
     watched: Watched
     trajectory: Trajectory | None  # None if the run failed
@@ -135,7 +135,7 @@ class Followed:
 
 
 def execute(task: CrosscheckTask) -> Followed:
-    """Follow a run step by step, and record it; sample it once more where the engine can do so between steps."""
+    """Follow a run step by step and record it; run it again for samples between steps if the engine supports them."""
     engine = engine_called(task.setting.engine)
     engine.ensure_installed()
     times = sample_times(task.scene)
@@ -155,7 +155,7 @@ class Runs(ExitStack):
     Parameters
     ----------
     workers
-        Processes; None is one for each core from `MIN_RUNS_FOR_PROCESSES` runs on, and 1 does all in this process.
+        Number of processes. None: one for each core from `MIN_RUNS_FOR_PROCESSES` runs on. 1: this process.
     """
 
     def __init__(self, workers: int | None) -> None:
@@ -167,11 +167,11 @@ class Runs(ExitStack):
         self._ended: dict[Path, Ended] = {}
 
     def announce(self, task: CrosscheckTask) -> None:
-        """Take a run that will be asked for."""
+        """Register a run whose result will be requested."""
         self._tasks[task.path] = task
 
     def begin(self) -> None:
-        """Begin all runs that were announced, if other processes follow them."""
+        """Start all announced runs, if other processes follow them."""
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
@@ -180,7 +180,7 @@ class Runs(ExitStack):
         self._pool.send(execute, self._tasks)
 
     def result(self, task: CrosscheckTask) -> Followed:
-        """Return what came of a run; wait for it, or follow it here."""
+        """Return the result of a run; wait for it, or follow it in this process."""
         if task.path not in self._begun:
             return execute(task)
         self._begun.remove(task.path)
@@ -216,13 +216,13 @@ class Crosscheck:
     engines
         To compare carom with.
     folder
-        Of the results. What an earlier, interrupted check of the same scene left there is not measured again.
+        Folder of the results. Results of an interrupted check of the same scene are kept.
     threads
         For carom's kernels.
     force
         Whether to start over.
     limit
-        s of CPU time for following each run of an engine, and s for the reference; what takes longer is stopped.
+        s of CPU time for following each run of an engine, and s for the reference; longer runs are stopped.
     runs
         Follows the runs of engines.
 
@@ -268,16 +268,16 @@ class Crosscheck:
         return self.study.results
 
     def announce(self) -> None:
-        """Tell what follows the runs which of them are not followed yet."""
+        """Announce the runs that are not followed yet."""
         for setting in self._settings():
             name, known = setting.name, {result.setting.name: result.status for result in self.results}
             if setting.engine and (name not in self.examinations or known.get(name, "pending") == "pending"):
                 self.runs.announce(self._task(setting))
 
     def follow(self, tell: Teller) -> None:
-        """Follow and examine the runs that are not yet; nothing is timed."""
+        """Follow and examine the remaining runs; nothing is timed."""
         for result in self.study.measure(self._settings(), 0, tell):
-            self._examine(result, tell)  # what an interruption kept from it
+            self._examine(result, tell)  # runs left unexamined by an interruption
 
     def time(self, repeats: int, tell: Teller) -> None:
         """Time all runs in rotation, so many times."""
@@ -309,7 +309,7 @@ class Crosscheck:
         }
 
     def _follow(self, setting: Setting, times: FloatArray) -> Trajectory:
-        """Return the samples of a setting of an engine, which is examined on the way."""
+        """Return the samples of a setting of an engine, and store its observations for the examination."""
         followed = self.runs.result(self._task(setting))
         self._seen[setting.name] = followed.watched
         if followed.trajectory is None:
@@ -325,7 +325,7 @@ class Crosscheck:
             write_document(self.folder / DOCUMENT, self.document())
 
     def _examined(self, result: SettingResult) -> Examination:
-        """Look at a run that is measured."""
+        """Return the examination of a measured run."""
         setting = result.setting
         if not setting.engine:
             return self._own(result)
@@ -374,6 +374,6 @@ class Crosscheck:
 
 
 def _file_name(name: str) -> str:
-    """Make a name of a file of the name of a setting."""
+    """Return a file name for the name of a setting."""
     kept = "".join(letter if letter.isalnum() or letter == "." else "-" for letter in name)
     return "-".join(part for part in kept.split("-") if part)

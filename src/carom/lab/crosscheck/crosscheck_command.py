@@ -138,7 +138,7 @@ def crosscheck(
 def _show_several(
     documents: dict[str, dict[str, Any]], scenes: dict[str, Scene], refused: dict[str, str], folder: Path
 ) -> None:
-    """Print one table of all scenes, what each is about, and which of them no engine can represent."""
+    """Print one table of all scenes with their subjects, and the scenes that no engine can represent."""
     from rich import box
     from rich.markup import escape
     from rich.table import Table
@@ -247,7 +247,7 @@ def _table(document: dict[str, Any], units: UnitSystem) -> Table:
 
 
 def _criteria(run: dict[str, Any]) -> str:
-    """Describe how many criteria were met, and which were not or could not be judged."""
+    """Describe the number of met criteria, and the missed or unjudged ones."""
     criteria = run.get("criteria") or []
     if not criteria:
         return "none"
@@ -261,12 +261,12 @@ def _criteria(run: dict[str, Any]) -> str:
 
 
 def _extent(reference: dict[str, Any], units: UnitSystem) -> str:
-    """Say up to when positions are compared."""
+    """Return the time up to which positions are compared, in words."""
     return f"up to t = {units.text(reference['horizon'], TIME)}"
 
 
 def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitSystem) -> str:
-    """Say where a run diverges from the reference; nowhere, only if it is compared up to the end of the scene."""
+    """Describe where a run diverges from the reference; "nowhere" requires a comparison up to the end of the scene."""
     if run["status"] != "measured" or "parting" not in run:
         return run["status"] if run["status"] != "measured" else ""
     parting = run["parting"]
@@ -281,7 +281,7 @@ def _parting(run: dict[str, Any], reference: dict[str, Any] | None, units: UnitS
 
 
 def _energy(energy: dict[str, float | None]) -> str:
-    """Write how the energy changed, and how much of that no contact explains if bodies of another engine touched."""
+    """Return the change of the energy and, for another engine with contacts, the part that no contact explains."""
     change, other = energy.get("change"), energy.get("without_contact")
     if change is None:
         return ""
@@ -296,7 +296,7 @@ def _number(value: float | None) -> str:
 
 
 def _draw(check: Crosscheck, quiet: bool) -> None:
-    """Leave the figure and the recording of all runs beside the document; say where they are."""
+    """Write the figure and the recording of all runs beside the document, and print their paths."""
     from carom.errors import ExperimentError
     from carom.lab.crosscheck.crosscheck import DOCUMENT, FIGURE, OVERLAY
     from carom.lab.crosscheck.parting import draw

@@ -1,4 +1,4 @@
-"""Where a run leaves the reference, after which impact, and which laws it breaks there; and the figure of a crosscheck.
+"""The divergence of a run from the reference: its time, the impact before it, and the violated laws; and the figure.
 
 The figure shows the distance of each run from the reference over time. It needs the extra ``plot``.
 """
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 
 
 PARTED = 0.01  # of the size of the system; runs farther apart have diverged
-OTHER_OUTCOME = 0.01  # of the speed of the system; velocities that differ by more after an impact are another outcome
+OTHER_OUTCOME = 0.01  # of the speed of the system; a larger difference of velocities after an impact is another outcome
 EARLIER = 2.0  # steps, by which an impact of an engine may precede that of the reference
 LATER = 40.0  # steps after it, in which a soft contact ends
-SAME_IMPACT = 0.02  # of the duration; impacts of one pair that are farther apart in two runs are not the same
+SAME_IMPACT = 0.02  # of the duration; largest time between the same impact in two runs
 
 
 @dataclass(frozen=True, slots=True)
 class NumberedImpacts:
-    """The impacts on record in a recording, by the numbers that ``--event impact:N`` takes."""
+    """The recorded impacts, with the numbers used by ``--event impact:N``."""
 
     number: IntArray  # (k,)
     pair: IntArray  # (k, 2)
@@ -43,7 +43,7 @@ class NumberedImpacts:
 
     @classmethod
     def of(cls, path: Path) -> NumberedImpacts:
-        """Read them; there are none if the recording has none, or cannot be read."""
+        """Read the impacts of a recording; none if it cannot be read."""
         try:
             recording = Recording.open(path)
             if recording.records_contacts:
@@ -56,20 +56,20 @@ class NumberedImpacts:
         return cls(np.empty(0, np.int64), np.empty((0, 2), np.int64), np.empty(0))
 
     def nearest(self, pair: IntArray, time: float, within: float) -> int | None:
-        """Return the number of the impact of a pair that is nearest to a time in s; None if there is none near it."""
+        """Return the number of the impact of a pair nearest to a time (s); None without one near it."""
         rows = np.flatnonzero((self.pair == pair).all(axis=1) & (np.abs(self.time - time) <= within))
         return int(self.number[rows[np.argmin(np.abs(self.time[rows] - time))]]) if len(rows) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Parting:
-    """Where a run leaves the reference."""
+    """The divergence of a run from the reference."""
 
     time: float  # s, of the first sample that is too far away
-    impact: int | None  # the first with another outcome, by its number in carom's recording; 0 if none came before
+    impact: int | None  # number in carom's recording of the first impact with another outcome; 0: none
     between: str  # its names
     impact_time: float  # s, in the reference
-    laws: list[str]  # that were broken from that impact on
+    laws: list[str]  # violated from that impact on
 
 
 def parting_of(
@@ -80,7 +80,7 @@ def parting_of(
     names: Names,
     numbered: NumberedImpacts,
 ) -> Parting | None:
-    """Find where a run leaves a reference.
+    """Return the divergence of a run from a reference.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def parting_of(
     reference
         Its samples up to the horizon are compared.
     broken
-        Times in s and laws of the frames that broke one, in order.
+        Times (s) and laws of the frames that violate one, in order.
     dt
         s, the step of the run.
     names
@@ -100,7 +100,7 @@ def parting_of(
     Returns
     -------
     parting
-        None if the run stays with the reference.
+        None without a divergence.
     """
     best = reference.trajectory.until(reference.samples)
     apart, _ = reference.scale.apart(run.until(reference.samples), best)
@@ -127,11 +127,11 @@ def parting_of(
 def _first_other_outcome(
     run: Trajectory, reference: Reference, pairs: IntArray, times: FloatArray, before: int, dt: float
 ) -> int | None:
-    """Return the first of so many impacts whose outcome is another one in a run; None if there is none.
+    """Return the first of so many impacts with another outcome in a run; None without impacts.
 
-    The velocities of its bodies are compared at the last sample before their next impacts. If those follow so soon that
-    a soft contact may not have ended, the outcome of the next must differ, too. If no velocity differs, it is the last
-    impact: the run diverges because the impact was late, or in the flight after it.
+    The velocities of its bodies are compared at the last sample before their next impacts. If these follow before a
+    soft contact may have ended, their outcome must differ, too. If no velocity differs, return the last impact: the run
+    diverges by its delay, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]
@@ -158,7 +158,7 @@ def _last_before(samples: FloatArray, end: float, start: float) -> int | None:
 
 OWN_COLOUR = "#1b2a3a"
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")  # of the engines, in their order
-WIDEST = 3.0  # points, of the first line, or later ones would hide those that agree with them
+WIDEST = 3.0  # points, of the first line; later, thinner lines then do not hide earlier ones
 STYLES = ("-", "--", ":", "-.")  # of the settings of one engine, in their order
 MOST_IMPACTS = 40  # that are marked; more would fill the figure
 
@@ -210,7 +210,7 @@ def draw(check: Crosscheck, path: Path) -> None:
 
 
 def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[SettingResult]) -> None:
-    """Draw how far each run is from the reference; later lines are thinner, and earlier ones show behind them."""
+    """Draw the distance of each run from the reference; later lines are thinner, so that earlier ones stay visible."""
     units = check.scene.unit_system
     colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
     seen: dict[str, int] = {}
@@ -232,6 +232,6 @@ def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Sett
 
 
 def colours_of(engines: Iterable[str]) -> dict[str, str]:
-    """Return the colours of the runs of each engine, in the order in which they are named; carom has no name."""
+    """Return the colours of the engines by name, in order of first use; the name of carom is empty."""
     names = [name for name in dict.fromkeys(engines) if name]
     return {"": OWN_COLOUR} | {name: COLOURS[k % len(COLOURS)] for k, name in enumerate(names)}

@@ -26,9 +26,9 @@ from carom.lab.diff.divergence import (
     verdict,
 )
 
-# The first impact at which two recordings part.
+# The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # impacts of two bodies by which one run may have more than the other and still be matched
+MOST_SKIPPED = 1000  # largest difference of the numbers of impacts of a pair for which impacts are matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -46,14 +46,14 @@ class Impact:
 
 @dataclass(frozen=True, slots=True)
 class ImpactPair:
-    """One impact in both recordings; None in one of them if only the other has it."""
+    """An impact in both recordings; None in a recording that lacks it."""
 
     a: Impact | None
     b: Impact | None
 
     @property
     def time(self) -> float:
-        """When it happened first, in s."""
+        """The earlier of its two times, in s."""
         return min(impact.time for impact in (self.a, self.b) if impact is not None)
 
 
@@ -61,14 +61,14 @@ class ImpactPair:
 class ImpactDivergence:
     """The impacts of two recordings, compared one by one.
 
-    The impacts of the same two bodies are matched in their order; where one run has more of them, so that the times are
-    nearest.
+    Impacts of the same two bodies are matched in order; if one run has more of them, the match minimises the
+    differences of times.
     """
 
     counts: tuple[int, int] | None  # up to the last frame at a common time; None if there is no such frame
     compared: int  # impacts that both recorded
-    first: ImpactPair | None  # the first of them that is not the same
-    alone: ImpactPair | None  # the first impact of only one run, while the recording of the other is complete
+    first: ImpactPair | None  # the first of these that differs
+    alone: ImpactPair | None  # the first impact of only one run, where the other recording is complete
 
     @property
     def same(self) -> bool:
@@ -77,7 +77,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts that both recorded; None if one has none recorded.
+    """Compare the impacts in both recordings; None if one records no impacts.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple
 
 
 def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
-    """Return the rows of the impacts of each two ends, rising."""
+    """Return the rows of the impacts of each pair, rising."""
     if not len(ends):
         return {}
     keys, inverse = np.unique(ends, axis=0, return_inverse=True)
@@ -135,16 +135,16 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 
 
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
-    """Choose as many of the longer list of times as the shorter has, in order, with the least sum of differences.
+    """Match each time of the shorter list with one of the longer, in order, with the smallest sum of differences.
 
-    Dynamic programming over how many of the longer are skipped so far. Beyond `MOST_SKIPPED`, the last are left out.
+    This is dynamic programming over the number of skipped times. Beyond `MOST_SKIPPED`, the last times are left out.
     """
     skips = min(len(long) - len(short), MOST_SKIPPED)
     if skips == 0:
         return np.arange(len(short))
     cost, taken = np.zeros(skips + 1), np.empty((len(short), skips + 1), np.int64)
     for k, time in enumerate(short):
-        best = np.minimum.accumulate(cost)  # to have skipped no more than so many before
+        best = np.minimum.accumulate(cost)  # lowest cost with at most so many skipped before
         first = np.maximum.accumulate(np.where(cost == best, np.arange(skips + 1), 0))
         taken[k] = first
         cost = best + np.abs(long[k : k + skips + 1] - time)
@@ -163,13 +163,13 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact that only one run has, in the time that both show; None if there is none for certain."""
+    """Return the first impact that certainly only one run has, in the common time; None if there is none."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []
     for own, other in ((0, 1), (1, 0)):
         if int(tables[other].schema.metadata[b"left_out"]):
-            continue  # it may have happened, and not been recorded
+            continue  # it may have happened without being recorded
         inside = (times[own] > begin) & (times[own] <= end)
         inside[rows[own]] = False
         if inside.any():
@@ -179,14 +179,14 @@ def _alone(
 
 
 def _times_differ(a: Recording, b: Recording, one: FloatArray, other: FloatArray) -> BoolArray:
-    """Compare times, which are recorded in whole units: nanoseconds, scaled."""
+    """Return whether times differ by more than the unit of the timeline, scaled nanoseconds."""
     units = [1e-9 * float(recording.info["time_scale"]) for recording in (a, b)]
     rounding = 0.0 if units[0] == units[1] else max(units)
     return np.asarray(np.abs(one - other) > rounding)
 
 
 def _counts(a: Recording, b: Recording) -> tuple[int, int] | None:
-    """Count all impacts, recorded or not, up to the last frame of one that ends where a frame of the other does."""
+    """Count all impacts, recorded or not, up to the last frame with the same time in both."""
     frames = [recording.fingerprints() for recording in (a, b)]
     times = [table["time"].to_numpy() for table in frames]
     end = min(time[-1] for time in times) * (1.0 + SAME_TIME)
@@ -214,8 +214,8 @@ class Diff:
     """Two recordings compared."""
 
     paths: tuple[Path, Path]
-    scene: dict[str, tuple[Any, Any]]  # keys that differ; None if one is not written
-    defaults: dict[str, Any]  # of the keys that one scene does not write
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
+    defaults: dict[str, Any]  # of keys that one scene leaves out
     environment: dict[str, tuple[Any, Any]]  # differences of versions, machine, command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
@@ -223,13 +223,13 @@ class Diff:
     divergence: Divergence | None
     verdict: DiffVerdict
     impacts: ImpactDivergence | None  # None if one has none recorded
-    engines: tuple[str, str] = ("", "")  # that the runs were recorded from; empty for carom's own
+    engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
 
     @property
     def same(self) -> bool:
-        """Whether all common frames are identical to the bit, and so are the impacts of both.
+        """Whether all common frames and impacts have the same bits.
 
-        In a comparison with another engine, whose bits differ from carom's, whether no difference was measured.
+        In a comparison with another engine, whose bits always differ, whether no difference was measured.
         """
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 
@@ -237,8 +237,8 @@ class Diff:
 def diff(a: Recording, b: Recording) -> Diff:
     """Compare two recordings.
 
-    Frames are matched by step if both have the same times, otherwise by time; then positions and energies of the second
-    are interpolated linearly between its frames.
+    Frames are matched by step if both have the same times, otherwise by time, with positions and energies of the second
+    interpolated linearly.
 
     Raises
     ------
@@ -253,7 +253,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     divergence = divergence_of(curve)
     engines, environment = (a.engine, b.engine), differing(a.properties, b.properties)
     written = {} if any(engines) else differing(_scene(a), _scene(b))
-    if any(engines):  # of which neither the scene nor how it was run is known
+    if any(engines):  # whose scene and environment are unknown
         environment = {key: values for key, values in environment.items() if None not in values and key != "engine"}
     same = _written_otherwise(a, b, written)
     scene = {key: values for key, values in written.items() if key not in same}
@@ -324,7 +324,7 @@ def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any
 
 
 def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> set[str]:
-    """Return the keys with the same value, written with a unit in one scene and without, or another, in the other."""
+    """Return the keys with the same value, but written with different units."""
     both = {key: values for key, values in differing.items() if None not in values}
     with_unit = [key for key, values in both.items() if any(isinstance(value, str) for value in values)]
     if not with_unit:

@@ -1,4 +1,4 @@
-"""`carom diff`: where and how two recordings part."""
+"""`carom diff`: where and how two recordings differ."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
 
 
 def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Say where the impacts part, and by how much."""
+    """Describe where the impacts differ, and by how much."""
     if found is None:
         yield "not compared, not recorded in both"
         return
@@ -185,7 +185,7 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
 
 
 def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
-    """Name an impact by its numbers in both runs, and say how it differs."""
+    """Describe an impact: its numbers in both runs, and the difference."""
     a, b = pair.a, pair.b
     one = a or b
     assert one is not None, "one of both has it"
@@ -197,7 +197,7 @@ def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
 
 
 def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
-    """Give the differences of an impact, B - A, as far as there are any."""
+    """List the differences of an impact, B - A."""
     differences = (
         (b.time - a.time, TIME, "time"),
         (b.approach_speed - a.approach_speed, VELOCITY, "approach speed"),

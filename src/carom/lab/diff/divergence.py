@@ -1,7 +1,7 @@
 """The growth of a difference between two runs, and its cause.
 
 Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A difference with another
-cause, a bug or a different scene, is larger than round-off can have grown to by then, or grows as a power of time.
+cause, such as a bug or a different scene, exceeds the bound of grown round-off or grows as a power of time.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
 _POINTS, _FACTOR = 5, 10.0  # least number of frames, and least growth, to which a rate is fitted
 _ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
-_GRAZING = 1000.0  # a grazing impact stretches a difference by mean free path over radius at once
+_GRAZING = 1000.0  # a grazing impact multiplies a difference by mean free path over radius at once
 _SURE = 3.0  # standard errors by which a rate must differ from 0
 
 
@@ -31,16 +31,16 @@ class DistanceCurve:
     step: IntArray  # (k,)
     time: FloatArray  # (k,) s
     rms: FloatArray  # (k,) m, of the distances between counterparts
-    floor: FloatArray  # (k,) m; a smaller difference may be the rounding of recorded positions
+    floor: FloatArray  # (k,) m; a smaller difference may be rounding of recorded positions
     energy: FloatArray  # (k,) J, second minus first
     differs: BoolArray  # (k,) whether the fingerprints differ, or else the positions
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
-    of_bits: bool = True  # whether fingerprints were compared; of another engine those have other columns
+    of_bits: bool = True  # whether fingerprints were compared; those of other engines are not comparable
 
     @property
     def seen(self) -> BoolArray:
-        """Which frames show a difference: other bits, and more than rounding explains, (k,)."""
+        """Mask of the frames with different bits and a difference beyond rounding, (k,)."""
         return self.differs & (self.rms > self.floor)
 
 
@@ -67,7 +67,7 @@ class DiffVerdict:
     text: str
     first: int | None  # the frame (index) at which the bits differ first
     jump: float  # m, difference at that frame; 0 if it is below the resolution
-    allowed: float  # m, largest difference that round-off could have caused
+    allowed: float  # m, bound of the difference that round-off can cause
 
 
 def divergence_of(curve: DistanceCurve) -> Divergence | None:
@@ -94,14 +94,14 @@ def divergence_of(curve: DistanceCurve) -> Divergence | None:
 
 
 def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem = SI) -> DiffVerdict:
-    """Decide whether a difference is grown round-off or a bug."""
+    """Return whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
         alike = "same bits" if curve.of_bits else "no difference that the recordings resolve"
         return DiffVerdict("same", f"{alike} in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
-    # bound the size (m) to which round-off can have grown since the last identical frame
+    # bound the growth (m) of round-off since the last identical frame
     before = max(0, first - 1)
     steps = max(1, int(curve.step[first] - curve.step[before]))
     rate = divergence.rate if divergence is not None and divergence.is_exponential else 0.0
@@ -167,15 +167,15 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
 
 # `FrameAlignment`: the common frames of two recordings, and the distances of the bodies in each.
 SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
-_GAPS_AT_THE_END = 2.0  # times the largest gap between common frames: one run may be recorded at two intervals
+_GAPS_AT_THE_END = 2.0  # times the largest gap between common frames, since one run may have two recording intervals
 _UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 class FrameAlignment:
-    """Frames matched by step if steps of the same number are at the same times up to the end, otherwise by time.
+    """Frames matched by step if equal steps have equal times up to the end, otherwise by time.
 
-    By time, the second one is interpolated linearly between its frames where it has none at the same time.
+    Matching by time interpolates the second recording linearly between its frames.
 
     Raises
     ------
@@ -204,9 +204,9 @@ class FrameAlignment:
         self._first, self._second = first, second
 
     def _reaches_the_end(self, common: IntArray) -> bool:
-        """Return whether frames of the first recording go on to the last time that both have.
+        """Return whether the common frames reach the last common time.
 
-        Runs with other steps may have the same number at the start only, or by chance.
+        In runs with other steps, equal numbers with equal times may occur only at the start, or by chance.
         """
         if len(common) == 0:
             return False
@@ -252,7 +252,7 @@ class FrameAlignment:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return the frame of the first recording, that of the second, and the fraction of the way to the latter."""
+        """Return the frame of the first recording, that of the second, and the fraction of the interval before it."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:
@@ -269,8 +269,8 @@ class FrameAlignment:
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
 
-        Frames need not be equally spaced. Of the accelerations with the frame before and the one after, twice the
-        larger counts, because three frames understate how strongly an orbit bends between them.
+        Frames need not be equally spaced. The bound is twice the larger of the accelerations at both ends, because
+        three frames understate the curvature of an orbit between them.
         """
         time, largest = self._b.time, 0.0
         h = time[j] - time[j - 1]
@@ -309,12 +309,12 @@ class _Frames:
         self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
 
     def energy(self, frame: int) -> float:
-        """Total energy in J; NaN where that piece of the recording is missing."""
+        """Total energy (J); NaN where it is missing from the recording."""
         return float(self._energy.get(self.step[frame], np.nan))
 
 
 def _rounding(drawn: FloatArray) -> float:
-    """Bound the rms rounding of positions in single precision (m); 0 where one is no number."""
+    """Return a bound of the rms rounding of positions in single precision (m); 0 for positions with NaN."""
     rms = _rms(drawn)
     return 0.5 * _SINGLE * rms if np.isfinite(rms) else 0.0
 

@@ -1,7 +1,7 @@
 """Box3D through robox3d: rigid bodies with soft contact constraints and substeps, in single precision.
 
-Box3D has no planes. A plane becomes the face of a static box as wide as the bodies can travel. Of two coefficients of
-restitution Box3D takes the larger, and of two of friction the geometric mean.
+Box3D has no planes. A plane becomes the face of a static box as wide as the bodies can travel. Box3D combines
+restitution by the maximum and friction by the geometric mean.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from carom.record import Plane
 from carom.record import box3d as source_of
 
 PACKAGE = "robox3d"
-SUBSTEPS = 4  # the default, in a step
+SUBSTEPS = 4  # in a step, the default
 
 
 class Box3D(SteppedEngine):
@@ -47,7 +47,7 @@ class Box3D(SteppedEngine):
         )
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently."""
+        """Describe the differences of the translated scene."""
         found = [f"single precision, {SUBSTEPS} substeps"]
         return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
 

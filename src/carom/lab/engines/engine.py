@@ -1,4 +1,4 @@
-"""What another engine must do to be compared with carom on a scene."""
+"""`Engine`: the interface of an engine that is compared with carom."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ class Engine(Protocol):
         """The name in ``--engine`` and in names of settings."""
 
     def ensure_installed(self) -> None:
-        """Raise ExperimentError with the line that installs the engine, if it is not there."""
+        """Raise ExperimentError, with the command that installs the engine, if it is missing."""
 
     def check(self, scene: Scene) -> None:
-        """Raise ExperimentError if the engine cannot represent a scene; the message says what it lacks."""
+        """Raise ExperimentError if the engine cannot represent a scene; the message names the missing feature."""
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently, a clause each."""
+        """Describe each difference of the translated scene in a clause."""
 
     def examined(self, scene: Scene) -> list[Setting]:
         """Return the few settings for `carom crosscheck`."""
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
-        """Build a scene at its start, to be taken step by step."""
+        """Build a scene at its start, to be advanced step by step."""
 
     def settings(self, scene: Scene) -> list[Setting]:
         """Return the engine's settings that are worth comparing on a scene.
@@ -42,7 +42,7 @@ class Engine(Protocol):
         Raises
         ------
         ExperimentError
-            If the engine is not installed, or cannot represent the scene; the message says what it lacks.
+            If the engine is not installed, or cannot represent the scene; the message names the missing feature.
         """
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
@@ -82,7 +82,7 @@ def engine_called(name: str) -> Engine:
 
 
 def engines_called(names: Iterable[str]) -> list[Engine]:
-    """Return engines by their names, several of which may stand in one text, separated by commas; each once.
+    """Return engines by their names, each once; a text may hold several names, separated by commas.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """MuJoCo: rigid bodies with soft contacts.
 
-MuJoCo has no coefficient of restitution. A contact is a damped spring, whose stiffness and damping are chosen so that
-two bodies bounce with the scene's coefficient and a bounce takes `BOUNCE` steps.
+MuJoCo has no coefficient of restitution. A contact is a damped spring. Its stiffness and damping follow from the
+scene's coefficient of restitution and a bounce of `BOUNCE` steps.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class MuJoCo(SteppedEngine):
         problem_of(self.name, scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently."""
+        """Describe the differences of the translated scene."""
         found = [f"contacts are springs that bounce in {BOUNCE:g} steps"]
         return found + (["one coefficient of friction, the kinetic"] if _has_friction(scene) else [])
 
@@ -81,7 +81,7 @@ class MuJoCo(SteppedEngine):
 
 
 class _InOrder:
-    """A source with its bodies in the order of the scene; MuJoCo has fixed bodies at the end, without names.
+    """A source with its bodies in the order of the scene; MuJoCo puts fixed bodies at the end, without names.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class _InOrder:
 
 
 def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
-    """Give a shape its friction, and the spring that bounces as the coefficient of restitution says."""
+    """Set the friction of a shape, and the spring that reproduces the coefficient of restitution."""
     # x'' + 2 ζ ω x' + ω² x = 0 bounces with e = exp(-π ζ / √(1 - ζ²)) after the time π / (ω √(1 - ζ²))
     if law.restitution > 0.0:
         logarithm = math.log(law.restitution)
@@ -121,7 +121,7 @@ def _set_law(geom: Any, law: Coefficients, dt: float) -> None:
 
 
 def _turn(normal: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
-    """Return the quaternion, wxyz, that turns z into a normal."""
+    """Return the quaternion, wxyz, that rotates z into a normal."""
     w, axis = 1.0 + normal[2], np.cross([0.0, 0.0, 1.0], normal)
     if w < 1e-12:
         return [0.0, 1.0, 0.0, 0.0]

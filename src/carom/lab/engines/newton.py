@@ -1,7 +1,7 @@
 """Newton: rigid bodies by extended position-based dynamics (XPBD), on the processor, in single precision.
 
-Of two coefficients, of restitution or of friction, Newton takes the mean. Bodies get the scene's, and a plane what
-makes the mean its own. A contact moves bodies only once they overlap.
+Newton combines coefficients of restitution and friction by the mean. Bodies get the coefficients of the scene; a plane
+gets the values for which the mean equals its own coefficients. A contact moves bodies only once they overlap.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ class Newton(SteppedEngine):
         problem_of(self.name, scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently."""
+        """Describe the differences of the translated scene."""
         found = [f"single precision, XPBD with {ITERATIONS} iterations"]
         return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError if Newton is not installed; keep Warp from reporting what it loads."""
-        with suppress(RecordingError):  # Newton needs it, and is named below
+        with suppress(RecordingError):  # without Warp there is no Newton, which is reported below
             warp = engine_package("warp", "warp-lang")
             warp.config.log_level = warp.LOG_ERROR
         super().ensure_installed()
@@ -90,7 +90,7 @@ class Newton(SteppedEngine):
 
 @cache
 def _compile() -> None:
-    """Take a step, for which Warp compiles its kernels: half a minute, once on a machine, and no part of a run."""
+    """Take a step, so that Warp compiles its kernels before the run: half a minute, once on a machine."""
     ball = {"mass": 1.0, "radius": 0.5}
     bodies = [ball | {"position": [0.0, 0.0, height]} for height in (0.5, 1.5)]
     plane = {"normal": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0]}

@@ -1,7 +1,7 @@
 """PyBullet: rigid bodies with impulses and one coefficient of friction, in double precision.
 
-PyBullet multiplies the coefficients of two bodies. Bodies therefore get the square root of the scene's, and a plane
-what makes the product its own. The damping that PyBullet has by default is switched off.
+PyBullet multiplies the coefficients of two bodies. Bodies therefore get the square root of the scene's coefficients,
+and a plane the values for which the product equals its own. The damping that PyBullet has by default is switched off.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class PyBullet(SteppedEngine):
         refuse(self.name, {what.format("bounces"): bounces, what.format("rubs"): rubs})
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently."""
+        """Describe the differences of the translated scene."""
         return ["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:

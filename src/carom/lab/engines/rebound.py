@@ -1,4 +1,4 @@
-"""REBOUND: bodies that pull each other, or smooth hard spheres. An optional package, under the GPL.
+"""REBOUND: bodies that attract each other, or smooth hard spheres. An optional package, under the GPL.
 
 Every integrator that can run the scene is compared: IAS15, which controls its error, and those with a constant step at
 several steps. The symplectic maps for one dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the
@@ -37,10 +37,10 @@ from carom.record import rebound as record
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
-OLDEST = 5  # major version; earlier ones name the settings of integrators otherwise
+OLDEST = 5  # major version; earlier ones have other names for settings of integrators
 ANY = ("leapfrog",)  # with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
-UNSYNCHRONISED = ("whfast", "mercurius")  # unless asked to end every step with a state that can be read
+UNSYNCHRONISED = ("whfast", "mercurius")  # unless every step is requested to end with a readable state
 TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
 SEED = 1  # of the order of impacts in one step, which REBOUND draws; its own seed is the clock
 PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
@@ -84,11 +84,11 @@ class Rebound:
         _refuse(scene)
 
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently."""
+        """Describe the differences of the translated scene."""
         return ["hard spheres that bounce at the end of a step"] if require(scene).contact.modelled else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
-        """Build a scene at its start, to be taken step by step."""
+        """Build a scene at its start, to be advanced step by step."""
         simulation = _simulation(scene, setting, safe=True)
         start = place(scene)
         order = np.argsort(_heaviest_first(start.mass))
@@ -96,7 +96,7 @@ class Rebound:
         return EngineSimulation(_InOrder(record(simulation), order, start.name), lambda: simulation.steps(1), dt)
 
     def follow(self, scene: Scene, setting: Setting, times: FloatArray, limit: float = math.inf) -> Trajectory:
-        """Run a scene and sample it; a copy of the simulation goes from the end of a step back to each time."""
+        """Run a scene and sample it; a copy of the simulation integrates back from the end of a step to each time."""
         if self.samples_steps(scene):
             return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
         simulation = _simulation(scene, setting, safe=True)
@@ -109,7 +109,7 @@ class Rebound:
             if spent > limit:
                 reached = scene.unit_system.text(simulation.t, TIME)
                 raise RunStoppedError(simulation.steps_done, spent, reached, by_limit=True)
-            if simulation.t < moment:  # or it would step back
+            if simulation.t < moment:  # otherwise it would step back
                 simulation.integrate(moment, exact_finish_time=0)
             sample = simulation.copy()
             sample.integrate(moment, exact_finish_time=1)
@@ -171,7 +171,7 @@ def shortest_period(scene: Scene) -> float:
 
 
 def _refuse(scene: Scene) -> None:
-    """Refuse a scene that has more than smooth spheres that pull and strike each other."""
+    """Refuse a scene with anything but smooth spheres that attract each other and collide."""
     parts, start, force = require(scene), place(scene), further(scene)
     lacks = {
         "friction (contact.static_friction = 0 and contact.kinetic_friction = 0 leave it out)": parts.contact.modelled
@@ -201,7 +201,7 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
     Parameters
     ----------
     safe
-        Whether every step ends with a state that can be read, which symplectic maps do not need in between.
+        Whether every step ends with a readable state, which symplectic maps do not need between outputs.
     """
     rebound, start, keys = _package(), place(scene), dict(key.split("=") for key in setting.overrides)
     simulation = rebound.Simulation()

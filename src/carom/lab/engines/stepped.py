@@ -55,13 +55,13 @@ class Problem:
 
     @property
     def reach(self) -> float:
-        """How far in m a plane must go on, for bodies that keep the largest speed for the whole run."""
+        """Extent (m) of a plane, for bodies that keep the largest speed for the whole run."""
         speed = float(np.linalg.norm(self.start.velocity, axis=1).max())
         fall = 0.5 * float(np.linalg.norm(self.field)) * self.duration**2
         return 10.0 * (self.extent + speed * self.duration + fall)
 
     def named(self, model: Model) -> Model:
-        """Return the model of an engine that has no names, with the names of the scene's bodies and planes."""
+        """Return the model of an engine without names, with the names of the scene's bodies and planes."""
         named = zip(model.planes, self.planes.name, strict=True)
         return replace(model, names=self.start.name, planes=[plane._replace(name=name) for plane, name in named])
 
@@ -72,7 +72,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     Raises
     ------
     ExperimentError
-        If the scene has what such engines lack; the message names each part.
+        If the scene has parts that such engines lack; the message names each.
     """
     parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
@@ -107,7 +107,7 @@ def refuse(engine: str, lacks: dict[str, bool]) -> None:
         raise ExperimentError(f"{engine} cannot represent this scene: {', '.join(found)}")
 
 
-FINER = (1.0, 4.0)  # the scene's step over those that are compared
+FINER = (1.0, 4.0)  # the scene's step over the compared steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,10 +136,10 @@ class SteppedEngine(ABC):
 
     @abstractmethod
     def notes(self, scene: Scene) -> list[str]:
-        """Describe what is translated differently, a clause each."""
+        """Describe each difference of the translated scene in a clause."""
 
     def ensure_installed(self) -> None:
-        """Raise ExperimentError if the engine is not installed; the message has the line that installs it."""
+        """Raise ExperimentError, with the command that installs the engine, if it is missing."""
         try:
             engine_package(self.package, self.distribution)
         except RecordingError as error:
@@ -169,7 +169,7 @@ class SteppedEngine(ABC):
         return True
 
     def run(self, scene: Scene, setting: Setting) -> float:
-        """Run a scene, and read no state; return the time it took in s."""
+        """Run a scene without reading its state; return the time (s)."""
         simulation = self.begin(scene, setting)
         count, step = steps_of(scene, simulation.dt), simulation.step
         began = time.perf_counter()

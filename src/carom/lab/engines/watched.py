@@ -1,4 +1,4 @@
-"""Follows another engine through a scene: its trajectory, its extremes, the laws that it breaks, and a recording."""
+"""Runs a scene in another engine and collects its trajectory, its extremes, violated laws, and a recording."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from carom.record import Fault, State, Tolerances
 if TYPE_CHECKING:
     from carom.lab.engines.stepped import EngineSimulation
 
-ROUNDING = 1e-9  # of the duration, that the sum of the steps may lack
+ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # steps that are examined, where nothing can touch
-FRAMES = 600  # of a recording, besides those in which a law is broken
+MOST_SEEN = 20_000  # examined steps, where nothing can touch
+FRAMES = 600  # of a recording, besides frames that violate a law
 
 
 @dataclass(frozen=True, slots=True)
 class Watched:
     """Observations of an engine's run."""
 
-    outcome: str  # "completed", or why the run ended
+    outcome: str  # "completed", or the reason for an early end
     dt: float  # s, of the steps
     trajectory: Trajectory
     extremes: Extremes
     faults: list[Fault]  # the first of each law, in order of time
     counts: dict[str, int]  # frames that broke each law
-    broken: list[tuple[float, str]]  # s and law, of every such frame
+    broken: list[tuple[float, str]]  # time (s) and law of every such frame
 
 
 def watch(
@@ -54,7 +54,7 @@ def watch(
     times
         (K,) s, at which it is sampled.
     path
-        The ``.rrd`` to write, in place of an earlier one, if any.
+        The ``.rrd`` to write; an existing file is replaced.
     limit
         s of CPU time, after which the run is stopped.
 
@@ -87,7 +87,7 @@ def watch(
 
 
 class _Walk:
-    """Runs a simulation from its start to the end of its scene, and examines it on the way."""
+    """Runs a simulation from its start to the end of its scene, and examines its steps."""
 
     def __init__(self, simulation: EngineSimulation, scene: Scene, observer: Observer, samples: _Samples) -> None:
         self.observer = observer
@@ -100,7 +100,7 @@ class _Walk:
         self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
 
     def run(self, first: State, log: _Log | None, limit: float) -> str:
-        """Go on until the scene ends, the state is not finite, or so many s of CPU time are spent; say which."""
+        """Run until the scene ends, the state is not finite, or so many s of CPU time are spent; return which."""
         units, began = self._scene.unit_system, clock()
         self.frame = self.observer.frame(0, _copied(first))
         if log is not None:
@@ -120,10 +120,10 @@ class _Walk:
         return COMPLETED
 
     def trajectory(self, times: FloatArray) -> Trajectory:
-        """Return what was sampled, and the extremes so far."""
+        """Return the samples, and the extremes so far."""
         extremes, samples, count = self.observer.extremes, self._samples, len(self._samples.position)
         n, collides = len(self.observer.setup), self.observer.setup.collides
-        # of what changes in contact, nothing says what the contacts took and what is an error
+        # for changes in contact, the work of contacts and errors cannot be separated
         touched = extremes.total_contacts + extremes.impacts > 0 or self.frame.energy.ledger.restitution != 0.0
         return Trajectory(
             time=times[:count],
@@ -143,7 +143,7 @@ class _Walk:
         )
 
     def _advance(self) -> str:
-        """Advance to the next examined step and examine it; return why the run cannot go on, or nothing."""
+        """Advance to the next examined step and examine it; return why the run cannot continue, or an empty text."""
         dt = self._simulation.dt
         left = math.ceil((self._scene.time.duration - self.frame.time) / dt * (1.0 - ROUNDING)) if dt else 1
         for _ in range(min(self._stride, left)):
@@ -154,7 +154,7 @@ class _Walk:
         if fault is not None:
             self.observer.audit.note(fault)
             return fault.text
-        if state.time < self.frame.time:  # as MuJoCo's does, which begins anew when it becomes unstable
+        if state.time < self.frame.time:  # as in MuJoCo, which restarts when it becomes unstable
             units = self._scene.unit_system
             back = units.text(state.time, TIME, "g")
             return f"the engine's time went back from {units.text(self.frame.time, TIME, 'g')} to {back}."
@@ -166,7 +166,7 @@ class _Walk:
 
 
 class _Log:
-    """The recording of a run: `FRAMES` of its frames, and those in which a law is broken."""
+    """The recording of a run: `FRAMES` of its frames, and those that violate a law."""
 
     def __init__(self, stack: ExitStack, path: Path, scene: Scene, observer: Observer) -> None:
         self._scene, self._due = scene, 0.0  # s, of the next recorded frame

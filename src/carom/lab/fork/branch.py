@@ -1,4 +1,4 @@
-"""`Branch`: a recording to fork, the moment, and the parameters from there on; run here or on workers."""
+"""`Branch`: a recording to fork, the time of the fork, and the new parameters; it runs here or on workers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _STATE = {"domain": "the places of the bodies belong to it", "sweep": "one fork 
 
 @dataclass(frozen=True, slots=True)
 class Branch:
-    """What a worker needs to go on from a moment of a recording."""
+    """The data with which a worker continues a recording from a given time."""
 
     path: Path
     at: float  # s
@@ -45,7 +45,7 @@ class Branch:
 
 @dataclass(frozen=True, slots=True)
 class ForkStart:
-    """The state at which a branch begins, and the scene from there on."""
+    """The initial state and the scene of a branch."""
 
     recording: Recording
     scene: Scene
@@ -67,7 +67,7 @@ class ForkStart:
         checkpoint = self.checkpoint if shift is None else _shifted(self.checkpoint, shift, ulps)
         records = self.recording.records_contacts
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
-        begun = space.frame().checkpoint  # what the forces of the new parameters are in this state
+        begun = space.frame().checkpoint  # with the forces of the new parameters in this state
         space.restore(
             replace(checkpoint, acceleration=begun.acceleration, energy=begun.energy, books=begun.books)
             if checkpoint.step
@@ -77,7 +77,7 @@ class ForkStart:
 
 
 def start_of(branch: Branch) -> ForkStart:
-    """Return the state at the end of the step that the moment of a branch is in.
+    """Return the state at the end of the step that contains the time of the fork.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def start_of(branch: Branch) -> ForkStart:
 
 
 def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoint:
-    """Run the steps from the last checkpoint before a time (s) again, up to the step that it is in."""
+    """Run again from the last checkpoint before a time (s), up to the step that contains it."""
     checkpoint = checkpoint_before(recording, time)
     goal = time - tolerance(time)
     if checkpoint.time >= goal:
@@ -117,7 +117,7 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
 
 
 def _refuse_state(overrides: tuple[str, ...]) -> None:
-    """Refuse overrides of keys that only say how the run began, or in what it lives."""
+    """Refuse overrides of keys that only set the initial state, or the domain."""
     for override in overrides:
         key = override.partition("=")[0].strip()
         section = key.partition(".")[0]
@@ -162,20 +162,20 @@ def _shifted(checkpoint: Checkpoint, seed: int, ulps: int) -> Checkpoint:
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
-_MOMENTS = "moments."  # the summary has these once something has happened
+_MOMENTS = "moments."  # keys of the summary that exist once something has happened
 
 
 @dataclass(frozen=True, slots=True)
 class BranchPath:
-    """Positions at multiples of an interval and at the end, and whether an outcome came about."""
+    """Positions at multiples of an interval and at the end, and whether an outcome occurred."""
 
     time: FloatArray  # (k,) s
     position: FloatArray  # (k, n, 3) m
-    outcome: bool | None  # None if none is asked for
+    outcome: bool | None  # None if none is requested
 
 
 def interval_of(start: ForkStart) -> float:
-    """Return the interval in s at which branches are compared: that of the frames, or longer if these are many."""
+    """Return the interval (s) at which branches are compared: that of the frames, or longer for many frames."""
     return float(
         max(auto.frame_interval(start.scene), (start.scene.time.duration - start.checkpoint.time) / MOST_FRAMES)
     )
@@ -187,7 +187,7 @@ def path_of(
     """Run a branch to its end.
 
     Frames come at the first step at or after each multiple, and at the end. Bodies are moved back along their
-    velocities to the exact multiple, because branches may take other steps.
+    velocities to the exact multiple, because steps differ between branches.
     """
     interval = interval_of(start)
     space = start.space(threads, shift, ulps)
@@ -199,7 +199,7 @@ def path_of(
         if outcome is not None:
             seen.see(frame)
         reached = int(np.searchsorted(time, frame.time * (1.0 + _MULTIPLE), side="right"))
-        for row in range(filled, reached):  # more than one where steps are longer
+        for row in range(filled, reached):  # several in longer steps
             position[row] = frame.position - frame.velocity * (frame.time - time[row])
         filled = max(filled, reached)
     came = None
@@ -213,12 +213,12 @@ def path_of(
 
 
 def outcome_of(start: ForkStart, text: str) -> Expression:
-    """Read an outcome, before branches are run for it.
+    """Parse an outcome before any branch is run.
 
     Raises
     ------
     ExperimentError
-        If it cannot be read, or names what no branch will have.
+        If it cannot be parsed, or uses a name that no branch will have.
     """
     outcome, space = Expression(text, OPTION), start.space()
     summary = _summary(outcome, space, Observation(space, space.status.energy.total, 0, [], Touches(space)))
@@ -233,7 +233,7 @@ def _summary(outcome: Expression, space: Space, seen: Observation) -> dict[str, 
 
 
 def _explained(outcome: Expression, name: str, summary: Mapping[str, Any], bodies: int) -> str:
-    """Say that an outcome names no such number, or no such body."""
+    """Return the message about an unknown name or body in an outcome."""
     if re.fullmatch(r"([xyz]|speed)_\d+", name):
         body = name.partition("_")[2]
         return f"{OPTION} {outcome.text}: there is no body {body} for {name}; the last is {bodies - 1}"
@@ -248,7 +248,7 @@ def _times(origin: float, end: float, interval: float) -> FloatArray:
 
 
 def _of_bodies(outcome: Expression, position: FloatArray, velocity: FloatArray) -> dict[str, float]:
-    """Return what an outcome asks of single bodies: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s."""
+    """Return the values of single bodies for an outcome: coordinates such as ``x_3`` in m, and ``speed_3`` in m/s."""
     found: dict[str, float] = {}
     for name in outcome.names:
         what, _, number = name.partition("_")
@@ -285,7 +285,7 @@ class PerturbedResult:
 
 
 def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[PerturbedResult]:
-    """Yield results as they come; what has not begun when the caller stops is dropped.
+    """Yield results as they come; waiting tasks are dropped when the caller stops.
 
     The bits do not depend on how many workers there are.
 
@@ -306,7 +306,7 @@ def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[Per
 
 
 def by_seed(results: Iterable[PerturbedResult]) -> Iterator[PerturbedResult]:
-    """Yield results in the order of their seeds, from 1 on, so that a test of them does not depend on the workers."""
+    """Yield results in the order of their seeds, from 1, so that a test does not depend on the workers."""
     waiting: dict[int, PerturbedResult] = {}
     seed = 1
     for result in results:
@@ -325,7 +325,7 @@ def execute(task: PerturbedTask) -> PerturbedResult:
 
 
 def apart(a: FloatArray, b: FloatArray, start: ForkStart) -> FloatArray:
-    """Return the distances of counterparts, (k, n) m, through the boundary of a periodic box where that is nearer."""
+    """Return the distances of counterparts, (k, n) m, between nearest images in a periodic box."""
     off = a - b
     if start.scene.domain.boundary == "periodic":
         box = np.asarray(start.scene.domain.size, dtype=np.float64)

@@ -29,12 +29,12 @@ from carom.lab.run_summary import Expression
 from carom.private_folder import temporary_folder
 
 # The probability of an outcome over the time of the fork.
-_Z = 1.96  # standard deviations of a normal distribution, of which 95 % are nearer
+_Z = 1.96  # standard deviations that contain 95 % of a normal distribution
 
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """How many forks at a time have an outcome."""
+    """Number of forks at a time, and of those with an outcome."""
 
     time: float  # s, of the fork
     hits: int
@@ -42,7 +42,7 @@ class Chance:
 
     @property
     def probability(self) -> float:
-        """The part of the forks that have it."""
+        """The fraction of forks with the outcome."""
         return self.hits / self.forks
 
     @property
@@ -55,9 +55,9 @@ class Chance:
 
 
 def chances(draw: Draw, begin: float, end: float, count: int, last_step: float = math.inf) -> Iterator[Chance]:
-    """Fork at equal distances after a time (s) and before the end; ``count`` is that of the intervals.
+    """Fork at equal distances after a time (s) and before the end, with ``count`` intervals.
 
-    A fork begins at the end of a step, so none begins after ``last_step``, where the last one does (s).
+    A fork begins at the end of a step, so none begins after ``last_step``, the beginning (s) of the last step.
     """
     for k in range(1, count):
         time = begin + (end - begin) * k / count
@@ -70,7 +70,7 @@ def chances(draw: Draw, begin: float, end: float, count: int, last_step: float =
 SURE, UNSURE, ERROR = 0.99, 0.9, 0.05
 ROUNDS = 8  # of the bisection: the interval shrinks to 1/256
 
-Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → whether forks have the outcome, one after another
+Draw = Callable[[float], Iterator[bool]]  # time of the fork in s → the outcomes of its forks
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,16 +85,16 @@ class Tested:
 
 @dataclass(slots=True)
 class Inevitable:
-    """When an outcome became inevitable."""
+    """The time from which an outcome was inevitable."""
 
-    earliest: float  # s, at which it was not, or the beginning
-    latest: float  # s, from which on it is
-    always: bool  # whether it was so from the beginning on
+    earliest: float  # s, the last time at which it was not, or the beginning
+    latest: float  # s, the first time at which it is
+    always: bool  # whether it was inevitable from the beginning
     tested: list[Tested] = field(default_factory=list)  # in order of time
 
 
 def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
-    """Find the moment between two times (s); at the end the outcome is known to come about."""
+    """Bisect for the time between two times (s), the later of which certainly has the outcome."""
     first = judge(draw, begin)
     found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
     for _ in range(0 if first.inevitable else rounds):
@@ -110,7 +110,7 @@ def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> In
 
 
 def judge(draw: Draw, time: float) -> Tested:
-    """Test whether the outcome of forks at a time (s) is all but certain."""
+    """Return whether the outcome of forks at a time (s) is almost certain."""
     upper = math.log((1.0 - ERROR) / ERROR)
     evidence, hits, forks = 0.0, 0, 0
     for came in draw(time):
@@ -129,7 +129,7 @@ BAND = (5.0, 50.0, 95.0)  # percentiles
 class Ensemble:
     """Distances of perturbed branches from the unperturbed one.
 
-    `spread` is the root of the mean square over all branches, so it shows which bodies can still be predicted.
+    `spread` is the root mean square over all branches, which shows the bodies that are still predictable.
     """
 
     time: FloatArray  # (k,) s
@@ -165,7 +165,7 @@ def ensemble(
     start
         The state at the fork.
     branch
-        The same, for workers.
+        The branch, for workers.
     seeds
         Number of branches.
     ulps
@@ -173,7 +173,7 @@ def ensemble(
     run
         Runs the branches.
     outcome
-        On the summary of each branch, from `outcome_of`.
+        Condition on the summary of each branch, from `outcome_of`.
     watch
         Called with the number of branches that are done.
     """
@@ -206,7 +206,7 @@ def ensemble(
 
 
 def _curve(reference: BranchPath, rms: FloatArray) -> DistanceCurve:
-    """Write distances as `carom diff` reads them."""
+    """Return distances in the form that `carom diff` analyses."""
     first = reference.position[0]
     off = first - first.mean(axis=0)
     reach = float(np.abs(reference.position[np.isfinite(reference.position)]).max())
@@ -224,7 +224,7 @@ def _curve(reference: BranchPath, rms: FloatArray) -> DistanceCurve:
 
 @dataclass(frozen=True, slots=True)
 class Fork:
-    """A branch compared with the recording that it left."""
+    """A branch compared with its recording."""
 
     outcome: Outcome
     diff: Diff
@@ -262,14 +262,14 @@ def fork(start: ForkStart, out: Path, shift: int | None, ulps: int, watch: Watch
 
 
 def ended_early(outcome: Outcome) -> str:
-    """Explain why a fork stopped before its end; return nothing if it did not, even if it missed a promise."""
+    """Return why a fork stopped before its end; empty if it completed, even with a missed promise."""
     if outcome.status in ("completed", "expectation missed"):
         return ""
     return f"The fork ended early, {in_words(outcome.status)}: {outcome.reason}."
 
 
 def text_of(start: ForkStart, found: Diff) -> str:
-    """Say when a branch left its recording, what is other in it, and how far they are apart in the last frame."""
+    """Describe a fork: its time, the changed keys, and the distance from the recording in the last frame."""
     changes = ", ".join(
         f"{key} = {_value(found, key, other)}, before {_value(found, key, one)}"
         for key, (one, other) in found.scene.items()
@@ -298,7 +298,7 @@ def _value(found: Diff, key: str, written: object) -> str:
 
 
 def write_ensemble(start: ForkStart, found: Ensemble, text: str, out: Path) -> None:
-    """Write an ensemble for the viewer. RecordingError if it cannot be written."""
+    """Write an ensemble for the viewer. Raises RecordingError if it cannot be written."""
     when = start.scene.unit_system.text(start.checkpoint.time, TIME)
     title = f"{start.recording.title}: {len(found.rms)} forks at t = {when}"
     rows = [(chance.time, chance.band[0], chance.probability, chance.band[1]) for chance in found.chances]

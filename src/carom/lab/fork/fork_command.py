@@ -1,4 +1,4 @@
-"""`carom fork`: goes on from a moment of a recording, under other parameters or from almost the same state."""
+"""`carom fork`: continues from a moment of a recording, under other parameters or from almost the same state."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[
 
 
 def _last_step(start: ForkStart) -> float:
-    """Return when the last step of the recording begins, in s."""
+    """Return the time (s) at which the last step of the recording begins."""
     steps = start.recording.steps("dt")
     return float(steps["time"][-1].as_py() - steps["dt"][-1].as_py())
 

@@ -1,8 +1,8 @@
 """Random scenes as documents: bodies about to meet, bodies that attract each other smoothly, pairs that meet once.
 
 Sizes, speeds and masses span decades, in units that are no powers of two, so that sums are rounded. Numbers come from
-coarse grids, which make ties, exact touches and exact zeros frequent: that is where mistakes are. They are drawn by a
-generator of random numbers or by a test library.
+coarse grids, so that ties, exact touches and exact zeros are frequent: they reveal mistakes. They come from a random
+number generator or from a test library.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from carom.arrays import FloatArray
 
 Value = TypeVar("Value")
 
-# Vectors of quarters up to 1 in each direction, the simplest first. One draw each: three would take most of the time.
+# Vectors of multiples of 1/4 up to 1, the simplest first. Each is a single draw: three draws would take most of the
+# time.
 QUARTERS = np.array(sorted(itertools.product(np.arange(-4, 5) / 4, repeat=3), key=lambda v: (np.abs(v).sum(), *v)))
 DIRECTIONS = QUARTERS[1:] / np.linalg.norm(QUARTERS[1:], axis=1, keepdims=True)
 
 
 class Draw(Protocol):
-    """What draws."""
+    """A source of random choices."""
 
     def choice(self, *values: Value) -> Value:
         """Draw one of the given values."""
@@ -49,12 +50,12 @@ class RandomDraw:
 
 
 def one_in(draw: Draw, count: int) -> bool:
-    """Draw true once in so many times."""
+    """Draw a truth value that is true once in so many times."""
     return draw.integer(0, count - 1) == count - 1
 
 
 def part(draw: Draw) -> float:
-    """Draw a part of one, in eighths."""
+    """Draw a fraction of one, in eighths."""
     return draw.integer(0, 8) / 8
 
 
@@ -64,7 +65,7 @@ def decade(draw: Draw, low: int, high: int) -> float:
 
 
 def vector(draw: Draw) -> FloatArray:
-    """Draw a vector of quarters up to 1 in each direction."""
+    """Draw a vector of multiples of 1/4, up to 1 in each direction."""
     return np.asarray(QUARTERS[draw.integer(0, len(QUARTERS) - 1)])
 
 
@@ -74,7 +75,7 @@ def direction(draw: Draw) -> FloatArray:
 
 
 def row(values: FloatArray) -> list[float]:
-    """Write a vector as a scene has it."""
+    """Return a vector in the form of a scene file."""
     return [float(value) for value in values]
 
 
@@ -107,9 +108,9 @@ def meeting(
     most_bodies: int = 12,
     drift: float = 1000.0,
 ) -> Document:
-    """Draw a valid scene of a few bodies that meet within some 30 steps; what is None is drawn, too.
+    """Draw a valid scene of a few bodies that meet within some 30 steps; arguments that are None are drawn, too.
 
-    A fixed step is a power of two, so that the clock of a run is exact. All bodies may move at ``drift`` times their
+    A fixed step is a power of two, so that the clock is exact. All bodies may share a velocity of ``drift`` times their
     usual speed.
     """
 
@@ -117,7 +118,7 @@ def meeting(
         return draw.choice(False, True) if given is None else given
 
     pulls, falls = choose(gravity), choose(field)
-    # With an adaptive step Baumgarte's bias runs away where bodies are squeezed: test_random_scenes.py has the scene.
+    # With an adaptive step, Baumgarte's bias diverges for squeezed bodies: test_random_scenes.py has the scene.
     undoing = stabilisation or draw.choice("split", "none", *(["baumgarte"] if fixed_step is not False else []))
     fixed = undoing == "baumgarte" or choose(fixed_step)
     wraps = not pulls and not falls and choose(periodic)
@@ -144,7 +145,7 @@ def meeting(
         "record": {"every": "step", "check_every": 1},
     }
     if pulls:
-        # Bodies that overlap without softening pull each other without bound: there the model ends (physics.md, 16).
+        # The attraction of overlapping bodies without softening is unbounded, beyond the model (physics.md, 16).
         soft = draw.choice(0.1, 1.0) if overlapping else draw.choice(0.0, 0.0, 0.1, 1.0)
         document["gravity"] = {"constant": decade(draw, -3, 2) * U * U * L / M, "softening": soft * L}
     if falls:
@@ -191,22 +192,22 @@ def _bodies(draw: Draw, L: float, U: float, M: float, count: int, overlapping: b
 def _clear(
     origin: FloatArray, ray: FloatArray, distance: float, radius: float, placed: list[tuple[FloatArray, float]]
 ) -> float:
-    """Return the distance along a ray from which a sphere overlaps none of those placed."""
+    """Return the distance along a ray at which a sphere overlaps no placed body."""
     blocked = []
     for centre, other in placed:
         along = float((centre - origin) @ ray)
-        aside = centre - origin - along * ray  # not by Pythagoras, which would cancel where the other is far
+        aside = centre - origin - along * ray  # not by Pythagoras, which would cancel at large distances
         room = (radius + other) ** 2 - float(aside @ aside)
         if room > 0.0:
             blocked.append((along - math.sqrt(room), along + math.sqrt(room)))
-    for entry, exit_ in sorted(blocked):  # by entry: once past an interval, none that begins before it is met again
+    for entry, exit_ in sorted(blocked):  # ordered by entry: no later interval begins before
         if entry < distance < exit_:
             distance = exit_
     return distance
 
 
 def _box(bodies: list[Document], slack: float) -> list[float]:
-    """Return a periodic box in which nothing overlaps: a slack of 0 lets the outermost touch through the wall."""
+    """Return a periodic box without overlaps; with a slack of 0, the outermost bodies touch through the boundary."""
     position = np.array([body["position"] for body in bodies])
     radius = np.array([body["radius"] for body in bodies])[:, None]
     extent = (position + radius).max(axis=0) - (position - radius).min(axis=0)
@@ -214,7 +215,7 @@ def _box(bodies: list[Document], slack: float) -> list[float]:
 
 
 def _timing(draw: Draw, integrator: str) -> str:
-    """Yoshida's drifts go back in time, where no impact can be."""
+    """Yoshida's method drifts back in time, which excludes exact impacts."""
     return draw.choice("auto", "end-of-step", *(["time-of-impact"] if integrator != "yoshida4" else []))
 
 
@@ -236,10 +237,10 @@ def _time(draw: Draw, L: float, U: float, fixed: bool, velocity_limit: str | Non
 
 
 def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
-    """Draw softened bodies that pull each other and pass through each other: nothing in their motion is sudden.
+    """Draw softened bodies that attract and pass through each other, so that their motion is smooth.
 
-    The step is a part of 1/λ, λ² = 2 G M/ε³, so that a run of so many steps lasts at most half a time 1/λ. Plummer's
-    force changes by at most G m/ε³ over a length, so two runs part no faster than exp(λ t) on their own account.
+    The step is a fraction of 1/λ, λ² = 2 G M/ε³, such that the run lasts at most half of 1/λ. The gradient of Plummer's
+    force is at most G m/ε³, so two runs diverge no faster than exp(λ t).
     """
     count = draw.integer(2, 8)
     L, M = decade(draw, -3, 4), decade(draw, -3, 9)
@@ -277,10 +278,9 @@ def smooth(draw: Draw, *, steps: int, integrators: tuple[str, ...]) -> Document:
 def impacts(draw: Draw) -> Document:
     """Draw pairs far from each other, each of which collides once, within the first six steps of 2⁻⁶ s.
 
-    An impact is resolved at the end of the step in which it happens. Round-off must not move it to another step, so
-    each
-    happens at 0.3 to 0.7 of a step, and at 17° or more from grazing. Static and kinetic friction are equal, so the
-    result is continuous where sliding begins.
+    An impact is resolved at the end of its step. Round-off must not move it to another step, so each happens at 0.3 to
+    0.7 of a step, and at least 17° from grazing. Static and kinetic friction are equal, so that the result is
+    continuous at the onset of sliding.
     """
     dt = 2.0**-6
     bodies: list[Document] = []

@@ -1,4 +1,4 @@
-"""Draws scenes, checks the laws that every scene must keep, and files every miss, shrunk, with its recording."""
+"""Draws scenes, checks the laws that every scene must keep, and files each shrunk counterexample with its recording."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from carom.lab.shrink.result_file import key_of, text_of, write
 from carom.lab.shrink.trials import Budget, OutOfTime, observe
 from carom.lab.shrink.whole_run import applies
 
-LEDGER = 1e-9  # of the energy scale, where no force bends the flight: some 10⁶ roundings of 10⁻¹⁶
+LEDGER = 1e-9  # of the energy scale, in flight without forces: some 10⁶ roundings of 10⁻¹⁶
 CONSERVED = 1e-9  # of the largest momentum
 
 
 @dataclass(frozen=True, slots=True)
 class HuntedLaw:
-    """A law: its name, what it says, the condition that shows it broken, and where it applies."""
+    """A law: its name, its statement, the condition of its violation, and the scenes that it applies to."""
 
     name: str
     says: str
@@ -46,7 +46,7 @@ class HuntedLaw:
     kinds: tuple[str, ...] = ()  # of scenes; empty: all
 
     def broken(self) -> Condition:
-        """Return the condition that a run shows if it breaks the law."""
+        """Return the condition of a run that violates the law."""
         return condition_from(self.condition)
 
 
@@ -57,24 +57,24 @@ def laws_of(scene: Scene, kind: str = "") -> list[HuntedLaw]:
 
 
 def _flies_exactly(scene: Scene, needs: Requirements) -> bool:
-    """Return whether the integrator errs by rounding only, so that the ledger explains every change of the energy."""
+    """Return whether the integrator's only error is rounding, so that the ledger explains all energy changes."""
     exact = not auto.integrator(scene).controls_error and _falls_exactly(scene)
-    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked to the next order only
+    pushed = any(scene.gravity.uniform) and any(body.fixed for body in scene.body)  # booked only to the next order
     return exact and not pushed and not needs.gravity.modelled and scene.drag is None
 
 
 def _falls_exactly(scene: Scene) -> bool:
-    """Return whether bodies fall as they should; with semi-implicit Euler they lose ½ M g² dt² in each step."""
+    """Return whether falls conserve energy; with semi-implicit Euler, they lose ½ M g² dt² in each step."""
     return auto.integrator(scene).order > 1 or not any(scene.gravity.uniform)
 
 
 def _is_free(scene: Scene, needs: Requirements) -> bool:
-    """Return whether nothing takes up momentum, and forces between bodies come in exact pairs."""
+    """Return whether nothing fixed absorbs momentum, and forces between bodies are exactly opposite."""
     return not scene.anchored and not needs.tree.modelled
 
 
 def _stands(scene: Scene, needs: Requirements) -> bool:
-    """Return whether overlaps at rest are corrected: contacts may rest, and no setting leaves them as they are."""
+    """Return whether overlaps at rest are corrected: contacts may rest, and no setting preserves their overlaps."""
     contact = scene.contact
     pushes = contact.solver == "lasting" and contact.stabilisation == "split" and not contact.allow_overlap
     return needs.resting.modelled and pushes
@@ -124,15 +124,15 @@ LAWS = [
 ]
 
 
-AUDIT = 1e-9  # of a speed, that impulses may leave unexplained: some 10⁶ roundings
+AUDIT = 1e-9  # of a speed, unexplained by impulses: some 10⁶ roundings
 STEPS = 400  # after which a scene is given up
 SHARE = 0.2  # of the budget for the shrinking of one miss
-LONGEST = 60.0  # s, likewise
+LONGEST = 60.0  # s, for the shrinking of one miss
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A law that a scene breaks."""
+    """A law that a scene violates."""
 
     law: HuntedLaw
     condition: Condition
@@ -149,13 +149,13 @@ class Miss:
     law: str
     index: int  # of the scene, for the same seed
     said: str  # what its run shows
-    path: Path | None  # of the reduced scene; None if one like it was filed before
+    path: Path | None  # of the reduced scene; None if a similar one was filed before
     bodies: int
 
 
 @dataclass(slots=True)
 class Tally:
-    """What a hunt has done so far."""
+    """The counts of a hunt so far."""
 
     seed: int
     scenes: int = 0
@@ -169,25 +169,25 @@ class Tally:
 
 @dataclass(slots=True)
 class Hunt:
-    """Hunts for scenes that break a law.
+    """Hunts for scenes that violate a law.
 
     Parameters
     ----------
     seed
-        Of the scenes; the same seed draws the same ones.
+        Seed of the scenes.
     folder
         Where misses are filed.
     seconds
         s, the budget.
     first, most
-        Number of the first scene, and of scenes at most.
+        Number of the first scene, and the largest number of scenes.
     watch
         Called after each scene.
 
     Raises
     ------
     RecordingError
-        If the folder cannot be made, before anything is run.
+        If the folder cannot be made; nothing has run by then.
     """
 
     seed: int
@@ -231,7 +231,7 @@ class Hunt:
         return self.tally
 
     def judge(self, index: int, budget: Budget) -> list[Finding]:
-        """Draw a scene and run it; return the laws that it breaks."""
+        """Draw a scene and run it; return the violated laws."""
         found = drawn(self.seed, index)
         self.tally.scenes += 1
         try:
@@ -250,11 +250,11 @@ class Hunt:
         except PhysicsError:
             self.tally.stated += 1
             return []
-        except Exception as error:  # before the first step, which is a fault like any later
+        except Exception as error:  # an error before the first step counts as well
             return [Finding(ERROR, ERROR.broken(), index, scene, scene.count, said_by(error))]
 
     def _broken(self, laws: list[HuntedLaw], index: int, scene: Scene, budget: Budget) -> list[Finding]:
-        """Run a scene, and hold it to laws."""
+        """Run a scene, and return the violated laws."""
         seen = observe(Space(scene, threads=1), budget, steps=STEPS)
         if seen is None:
             self.tally.given_up += 1
@@ -268,7 +268,7 @@ class Hunt:
         ]
 
     def _file(self, finding: Finding) -> None:
-        """Shrink a scene that breaks a law, record it, and add it to the misses."""
+        """Shrink a scene that violates a law, record it, and add it to the misses."""
         law, index, said, bodies = finding.law, finding.index, finding.said, finding.bodies
         if any(miss.law == law.name for miss in self.tally.misses):
             self.tally.misses.append(Miss(law.name, index, said, None, bodies))
@@ -291,19 +291,19 @@ class Hunt:
 
 
 def _record(text: str, path: Path) -> None:
-    """Record the run of a reduced scene beside it, as far as it goes, and pack a report of it."""
+    """Record the run of a reduced scene beside it, up to its end or failure, and pack a report."""
     recorded = path.with_suffix(".rrd")
     try:
         simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)
         report(Recording.open(recorded), path.with_suffix(".zip"))
-    except Exception:  # the fault itself may end the run
+    except Exception:  # the error itself may end the run
         for file in (recorded, path.with_suffix(".zip")):
             if not file.exists() or not file.stat().st_size:
                 file.unlink(missing_ok=True)
 
 
 def as_document(tally: Tally) -> dict[str, Any]:
-    """Return a tally as JSON can hold it."""
+    """Return a tally as a JSON document."""
     misses = [
         {"law": m.law, "scene": m.index, "said": m.said, "file": m.path and str(m.path), "bodies": m.bodies}
         for m in tally.misses

@@ -1,7 +1,7 @@
-"""The scenes that are hunted: bodies that meet, crowds, columns, groups, planets, and what has a law of its own.
+"""The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, and scenes with their own laws.
 
-Switches change most of them: forces, walls and planes, materials and pairs, units, how steps are chosen, how contacts
-are found and solved. The schema refuses some combinations; these scenes are counted and left.
+Switches vary most of them: forces, walls and planes, materials and pairs, units, steps, and the search and solution of
+contacts. The schema refuses some combinations; these are only counted.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from carom.lab.hunt.documents import (
 )
 
 MOST_BODIES = 16
-DRIFT = 10.0  # of all bodies together; its energy, which is not in the scale of errors, is rounded, too
+DRIFT = 10.0  # common velocity of all bodies; the rounding of its energy is not part of the scale of errors
 MOST_FIXED = 200  # steps of a fixed length
 SMOOTH_STEPS = 20
 ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators whose error falls with the square of the step, or more
 
-SMOOTH, IMPACTS = "smooth", "impacts"  # kinds of scenes in which an error of rounding stays one
+SMOOTH, IMPACTS = "smooth", "impacts"  # kinds of scenes in which rounding errors stay small
 
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """A scene that was drawn, and what kind of scene it is."""
+    """A drawn scene and its kind."""
 
     document: Document
     kind: str = ""
@@ -115,7 +115,7 @@ def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
 
 
 def _suit(document: Document) -> None:
-    """Leave out what the integrator refuses."""
+    """Remove the parts that the integrator refuses."""
     time, contact = document["time"], document["contact"]
     if "drag" in document and time["integrator"] != "auto":
         time["integrator"] = "leapfrog"
@@ -195,7 +195,7 @@ def _set_materials(draw: Draw, document: Document) -> None:
 
 
 def _crowd(draw: Draw, scale: Scales) -> Document:
-    """Draw some hundred bodies on a jittered grid, of which neighbours may touch within a step."""
+    """Draw some hundred bodies on a jittered grid, where neighbours may touch within a step."""
     document, (L, U, M) = meeting(draw, scale=scale, most_bodies=1), scale
     side, pitch = draw.integer(4, 6), 2.0 * L * draw.choice(1.0 + 1e-9, 1.05, 1.3)
     slack = 0.5 * pitch - L
@@ -247,7 +247,7 @@ def _column(draw: Draw, scale: Scales) -> Document:
 
 
 def _groups(draw: Draw, scale: Scales) -> Document:
-    """Draw groups that carom places itself, some beside a body or over a plane."""
+    """Draw groups, whose bodies carom places, some beside a body or over a plane."""
     document, L = meeting(draw, scale=scale, most_bodies=1), scale.L
     room = L * draw.choice(6.0, 10.0)
     document["group"] = [_group(draw, scale, room) for _ in range(draw.choice(1, 1, 2))]

@@ -1,4 +1,4 @@
-"""Conditions that a reduced scene has to keep: what `carom shrink --while` may ask."""
+"""Conditions that a reduced scene must keep, as given to `carom shrink --while`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MET = re.compile(r"\s*impact of (.+?) and (.+?)\s*")
 _PROMISE = re.compile(r"\s*expect(?:\.([a-z_]+))?\s*")
 _WARNING = re.compile(r"\s*warning(?: ([a-z-]+))?\s*")
 _INVARIANCE = re.compile(r"\s*invariance ([a-z]+)\s*")
-_ABOUT = {  # moments of a summary, by the names that have to do with them
+_ABOUT = {  # moments of a summary, by related names
     "energy_error": re.compile(r"energy\.|moments\.energy_error"),
     "overlap": re.compile(r"contacts\.max_overlap|moments\.overlap"),
     "impact": re.compile(r"moments\.impact"),
@@ -26,14 +26,11 @@ _BODIES = re.compile(r'(?:body N(?: "[^"]*")?(?:, | and )?|N more)+')
 
 
 class Condition(Protocol):
-    """A failure of a run.
-
-    A condition is asked after every recorded frame, about the run so far.
-    """
+    """A failure of a run. A condition is evaluated after every recorded frame, for the run so far."""
 
     @property
     def text(self) -> str:
-        """As it was asked for."""
+        """The text of the condition, as given."""
 
     @property
     def needs_impacts(self) -> bool:
@@ -41,34 +38,34 @@ class Condition(Protocol):
 
     @property
     def of_whole_run(self) -> bool:
-        """Whether it is asked at the end only."""
+        """Whether it is evaluated only at the end."""
 
     def check(self, seen: Observation) -> None:
-        """Check names at the first frame of the run.
+        """Check the names at the first frame of the run.
 
         Raises
         ------
         ExperimentError
-            If the condition names something that no run has; it says the nearest.
+            If the condition uses an unknown name; the message has the nearest known one.
         """
 
     def pinned(self, seen: Observation) -> Condition:
-        """Return the condition that holds only for the same failure.
+        """Return a condition that holds only for the same failure.
 
         Raises
         ------
         ExperimentError
-            If the run does not show the failure; it says what the run shows instead.
+            If the run does not show the failure; the message describes what it shows.
         """
 
     def holds(self, seen: Observation) -> bool:
         """Return whether the run shows the failure."""
 
     def said(self, seen: Observation) -> str:
-        """Describe what the run shows, for the comments of the result."""
+        """Describe the failure, for the comments of the result."""
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the names of the bodies in question, as far as they are known."""
+        """Return the names of the bodies involved, as far as they are known."""
 
 
 def condition_from(text: str | None) -> Condition:
@@ -77,15 +74,14 @@ def condition_from(text: str | None) -> Condition:
     Parameters
     ----------
     text
-        None: whatever goes wrong, an error or a missed promise. ``expect`` or ``expect.NAME`` (a missed promise),
-        ``impact of A and B``, ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``,
-        ``overlap at rest``, ``replay differs``, ``invariance NAME``, otherwise an expression over the numbers of
-        ``carom inspect --json``.
+        None: any error or missed promise. ``expect`` or ``expect.NAME`` (a missed promise), ``impact of A and B``,
+        ``warning KIND``, ``PhysicsError``, ``crash`` (any other error), ``not finite``, ``overlap at rest``, ``replay
+        differs``, ``invariance NAME``, otherwise an expression over the numbers of ``carom inspect --json``.
 
     Raises
     ------
     ExperimentError
-        If it is none of them.
+        If the text is none of these.
     """
     if text is None:
         return MissedPromise("expect", or_error=True)
@@ -112,12 +108,12 @@ def condition_from(text: str | None) -> Condition:
 
 @dataclass(frozen=True, slots=True)
 class MissedPromise:
-    """A promise of [expect] that the run does not keep."""
+    """A missed promise of [expect]."""
 
     text: str
     name: str = ""  # empty: the first that is missed
-    note: str | None = None  # what the measured value is of; None: not known yet
-    or_error: bool = False  # whether an error is as good, if the run ends with one
+    note: str | None = None  # explains the measured value; None: not known yet
+    or_error: bool = False  # whether an error that ends the run also counts
     needs_impacts = False
     of_whole_run = False
 
@@ -132,7 +128,7 @@ class MissedPromise:
             raise ExperimentError(f"--while {self.text}: no promise {self.name}; {hint}")
 
     def pinned(self, seen: Observation) -> Condition:
-        """Return the condition that the same promise is missed by the same quantity."""
+        """Return the condition that the same quantity misses the same promise."""
         if seen.error and self.or_error:
             return Failed("PhysicsError").pinned(seen)
         if seen.error:
@@ -175,13 +171,13 @@ class Measured:
     of_whole_run = False
 
     def check(self, seen: Observation) -> None:
-        """Check the names, but for those of moments, which a run may not have yet."""
+        """Check the names, except those of moments, which may not exist yet."""
         for name in self.expression.unknown(seen.summary):
             if not name.startswith("moments."):
                 raise ExperimentError(self.expression.explain_unknown(name, seen.summary))
 
     def pinned(self, seen: Observation) -> Measured:
-        """Return the condition that the expression holds of a run with the same ending."""
+        """Return the condition that the expression holds for a run with the same ending."""
         try:
             if not self.expression.holds(seen.summary):
                 raise ExperimentError(f"nothing to shrink: {self.expression.measured(seen.summary)}")
@@ -203,7 +199,7 @@ class Measured:
         return self.expression.measured(seen.summary)
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the bodies of the moments that it is about, or of the largest energy error."""
+        """Return the bodies of the related moments, or of the largest energy error."""
         moments = seen.summary["moments"]
         named = {moment for name in self.expression.names for moment, about in _ABOUT.items() if about.match(name)}
         return {
@@ -244,7 +240,7 @@ class Met:
         return f"impact of {' and '.join(sorted(self.pair or ()))}"
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return both, as far as they are bodies."""
+        """Return the names of those ends that are bodies."""
         return set(self.pair or ()) & set(seen.space.names)
 
     def _pair(self, seen: Observation) -> Pair:
@@ -281,7 +277,7 @@ class Sunk:
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether there is one."""
+        """Return whether such an overlap exists."""
         return not seen.error and bool(seen.touches.sunk)
 
     def said(self, seen: Observation) -> str:
@@ -336,7 +332,7 @@ class Failed:
     text: str
     message: str = ""  # its message without numbers and names; empty: any
     stated: bool = True  # whether a PhysicsError counts, which gives a reason, not only other exceptions
-    about: str = ""  # what the message has to say
+    about: str = ""  # text that the message must contain
     needs_impacts = False
     of_whole_run = False
 
@@ -344,7 +340,7 @@ class Failed:
         """Accept every run."""
 
     def pinned(self, seen: Observation) -> Failed:
-        """Return the condition for the same message, whatever the numbers in it."""
+        """Return the condition for the same message, with any numbers."""
         if not self.holds(seen):
             end = seen.space.scene.unit_system.text(seen.space.time, TIME)
             ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {end}"
@@ -352,7 +348,7 @@ class Failed:
         return replace(self, message=_template(seen.error))
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether the run failed so."""
+        """Return whether the run failed with this message."""
         if not seen.error or (seen.stated and not self.stated):
             return False
         return self.about in seen.error and self.message in ("", _template(seen.error))
@@ -362,7 +358,7 @@ class Failed:
         return f"PhysicsError: {seen.error}" if seen.stated else seen.error
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return the bodies that the message names."""
+        """Return the bodies named in the message."""
         numbers = {int(number) for number in re.findall(r"body (\d+)", seen.error)}
         return {name for number, name in enumerate(seen.space.names) if number in numbers}
 

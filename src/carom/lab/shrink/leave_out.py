@@ -28,7 +28,7 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
 
 
 def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
-    """Keep the bodies in question, those from which contacts lead to them, or those nearby; the fewest first."""
+    """Keep the bodies involved, and those that affect them by contacts or are near; the smallest sets first."""
     names = [body["name"] for body in smallest.document[BODIES]]
     suspects = {number for number, name in enumerate(names) if name in smallest.suspects}
     if not suspects or len(suspects) == len(names):
@@ -40,7 +40,7 @@ def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
 
 
 def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
-    """Yield the bodies with some of the nearest others, and then with ever more."""
+    """Yield the bodies with more and more of their nearest neighbours."""
     position = np.array([body.get("position", ORIGIN) for body in document[BODIES]])  # (n, 3) m
     distance = np.linalg.norm(position[:, None] - position[sorted(bodies)][None], axis=2).min(axis=1)
     order = np.argsort(distance, kind="stable")
@@ -58,7 +58,7 @@ def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[
     bodies
         Numbers of bodies.
     steps
-        The pairs that touched in each step, in order of time.
+        Touching pairs of each step, in order of time.
     count
         Number of all bodies; planes, whose numbers follow, have no cone.
     """
@@ -96,14 +96,14 @@ Item = TypeVar("Item")
 
 
 def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None]) -> list[Item]:
-    """Return items that still fail, none of which can be left out.
+    """Return a subset of items that still fails, from which no item can be left out.
 
     Parameters
     ----------
     items
-        They fail together.
+        Items that fail together.
     first
-        Returns the number of the first of several parts that fails; items keep their order in each.
+        Returns the index of the first of several subsets that fails; each keeps the order of its items.
     """
     kept, parts = list(items), 2
     while len(kept) > 1:
@@ -129,8 +129,8 @@ def _split(items: list[Item], parts: int) -> list[list[Item]]:
     return [items[lo:hi] for lo, hi in itertools.pairwise(ends)]
 
 
-# Drops parts of the model in the order of requirements, then every key whose default does as well.
-_KEPT = {("title",), ("time", "duration")}  # keys that a scene has in any case
+# Drops parts of the model in the order of requirements, then every key whose default fails as well.
+_KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
 _LISTS = ("plane", "pair", "material")  # lists of tables besides the bodies
 
@@ -152,7 +152,7 @@ def set_defaults(smallest: Smallest) -> bool:
 
 
 def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
-    """Return whether a candidate models no part that the smallest scene does not."""
+    """Return whether all parts of a candidate's model are in the smallest scene's model."""
     try:
         return _modelled(candidate) <= _modelled(smallest.document)
     except SceneError:
@@ -160,7 +160,7 @@ def _adds_nothing(candidate: Document, smallest: Smallest) -> bool:
 
 
 def _is_simpler(candidate: Document, smallest: Smallest) -> bool:
-    """Return whether a candidate models fewer parts than the smallest scene, or as few with fewer keys."""
+    """Return whether a candidate has fewer parts of the model than the smallest scene, or else fewer keys."""
     try:
         before, after = _modelled(smallest.document), _modelled(candidate)
     except SceneError:
@@ -180,7 +180,7 @@ def _modelled(document: Document) -> set[str]:
 
 
 def _without_parts(smallest: Smallest) -> Iterator[Document]:
-    """Yield the smallest scene of the moment without one part after the other."""
+    """Yield the current smallest scene without each part in turn."""
     yield _changed(smallest, {("time", "accuracy"): None})
     yield _of_all_bodies(smallest, "angular_velocity")
     yield _of_all_bodies(smallest, "fixed")
@@ -201,7 +201,7 @@ def _without_parts(smallest: Smallest) -> Iterator[Document]:
 
 
 def _with_defaults(smallest: Smallest) -> Iterator[Document]:
-    """Yield the smallest scene of the moment without one section or key after the other."""
+    """Yield the current smallest scene without each section or key in turn."""
     for section in [key for key in smallest.document if key not in (BODIES, "time", *_LISTS)]:
         if (section,) not in _KEPT:
             yield _changed(smallest, {(section,): None})
@@ -223,7 +223,7 @@ def _with_defaults(smallest: Smallest) -> Iterator[Document]:
 
 
 def _changed(smallest: Smallest, values: dict[KeyPath, object]) -> Document:
-    """Return the document with other values; a section that becomes empty is left out."""
+    """Return the document with other values, without sections that become empty."""
     document = smallest.document
     for path, value in values.items():
         if value is not None or value_at(document, path) is not None:
@@ -238,8 +238,8 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
 
 # Writes every number with the fewest digits that still show the failure.
 MOST_DIGITS = 17
-_FIXED_FRAME = ("plane", "domain", "drag")  # sections that hold bodies to a place or a velocity
-_NOT_ROUNDED = {"expect"}  # sections whose numbers say what a failure is
+_FIXED_FRAME = ("plane", "domain", "drag")  # sections that define a position or a velocity at rest
+_NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
 
 
 def round_numbers(smallest: Smallest) -> bool:
@@ -275,7 +275,7 @@ def _shorten(smallest: Smallest, path: KeyPath) -> bool:
 
 
 def _move_frame(smallest: Smallest) -> bool:
-    """Put the origin into the first body, and let it rest, where neither matters."""
+    """Move the frame to the first body at rest, where the frame does not matter."""
     if any(key in smallest.document for key in _FIXED_FRAME):
         return False
     changed = False

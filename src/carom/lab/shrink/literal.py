@@ -55,7 +55,7 @@ class BodyStates:
 
 
 def literal(scene: Scene, start: InitialBodies) -> Document:
-    """Return a scene with each body written out, named as it was, in the units of the simulation."""
+    """Return a scene with each body written out under its name, in the units of the simulation."""
     given = scene.model_dump(mode="python", exclude_defaults=True, exclude_none=True, exclude=_NOT_COPIED)
     document: Document = _plain(given)
     if isinstance(scene.units, str):  # the scene is simulated in them
@@ -70,7 +70,7 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
 
 
 def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> None:
-    """Give each body the name of its material, and its own moment of inertia, which the material may give."""
+    """Add the name of its material to each body, and the moment of inertia, which may follow from the material."""
     materials = body_materials(scene)
     for k, body in enumerate(document[BODIES]):
         name = materials.names[materials.index[k]]
@@ -80,7 +80,7 @@ def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> N
 
 
 def at_moment(document: Document, moment: BodyStates, duration: float) -> Document:
-    """Return a document that begins with the state of a moment and lasts for so many seconds."""
+    """Return a document that begins with a given state and lasts for so many seconds."""
     bodies = []
     for k, body in enumerate(document[BODIES]):
         state = {"position": _list(moment.position[k])}
@@ -139,7 +139,7 @@ def _body(start: InitialBodies, k: int) -> Document:
 
 
 def _inertia_factor(start: InitialBodies, k: int) -> float:
-    """Return I/(m r²), without the roundings of the product."""
+    """Return I/(m r²) without the rounding of the product."""
     if start.mass[k] == 0.0:
         return _FACTOR
     factor = float(start.inertia[k]) / (float(start.mass[k]) * float(start.radius[k]) * float(start.radius[k]))
@@ -151,7 +151,7 @@ def _list(vector: FloatArray) -> list[float]:
 
 
 def _plain(value: Any) -> Any:
-    """Turn tuples into lists, as TOML has them."""
+    """Convert tuples to lists, as in TOML."""
     if isinstance(value, dict):
         return {key: _plain(inner) for key, inner in value.items()}
     return [_plain(inner) for inner in value] if isinstance(value, list | tuple) else value
@@ -159,7 +159,7 @@ def _plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class SceneWithBodies:
-    """A scene with its bodies, and what it was called."""
+    """A scene with its bodies and its name."""
 
     name: str
     scene: Scene
@@ -172,7 +172,7 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
     Raises
     ------
     SceneError, RecordingError
-        If there is none, or a recording has nothing to run again.
+        If there is none, or the recording cannot be run again.
     """
     path = Path(given)
     if not is_recording(path):

@@ -1,4 +1,4 @@
-"""Reduces a scene to the smallest one that shows a failure: when it begins and ends, and the order of the passes."""
+"""Reduces a scene to the smallest one that shows a failure: its beginning and end, and the order of the passes."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from carom.lab.shrink.leave_out import drop_parts, leave_out_bodies, round_numbe
 from carom.lab.shrink.literal import BodyStates, Document, at_moment, literal, with_value
 from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials, observe
 
-ROOM = 200_000_000  # bytes of states that are kept of a run
-ROUNDING = 1e-9  # of the duration, since a sum of steps may fall short of it
-STEPS_AFTER = (0, 1, 3)  # steps to add after the failure, where a shorter run takes other steps
+ROOM = 200_000_000  # bytes of stored states of a run
+ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short
+STEPS_AFTER = (0, 1, 3)  # steps after the failure, since a shorter run takes other steps
 
 
 @dataclass(slots=True)
 class Chronicle:
-    """The states of a run, thinned where there are too many, up to the first that shows the failure."""
+    """The states of a run up to the first that shows the failure; they are thinned if there are too many."""
 
     moments: list[BodyStates] = field(default_factory=list)
-    end: BodyStates | None = None  # the last state; the first that shows the failure, if one does
-    shown: bool = False  # whether it does
+    end: BodyStates | None = None  # the first state that shows the failure, or else the last
+    shown: bool = False  # whether the run shows the failure
     _gap: int = 1  # frames from one kept state to the next
     _frames: int = 0
 
     def keep(self, frame: Frame) -> None:
-        """Keep a state; drop every other one when the memory is used up."""
+        """Store a state; drop every other one when the memory is full."""
         self.end = BodyStates.of(frame)
         if self._frames % self._gap == 0:
             self.moments.append(self.end)
@@ -46,7 +46,7 @@ def chronicle(
     schedule: Schedule | None = None,
     first: Callable[[Observation], None] = lambda seen: None,
 ) -> tuple[Chronicle, Observation]:
-    """Run a space up to the failure and keep the states of its frames; ``first`` gets the first observation."""
+    """Run a space up to the failure and store its states; ``first`` is called with the first observation."""
     kept = Chronicle()
 
     def see(seen: Observation, frame: Frame) -> bool:
@@ -62,7 +62,7 @@ def chronicle(
 
 
 def cut_time(smallest: Smallest, trials: Trials) -> bool:
-    """Let the smallest scene end right after the failure and begin as late as it can; return whether it changed."""
+    """Let the smallest scene end at the failure and begin as late as possible; return whether it changed."""
     if smallest.steps <= 1:
         return False
     kept, _ = chronicle(trials.space(smallest.scene), trials, every(0.0))
@@ -73,16 +73,16 @@ def cut_time(smallest: Smallest, trials: Trials) -> bool:
 
 
 def cut_both_ends(smallest: Smallest, kept: Chronicle) -> bool:
-    """End as early and begin as late as a failure of whole runs allows, by bisection; return whether that is shorter.
+    """Bisect for the earliest end and the latest beginning of a failure of whole runs; return whether they are shorter.
 
-    Each candidate is a run of a command, say, so there are few: twice the logarithm of the number of states.
+    Candidates are expensive, so there are few: twice the logarithm of the number of states.
     """
     ended = _end_early(smallest, kept)
     return _begin_by_bisection(smallest, kept) or ended
 
 
 def end_at(smallest: Smallest, end: BodyStates) -> bool:
-    """End the smallest scene at a moment; later if the last step, which is cut, shows nothing."""
+    """End the smallest scene at a moment, or later if the failure does not show in the shortened last step."""
     document, whole = smallest.document, smallest.scene.time.duration
     for after in STEPS_AFTER:
         duration = end.time + after * end.dt
@@ -92,7 +92,7 @@ def end_at(smallest: Smallest, end: BodyStates) -> bool:
 
 
 def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
-    """Bisect for the first state at which the smallest scene may end; return whether it is earlier than the last."""
+    """Bisect for the first possible end of the smallest scene; return whether it is earlier than the last state."""
     document, lo, hi = smallest.document, 1, len(kept.moments) - 1
     while lo < hi:
         middle = (lo + hi) // 2
@@ -104,14 +104,14 @@ def _end_early(smallest: Smallest, kept: Chronicle) -> bool:
 
 
 def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
-    """Find the last state at which the smallest scene may begin; return whether it is later than the first."""
+    """Bisect for the last possible beginning of the smallest scene; return whether it is later than the first state."""
     document, end = smallest.document, smallest.scene.time.duration
     earlier = [moment for moment in kept.moments if 0.0 < moment.time < end]
     lo, hi = 0, len(earlier)
     while lo < hi:
         middle = (lo + hi) // 2
         moment = earlier[middle]
-        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # other steps may be taken from here
+        duration = (end - moment.time) * (1.0 + ROUNDING) + moment.dt  # the steps from here may differ
         if smallest.takes_shorter(at_moment(document, moment, duration)):
             lo = middle + 1
         else:
@@ -120,7 +120,7 @@ def _begin_by_bisection(smallest: Smallest, kept: Chronicle) -> bool:
 
 
 def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
-    """Begin a document at the last state that leads to the failure; return whether it is later than the first."""
+    """Begin a document at the last state that leads to the failure; return whether it is later than the first state."""
     if kept.end is None:
         return False
     earlier = [moment for moment in kept.moments if 0.0 < moment.time < kept.end.time]
@@ -133,7 +133,7 @@ def begin_late(smallest: Smallest, document: Document, kept: Chronicle) -> bool:
 
 
 def _backwards(moments: list[BodyStates]) -> Iterator[BodyStates]:
-    """Yield states from the last one back, in steps that grow by half."""
+    """Yield states backwards from the last one, with intervals that grow by half."""
     back = 1
     while back <= len(moments):
         yield moments[-back]
@@ -141,12 +141,12 @@ def _backwards(moments: list[BodyStates]) -> Iterator[BodyStates]:
 
 
 _GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
-MOST_ROUNDS = 12  # of all passes; a scene that still changes then is left as it is
+MOST_ROUNDS = 12  # of all passes, even if the scene still changes
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a pass left."""
+    """The state of the reduction after a pass."""
 
     name: str
     bodies: int
@@ -161,7 +161,7 @@ class ReducerProgress:
     stage: str = "running the scene"
     bodies: int = 0
     steps: int = 0
-    candidates: int = 0  # so far, with the one that runs
+    candidates: int = 0  # so far, including the running one
     kept: int = 0  # of these
     seconds: float = 0.0
 
@@ -171,15 +171,15 @@ class Reduction:
     """The result of a reduction."""
 
     document: Document
-    said: str  # what the reduced run shows
+    said: str  # the failure of the reduced run
     bodies: int
     steps: int
-    before: tuple[int, int]  # bodies, and steps up to the failure, of the scene as given
+    before: tuple[int, int]  # bodies and steps up to the failure in the given scene
     stages: list[Stage]
     seconds: float
     candidates: int
-    kept: int  # candidates that show the failure; each took the place of the one before
-    stopped: str = ""  # why it ended early; empty if nothing more can be left out
+    kept: int  # candidates that show the failure; each replaced the previous one
+    stopped: str = ""  # the reason for an early end; empty if nothing more can be left out
 
     @property
     def minimal(self) -> bool:
@@ -198,13 +198,13 @@ class Reducer:
     seconds
         s, the budget; infinite without a limit.
     watch
-        Called before each candidate, and when a smaller scene is found.
+        Called before each candidate, and with each smaller scene.
     keep
-        Called with each smaller scene and what it shows.
+        Called with each smaller scene and its failure.
     workers
-        Processes that judge candidates of delta debugging, None for one a core; 1 is this one.
+        Number of processes for candidates of delta debugging. None: one for each core. 1: this process.
     before
-        Bodies and steps of the scene, if an earlier reduction began with a larger one.
+        Bodies and steps of the original scene, if an earlier reduction began with it.
     """
 
     condition: Condition
@@ -224,12 +224,12 @@ class Reducer:
         scene
             The scene that shows it.
         start
-            Its bodies at time 0; by default as the scene places them.
+            Its bodies at time 0; by default those that the scene places.
 
         Raises
         ------
         ExperimentError
-            If the scene does not show the failure, or the time ended before that was known.
+            If the scene does not show the failure, or time ran out before that was known.
         SceneError
             If the scene cannot run.
         """
@@ -259,9 +259,9 @@ class Reducer:
             )
 
     def _begin(self, scene: Scene, start: InitialBodies, trials: Trials) -> tuple[Smallest, Callable[[], None]]:
-        """Run the scene up to the failure; return it with its bodies written out, and what cuts its time first."""
+        """Run the scene up to the failure; return it with its bodies written out, and its first pass over the time."""
         trials.budget.check()
-        threads = 1 if trials.condition.of_whole_run else None  # it compares with other numbers of threads
+        threads = 1 if trials.condition.of_whole_run else None  # the condition compares numbers of threads
         space = Space(scene, threads, start, record_contacts=trials.condition.needs_impacts)
         kept, seen = chronicle(space, trials, first=trials.condition.check)
         trials.condition = trials.condition.pinned(seen)
@@ -272,7 +272,7 @@ class Reducer:
         return smallest, lambda: self._cut_first(smallest, whole, kept, trials)
 
     def _cut_first(self, smallest: Smallest, whole: Document, kept: Chronicle, trials: Trials) -> None:
-        """Begin as late as the failure allows; reproduce a failure of whole runs with every body written out first."""
+        """Begin as late as the failure allows; a failure of whole runs is first reproduced with bodies written out."""
         self._progress.stage = "cutting time"
         if trials.condition.of_whole_run:
             if not smallest.is_shown():
@@ -292,7 +292,7 @@ class Reducer:
             raise ExperimentError(_GOES_AWAY)
 
     def _pass_all(self, smallest: Smallest, cut: Callable[[], None], trials: Trials) -> str:
-        """Cut time, then make all passes until none finds anything; return why they ended early, or an empty text."""
+        """Shorten the run, then repeat all passes until none changes the scene; return why they ended early, if so."""
         passes: dict[str, Callable[[], bool]] = {
             "left out bodies": lambda: leave_out_bodies(smallest, trials),
             "cut time": lambda: cut_time(smallest, trials),

@@ -21,17 +21,17 @@ from carom.lab.shrink.reducer import Reduction, Stage
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
 )
-_HEAD = 10_000  # characters, in which the mark stands
+_HEAD = 10_000  # leading characters that contain the mark
 
 
 def key_of(scene_toml: str, condition: str) -> str:
-    """Return 48 bits that name a scene and a condition."""
+    """Return a digest (48 bits) of a scene and a condition."""
     return hashlib.sha256(f"{scene_toml}\0{condition}".encode()).hexdigest()[:12]
 
 
 @dataclass(frozen=True, slots=True)
 class Earlier:
-    """What an earlier reduction left."""
+    """The result of an earlier reduction."""
 
     finished: bool
     before: tuple[int, int]  # of the scene before the reduction: bodies, and steps up to the failure
@@ -52,14 +52,14 @@ def earlier(path: Path, key: str) -> Earlier | None:
 def unfinished_text(
     document: Document, asked: str, said: str, before: tuple[int, int], key: str, command: str, why: str = ""
 ) -> str:
-    """Write the smallest scene so far, from which the same command continues."""
+    """Return the text of the smallest scene so far, from which the same command continues."""
     comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
     comments.append(f"Not finished ({why or 'still at work'}): the same command goes on from here.")
     return commented(document, [*comments, _mark(key, before, "unfinished")])
 
 
 def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
-    """Write a reduced scene with its comments."""
+    """Return the text of a reduced scene with its comments."""
     made, before = reduction.document, reduction.before
     if not reduction.minimal:
         return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
@@ -74,7 +74,7 @@ def _mark(key: str, before: tuple[int, int], state: str) -> str:
 def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
     taken = f"{counted(reduction.steps, 'step')} of {steps}"
-    if reduction.steps > steps:  # fewer bodies may take other steps
+    if reduction.steps > steps:  # steps may change with fewer bodies
         taken = f"{counted(reduction.steps, 'step')}, where the scene took {steps}"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
     found = "; ".join(
@@ -86,7 +86,7 @@ def _history(reduction: Reduction) -> list[str]:
 
 
 def _turns(stages: list[Stage]) -> list[Stage]:
-    """Return the first stage of each name, and stages that changed the number of bodies or steps."""
+    """Return the first stage of each name, and all stages that changed the number of bodies or steps."""
     told: list[Stage] = []
     for stage in stages:
         known = any(stage.name == other.name for other in told)
@@ -96,7 +96,7 @@ def _turns(stages: list[Stage]) -> list[Stage]:
 
 
 def write(path: Path, text: str) -> None:
-    """Replace a file at once, so that an interrupt leaves a whole one.
+    """Replace a file atomically, so that an interrupt leaves a whole one.
 
     Raises
     ------
@@ -113,7 +113,7 @@ WIDTH = 110  # characters of a comment
 
 
 def commented(document: Document, comments: list[str]) -> str:
-    """Write a scene with comments above it, one line for each body.
+    """Return the text of a scene with comments above it and one line for each body.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from carom.lab.shrink.literal import SceneWithBodies
     from carom.lab.shrink.reducer import Reducer, ReducerProgress, Reduction
 
-EVERY = 10.0  # s, after which progress is printed again where there is no terminal
+EVERY = 10.0  # s between lines of progress without a terminal
 
 
 def shrink(
@@ -97,7 +97,7 @@ def shrink(
             say(f"{path} is the smallest scene already; give --force to find it again.")
         return
     if while_command is not None and workers is None:
-        workers = 1  # two commands at a time may get into each other's way
+        workers = 1  # concurrent commands might interfere
     reducer = _reducer(asked, seconds, workers)
     if known:
         given, reducer.before = source_of(str(path), []), known.before
@@ -120,7 +120,7 @@ def _reducer(asked: Any, seconds: float | None, workers: int | None) -> Reducer:
 
 
 def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, command: str, *, quiet: bool) -> Reduction:
-    """Reduce, print the progress, and leave the smallest scene so far in the file."""
+    """Reduce, print the progress, and keep the smallest scene so far in the file."""
     from carom.lab.shrink.result_file import text_of, unfinished_text, write
 
     asked = reducer.condition.text
@@ -170,7 +170,7 @@ def _line(progress: ReducerProgress) -> str:
 def _print(result: Reduction, path: Path) -> None:
     bodies, steps = result.before
     left = f"{result.bodies} of {counted(bodies, 'body')} and {result.steps} of {counted(steps, 'step')} are left"
-    if result.steps > steps:  # fewer bodies may take other steps
+    if result.steps > steps:  # steps may change with fewer bodies
         left = (
             f"{result.bodies} of {counted(bodies, 'body')} are left, and {counted(steps, 'step')} became {result.steps}"
         )

@@ -28,12 +28,12 @@ from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.literal import BODIES, Document
 
-# How long a reduction may take, and whether the user has ended it.
+# The time budget of a reduction, which the user may also end.
 _POLL = 0.05  # s between two checks of a run
 
 
 class OutOfTime(Exception):  # noqa: N818 - not an error: the smallest scene so far is the result
-    """The time is over, or the user has ended the reduction."""
+    """Time has run out, or the user has ended the reduction."""
 
 
 class Budget:
@@ -59,7 +59,7 @@ class Budget:
 
     @property
     def reason(self) -> str:
-        """Why it is over; empty while it is not."""
+        """Why it has ended; empty before."""
         if self._interrupts.count:
             return f"stopped by {self._interrupts.sender}"
         return "the budget was spent" if self.spent > self._seconds else ""
@@ -71,7 +71,7 @@ class Budget:
 
     @contextmanager
     def guarding(self, space: Space) -> Iterator[None]:
-        """Stop a run when the time is over, and then raise `OutOfTime`."""
+        """Stop a run when time has run out, and then raise `OutOfTime`."""
         self.check()
         over = threading.Event()
 
@@ -91,24 +91,24 @@ class Budget:
         self.check()
 
 
-Each = Callable[[Observation, Frame], bool]  # called at each frame; whether to go on
+Each = Callable[[Observation, Frame], bool]  # called at each frame; returns whether to go on
 
-STEPS_MORE = 4  # times as many steps as the smallest scene so far may a candidate take
+STEPS_MORE = 4  # limit of a candidate's steps over those of the smallest scene so far
 FEWEST_STEPS = 2000
 
 
 @dataclass(frozen=True, slots=True)
 class EveryUpTo(Every):
-    """A frame at each multiple of an interval, and at one step, where a run may be given up."""
+    """A schedule of frames at multiples of an interval, and at a step at which a run may be given up."""
 
     last: int
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Return whether a step passes a multiple, or is the last."""
+        """Return whether a step passes a multiple or is the last."""
         return step == self.last or Every.__call__(self, step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, no frame is due before."""
+        """Return the step and the time (s) before which no frame is due."""
         steps, until = Every.quiet(self, step, time)
         return min(steps, max(1, self.last - step)), until
 
@@ -132,9 +132,9 @@ def observe(
     each
         Called at each frame with the observation so far; returns whether to go on.
     steps
-        Number of steps after which the run is given up; None is returned then.
+        Number of steps after which the run is given up, with the result None.
     schedule
-        After which steps frames come; by default as the scene says.
+        Schedule of the frames; by default that of the scene.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def observe(
                     return None
         except (OutOfTime, ExperimentError):
             raise
-        except Exception as error:  # a fault in the engine, which may be the failure itself
+        except Exception as error:  # an error in the engine may be the failure itself
             stated = isinstance(error, PhysicsError)
             return Observation(space, initial, frames, warnings, touches, said_by(error), stated)
     return seen
@@ -181,7 +181,7 @@ class Trials:
     watch
         Called before each candidate runs.
     judges
-        Judge several candidates at a time, where these take long.
+        Processes that judge several candidates at a time, if these take long.
     """
 
     condition: Condition
@@ -190,7 +190,7 @@ class Trials:
     count: int = 0
     watch: Callable[[], None] = lambda: None
     judges: Judges | None = None
-    _seconds: float = 0.0  # that the last candidate took
+    _seconds: float = 0.0  # of the last candidate
     _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
@@ -201,12 +201,12 @@ class Trials:
         document
             The candidate.
         steps
-            How many it may take; by default a few times as many as the smallest scene so far.
+            Limit of its steps; by default a few times those of the smallest scene so far.
 
         Raises
         ------
         OutOfTime
-            If the time is over.
+            If time has run out.
         """
         self.budget.check()
         key = hash((toml_text(document), steps))
@@ -222,14 +222,15 @@ class Trials:
         return seen
 
     def promising(self, documents: list[Document], number: int) -> int | None:
-        """Return the number of the next of several candidates that may show the failure; None if there is none.
+        """Return the number of the next candidate that may show the failure; None if there is none.
 
-        Without judges that is the next one. They judge the others ahead, so it is the first that shows it.
+        Without judges, that is the next candidate. With judges, which work ahead, it is the first that shows the
+        failure.
 
         Raises
         ------
         OutOfTime
-            If the time is over.
+            If time has run out.
         """
         rest = documents[number:]
         if self.judges is None or not self.judges.pay(self._seconds, len(rest)):
@@ -241,35 +242,35 @@ class Trials:
 
     @property
     def _most_steps(self) -> int:
-        """Number of steps that a candidate may take, unless it is said otherwise."""
+        """Default limit of the steps of a candidate."""
         return max(FEWEST_STEPS, STEPS_MORE * self.steps)
 
     def judge(self, document: Document, steps: int) -> Observation | None:
-        """Run a candidate for so many steps at most; return its observation if it shows the failure."""
+        """Run a candidate for at most so many steps; return its observation if it shows the failure."""
         if not document[BODIES]:
             return None
         try:
             space = self.space(Scene.from_dict(document))
-        except Exception:  # a scene that cannot be, or a fault that shows before the first step
+        except Exception:  # an invalid scene, or an error before the first step
             return None
         seen = observe(space, self.budget, steps=steps + 1)
         return seen if seen is not None and self.condition.holds(seen) else None
 
     def space(self, scene: Scene) -> Space:
-        """Build a space whose frames carry what the condition depends on."""
+        """Return a space whose frames carry the data that the condition depends on."""
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
 # Judges candidates in several processes.
 START = 6.0  # s, about twice what workers take to start
-MIN_SECONDS_TO_SEND = 0.05  # s of a candidate; shorter ones take as long to send
-AHEAD = 2  # candidates a worker that are sent before they are needed
+MIN_SECONDS_TO_SEND = 0.05  # s of a candidate; sending it takes about as long
+AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """A candidate, the failure that it should show, and in how many steps at most."""
+    """A candidate, the failure that it should show, and the limit of its steps."""
 
     document: Document
     condition: Condition
@@ -285,12 +286,12 @@ def execute(task: Task) -> bool:
 class Judges:
     """Processes that judge candidates, started when these take long enough.
 
-    The result does not depend on them: of several candidates the first in order that shows the failure is taken.
+    The result does not depend on them: among several candidates, the first in order that shows the failure is chosen.
 
     Parameters
     ----------
     count
-        Processes; None is one for each core, and 1 judges all candidates in this process.
+        Number of processes. None: one for each core. 1: this process judges all candidates.
     """
 
     def __init__(self, count: int | None) -> None:
@@ -307,7 +308,7 @@ class Judges:
             self._workers.__exit__(kind, error, traceback)
 
     def pay(self, seconds: float, candidates: int) -> bool:
-        """Return whether to judge candidates here that take so long each; starts the processes where that pays."""
+        """Return whether processes are worthwhile for candidates of this duration; start them if so."""
         if self._count == 1 or candidates < 2:
             return False
         if self._workers is None and seconds * candidates > START:
@@ -326,9 +327,9 @@ class Judges:
         condition
             The failure.
         steps
-            How many each may take.
+            Limit of the steps of each.
         check
-            Called several times a second; what it raises ends the work.
+            Called several times a second; its exceptions end the work.
 
         Raises
         ------
@@ -358,7 +359,7 @@ class Judges:
 
 # The smallest scene so far that shows the failure.
 class Smallest:
-    """Takes over every candidate that still shows the failure.
+    """Holds the smallest scene that still shows the failure.
 
     Parameters
     ----------
@@ -369,7 +370,7 @@ class Smallest:
     trials
         Judges candidates.
     taken
-        Called after a candidate was taken over.
+        Called after a candidate was adopted.
     """
 
     def __init__(
@@ -377,7 +378,7 @@ class Smallest:
     ) -> None:
         self._trials = trials
         self._taken = taken
-        self.kept = 0  # candidates that were taken over
+        self.kept = 0  # adopted candidates
         self._keep(document, seen)
 
     def _keep(self, document: Document, seen: Observation) -> None:
@@ -398,20 +399,20 @@ class Smallest:
         return len(self.document[BODIES])
 
     def takes_shorter(self, document: Document) -> bool:
-        """Take over a candidate if it shows the failure in fewer steps."""
+        """Adopt a candidate if it shows the failure in fewer steps."""
         return self.steps > 1 and self.takes(document, self.steps - 1)
 
     def takes_as_short(self, document: Document) -> bool:
-        """Take over a candidate if it shows the failure in no more steps."""
+        """Adopt a candidate if it shows the failure in no more steps."""
         return self.takes(document, max(self.steps, 1))
 
     def takes(self, document: Document, steps: int | None = None) -> bool:
-        """Take over a candidate if it shows the failure, in at most so many steps; see `Trials.shows`.
+        """Adopt a candidate if it shows the failure in at most so many steps; see `Trials.shows`.
 
         Raises
         ------
         OutOfTime
-            If the time is over.
+            If time has run out.
         """
         return document != self.document and self._try(document, steps)
 
@@ -421,7 +422,7 @@ class Smallest:
         Raises
         ------
         OutOfTime
-            If the time is over.
+            If time has run out.
         """
         return self._try(self.document, None)
 
@@ -435,12 +436,12 @@ class Smallest:
         return True
 
     def takes_first(self, documents: list[Document]) -> int | None:
-        """Take over the first of several candidates that shows the failure; return its number.
+        """Adopt the first of several candidates that shows the failure; return its number.
 
         Raises
         ------
         OutOfTime
-            If the time is over.
+            If time has run out.
         """
         number = 0
         while (found := self._trials.promising(documents, number)) is not None:

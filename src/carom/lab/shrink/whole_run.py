@@ -1,10 +1,10 @@
 """Conditions on whole runs, which no single frame shows: invariances, replays that differ, the verdict of a command.
 
-An invariance compares a scene with an image of it, which must run alike: in other units, mirrored, moved, rotated, or
-renumbered. An image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order. Where
-floating point is exact, bits are compared: powers of two commute with every operation, and so do changes of sign.
-Otherwise the image may be as far off as runs from starts that differ by roundings, times a factor for the roundings of
-all steps.
+An invariance compares a scene with its image, which must have the same motion: in other units, mirrored, moved,
+rotated, or renumbered. An image has positions x' = L (A x) + s + u t' at times t' = T t, and bodies in another order.
+Where floating point is exact, bits are compared: powers of two commute with every operation, and so do changes of sign.
+Otherwise the image may deviate as far as runs with rounded initial states, times a factor for the roundings of all
+steps.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from carom.lab.shrink.literal import BODIES, Document, with_value
 from carom.private_folder import temporary_folder
 
 EPS = float(np.finfo(np.float64).eps)
-PERTURBED = 6  # runs that show how roundings grow
-ROUNDINGS = 1e3  # times as much as they may an image be off: they are rounded once, and an image in each step
-KNOWN = 1e-6  # of the extent; where roundings grow to more, nothing is said
+PERTURBED = 6  # runs that measure the growth of roundings
+ROUNDINGS = 1e3  # times the deviation of these runs is allowed for an image, which is rounded in each step and not once
+KNOWN = 1e-6  # of the extent; there is no verdict if roundings grow beyond it
 FINER = 16  # times as many steps; an error of order 1 falls by 16, of order 2 by 256
-FALLS = 64.0  # by which the error of an integrator of order 2 or more has to fall
+FALLS = 64.0  # least reduction of the error of an integrator of order 2 or more
 
 
 @dataclass(frozen=True, slots=True)
 class Image:
-    """How a scene is changed."""
+    """The transformation of a scene."""
 
     matrix: FloatArray = field(default_factory=lambda: np.eye(3))  # A, orthogonal
     length: float = 1.0  # L
@@ -136,7 +136,7 @@ INVARIANCES = (*IMAGES, STEPS, ARRAYS)
 
 @dataclass(frozen=True, slots=True)
 class FinalState:
-    """How a run ended."""
+    """The state and error at the end of a run."""
 
     step: int
     time: float
@@ -158,7 +158,7 @@ class FinalState:
 
 @dataclass(frozen=True, slots=True)
 class Varies:
-    """Something that must not matter, and does."""
+    """The violation of an invariance."""
 
     text: str
     name: str  # of `INVARIANCES`
@@ -172,17 +172,17 @@ class Varies:
             raise ExperimentError(f"--while {self.text}: no invariance {self.name}; {hint}")
 
     def pinned(self, seen: Observation) -> Varies:
-        """Return the condition itself, if it holds."""
+        """Return this condition, if it holds."""
         if not self.holds(seen):
             raise ExperimentError(f"nothing to shrink: {self.name} changes nothing that it should not")
         return self
 
     def holds(self, seen: Observation) -> bool:
-        """Return whether it matters."""
+        """Return whether the run and its image differ."""
         return bool(self.said(seen))
 
     def said(self, seen: Observation) -> str:
-        """Describe what differs; empty if nothing does."""
+        """Describe the difference; empty if there is none."""
         scene = seen.space.scene
         if seen.error or scene.bodies or not applies(self.name, scene):
             return ""
@@ -196,7 +196,7 @@ class Varies:
             return ""
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return none: which bodies matter is not known."""
+        """Return no names, because the bodies involved are unknown."""
         return set()
 
 
@@ -207,7 +207,7 @@ def applies(name: str, scene: Scene) -> bool:
     match name:
         case "scaling":
             return True
-        case "mirror":  # a tree sorts bodies to one side of a border, a box wraps them to one, and walls have an order
+        case "mirror":  # ties at borders of a tree or a box break the symmetry, and walls have an order
             return not (scene.group or bounded or needs.tree.modelled)
         case "translation" | "boost":
             return not (scene.group or bounded or (outside and name == "boost") or needs.tree.modelled)
@@ -215,7 +215,7 @@ def applies(name: str, scene: Scene) -> bool:
             return not (scene.group or bounded or needs.tree.modelled)
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
-        case _:  # steps follow from the smallest radius that a group may draw, and of arrays from the smallest of all
+        case _:  # steps follow from the smallest possible radius of a group, but the actual one of arrays
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
 
@@ -246,7 +246,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
 
 
 def _grown(document: Document, here: FinalState, reach: float, speed: float) -> float:
-    """Return how far apart runs are whose starts differ by roundings of a position and of a speed, in m."""
+    """Return the distance (m) of runs whose starts differ by the rounding of a position and a speed."""
     found = 0.0
     for seed in range(PERTURBED):
         rng = np.random.default_rng(seed)
@@ -273,7 +273,7 @@ def _by_shorter_steps(scene: Scene) -> str:
         _energy_error(one)
         for one in (scene, scene.model_copy(update={"time": scene.time.model_copy(update={"fixed_dt": dt})}))
     )
-    floor = 1e-11  # of the scale: some 10⁵ roundings
+    floor = 1e-11  # of the energy scale: some 10⁵ roundings
     if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
         return ""
     return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps of 1/{FINER}: it falls too little"
@@ -304,7 +304,7 @@ def _by_arrays(scene: Scene) -> str:
 
 
 def _explicit(scene: Scene) -> Document:
-    """Return a scene as a document with the defaults that have dimensions, in the units of the simulation."""
+    """Return a scene as a document in the units of the simulation, including defaults with dimensions."""
     quantities, units, _ = converted(tomllib.loads(scene.toml))
     document: Document = {key: value for key, value in quantities.items() if key != "expect"}
     if units.converts:
@@ -324,7 +324,7 @@ def _explicit(scene: Scene) -> Document:
     return document
 
 
-PLACE = "{}"  # in a command: where the path of the scene goes
+PLACE = "{}"  # in a command: the placeholder for the path of the scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,11 +357,11 @@ class CommandShows:
         return self._code(seen.space.scene) == 0
 
     def said(self, seen: Observation) -> str:
-        """Say that it does."""
+        """State that the command reported the failure."""
         return "the command exits with 0"
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return none: which bodies matter is not known."""
+        """Return no names, because the bodies involved are unknown."""
         return set()
 
     def _code(self, scene: Scene) -> int:
@@ -376,7 +376,7 @@ class CommandShows:
 
 @dataclass(frozen=True, slots=True)
 class ReplayDiffers:
-    """Two runs with different bits: on other threads, restored from a checkpoint, or by the other search."""
+    """Two runs with different bits: with other threads, from a checkpoint, or with the other search."""
 
     text: str
     way: str = ""  # empty: any
@@ -387,7 +387,7 @@ class ReplayDiffers:
         """Accept every run."""
 
     def pinned(self, seen: Observation) -> ReplayDiffers:
-        """Return the condition that runs differ in the same way."""
+        """Return the condition of the same kind of difference."""
         way = self._difference(seen)
         if not way:
             raise ExperimentError(
@@ -401,15 +401,15 @@ class ReplayDiffers:
         return bool(way) and self.way in ("", way)
 
     def said(self, seen: Observation) -> str:
-        """Describe how they differ."""
+        """Describe the difference."""
         return f"a run {self.way} ends with other bits"
 
     def bodies(self, seen: Observation) -> set[str]:
-        """Return none: which bodies matter is not known."""
+        """Return no names, because the bodies involved are unknown."""
         return set()
 
     def _difference(self, seen: Observation) -> str:
-        """Name the run that differs from the first; empty if none does."""
+        """Return the name of the run that differs from the first; empty if none differs."""
         scene, expected = seen.space.scene, _ending(seen.space, seen.error)
         other, middle = _run(Space(scene, threads=2), seen.space.step // 2)
         if other != expected:
@@ -431,7 +431,7 @@ def _ending(space: Space, error: str) -> tuple[int, int, str]:
 
 
 def _run(space: Space, middle: int = 0) -> tuple[tuple[int, int, str], Checkpoint | None]:
-    """Run a space to its end; return how it ended, and the state after a step."""
+    """Run a space to its end; return its final state, and the state after a step."""
     kept = None
     try:
         for frame in space.run(schedule=every(0.0)):

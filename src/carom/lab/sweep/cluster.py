@@ -28,7 +28,7 @@ _SETTINGS = {"distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s"}
 
 
 class DaskWorkers:
-    """The workers of a scheduler. Leaving the context leaves the cluster as it is.
+    """The workers of a scheduler. Leaving the context does not change the cluster.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class DaskWorkers:
         self._address = address
         self._keys: dict[str, Any] = {}  # keys of the tasks, by the keys of Dask
         self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by the keys of Dask
-        # not a SimpleQueue: a signal that interrupts its wait when the time is over makes it wait for ever
+        # not a SimpleQueue, whose timed wait never ends if a signal interrupts it at the timeout
         self._done: queue.Queue[Future[Any]] = queue.Queue()
         self._stack = contextlib.ExitStack()
 
@@ -53,7 +53,7 @@ class DaskWorkers:
             If no scheduler answers at the address.
         """
         for logger in _LOGGERS:
-            logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command itself reports what happens
+            logging.getLogger(logger).setLevel(logging.CRITICAL)  # the command has its own reports
         with self._stack:
             self._stack.enter_context(dask.config.set(_SETTINGS))
             self._client = self._stack.enter_context(_client_of(self._address))
@@ -73,7 +73,7 @@ class DaskWorkers:
     def send(self, function: Callable[[Any], Any], tasks: Mapping[Any, Any]) -> None:
         """Run a function of a module for each task, in order; the keys name the tasks.
 
-        All are sent at once: a task is at most a page of text, and the scheduler keeps the order.
+        All are sent at once, since a task is at most a page of text; the scheduler keeps the order.
         """
         batch = uuid.uuid4().hex[:8]
         names = {f"carom-{batch}-{key}": key for key in tasks}
@@ -86,7 +86,7 @@ class DaskWorkers:
             future.add_done_callback(self._done.put)
 
     def ended(self, seconds: float) -> list[Ended]:
-        """Return the tasks that have ended; wait so long for the first."""
+        """Return the tasks that have ended; wait up to a timeout for the first."""
         done = []
         with contextlib.suppress(queue.Empty):
             done.append(self._done.get(timeout=seconds))
@@ -111,7 +111,7 @@ class DaskWorkers:
         Raises
         ------
         ExperimentError
-            Naming the worker.
+            With the name of the worker.
         """
         try:
             answers = self._client.run(unfit, root, scene, version, on_error="return")
@@ -133,7 +133,7 @@ class DaskWorkers:
 
 
 def _ended(key: Any, future: Future[Any]) -> Ended:
-    """Return the result of a task, or what is known if it sent none."""
+    """Return the result of a task, or its error."""
     if future.status in ("cancelled", "lost"):
         return Ended(key, error=TaskDroppedError(f"the scheduler dropped it: {future.status}"))
     try:

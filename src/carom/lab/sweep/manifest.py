@@ -66,7 +66,7 @@ class Folder:
         return self.recordings[1] / f"{name}.rrd"
 
     def attempt(self, name: str) -> Path:
-        """Return a unique path for writing a recording, different even for attempts at the same run."""
+        """Return a unique path for writing a recording, even among attempts at the same run."""
         return self.partial / f"{name}.{uuid.uuid4().hex[:8]}.rrd"
 
     @property
@@ -80,7 +80,7 @@ class Folder:
             output_folder(part)
 
     def refuse_links(self) -> None:
-        """Refuse a folder in which another user has put a link in the place of a subfolder."""
+        """Refuse a folder in which another user has replaced a subfolder by a link."""
         for part in (*self.recordings, self.partial, self.data):
             if is_link_of_another(part):
                 raise ExperimentError(f"{part}: a link of another user; choose another folder with -o")
@@ -91,13 +91,13 @@ class Folder:
         return self.root / "runs", self.root / "failed"
 
     def path_of(self, name: str) -> Path | None:
-        """Return the path of a file that a manifest names; None if that is not in this folder."""
+        """Return the path of a file in a manifest; None if it is outside of this folder."""
         path = self.root / name
         return path if path.name == name or path.parent.resolve().is_relative_to(self.root.resolve()) else None
 
     @property
     def is_fresh(self) -> bool:
-        """Whether nothing is in the folder besides the lock."""
+        """Whether the folder contains only the lock."""
         return all(path == self._lock for path in self.root.iterdir())
 
     @property
@@ -105,7 +105,7 @@ class Folder:
         return self.root / ".claim"
 
     def leave(self) -> None:
-        """Remove what is empty after a sweep that could not begin."""
+        """Remove the empty folders of a sweep that could not begin."""
         for folder in (*self.recordings, self.partial, self.data):
             with contextlib.suppress(OSError):
                 folder.rmdir()
@@ -123,7 +123,7 @@ class Folder:
                     path.unlink(missing_ok=True)
 
     def clear(self, names: Iterable[str], files: Iterable[str]) -> None:
-        """Remove the runs and files that a manifest lists, the manifest last, and no other."""
+        """Remove only the runs and files that a manifest lists, and the manifest last."""
         ours = set(names)
         self.clear_partial(ours)
         for folder in self.recordings:
@@ -163,7 +163,7 @@ class Folder:
 
 
 def put(path: Path, content: str | bytes) -> None:
-    """Write a file atomically: after a crash it has either its old or its new content."""
+    """Write a file atomically: after a crash it has its old or its new content."""
     try:
         with new_name(path, ".new") as beside:
             with beside.open("xb") as file:
@@ -172,7 +172,7 @@ def put(path: Path, content: str | bytes) -> None:
                 os.fsync(file.fileno())
             move(beside, path)
     except OSError as error:
-        raise OSError(error.errno, error.strerror, str(path)) from error  # that of a full disk names no file
+        raise OSError(error.errno, error.strerror, str(path)) from error  # the error of a full disk names no file
 
 
 def put_copy(path: Path, source: Path) -> None:
@@ -200,8 +200,8 @@ def move(path: Path, to: Path) -> None:
 SCHEMA = 1
 PENDING, DONE, FAILED = "pending", "done", "failed"
 COMPLETED = "completed"
-_FILES_BEFORE = ("scene.toml", "table.parquet", "table.csv")  # of manifests that do not list them
-_ENTRY = 4000  # bytes reserved for the entry of a run
+_FILES_BEFORE = ("scene.toml", "table.parquet", "table.csv")  # of older manifests, which do not list them
+_ENTRY = 4000  # bytes reserved for each run's entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,7 +211,7 @@ class SweepRun:
     name: str
     parameters: dict[str, Any]
     seed: int
-    status: str = PENDING  # "done": it completed, and its recording is complete; "failed": it did not
+    status: str = PENDING  # "done": run and recording are complete; "failed": they are not
     outcome: str = ""  # as of `Outcome.status`; or "refused", "lost" with its workers, "error"
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
@@ -219,7 +219,7 @@ class SweepRun:
     file: str = ""  # in the sweep's folder
     size: int = 0  # bytes
     worker: str = ""  # the host that ran it
-    results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect`, by dotted keys
+    results: dict[str, Any] = field(default_factory=dict)  # the numbers of `carom inspect` under dotted keys
 
     @property
     def ok(self) -> bool:
@@ -234,7 +234,7 @@ class _Stored(BaseModel):
     scene: str
     varied: list[str]
     versions: dict[str, str]
-    units: str | None = None  # manifests of before did not name them
+    units: str | None = None  # older manifests lack it
     files: list[str] = Field(default_factory=lambda: [*_FILES_BEFORE])
     runs: Annotated[list[SweepRun], Field(min_length=1)]
 
@@ -249,7 +249,7 @@ class Manifest:
         self.plan = plan
         self.runs = runs  # by name
         self.command = command
-        self.files = set(files)  # that the sweep has written besides the runs, in its folder
+        self.files = set(files)  # further files of the sweep in its folder
         self._lines = {name: _line(run) for name, run in runs.items()}  # of the file
         self._reserve: DiskReserve | None = None
 
@@ -275,7 +275,7 @@ class Manifest:
             known.setdefault(point.name, SweepRun(point.name, point.parameters, point.seed))
         begun = cls(folder, plan, known, command, files | {folder.scene.name, *data})
         folder.make()
-        begun.save()  # before what it lists, so that nothing of a sweep is ever without its manifest
+        begun.save()  # before the files that it lists, so that no file of a sweep lacks a manifest
         _copy_data(folder, plan)
         put(folder.scene, plan.scene)
         return begun
@@ -287,7 +287,7 @@ class Manifest:
 
     @property
     def asked(self) -> list[SweepRun]:
-        """The runs of the plan; the folder may have more, from an earlier and larger plan."""
+        """The runs of the plan; the folder may hold more from an earlier, larger plan."""
         return [self.runs[point.name] for point in self.plan.points]
 
     def reset(self, points: list[SweepPoint]) -> None:
@@ -302,7 +302,7 @@ class Manifest:
         return run
 
     def list_tables(self) -> None:
-        """Save that the tables are this sweep's; OSError if they are not, or if that fails."""
+        """Record that the tables belong to this sweep. Raises OSError if they do not, or if that fails."""
         names = {path.name for path in self.folder.tables}
         for name in sorted(names - self.files):
             if os.path.lexists(self.folder.root / name):
@@ -313,7 +313,7 @@ class Manifest:
         self.save()
 
     def hold_room(self) -> None:
-        """Reserve disk space for the final manifest, so that a full disk can still be reported."""
+        """Reserve disk space for the final manifest, so that it can report a full disk."""
         self._reserve = DiskReserve(self.folder.root)
         try:
             self._reserve.grow(_ENTRY * len(self.runs))
@@ -400,7 +400,7 @@ def stored_runs(folder: Folder) -> list[SweepRun]:
 
 
 def _line(run: SweepRun) -> str:
-    """Return the entry of a run as text, which is kept until the run changes."""
+    """Return the entry of a run as text, which is cached until the run changes."""
     return json.dumps(asdict(run), ensure_ascii=False)
 
 
@@ -431,7 +431,7 @@ def _refuse_to_replace(folder: Folder, names: Iterable[str], ours: set[str]) -> 
 
 
 def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
-    """Refuse recordings in the place of runs that the manifest does not list yet."""
+    """Refuse to replace recordings that the manifest does not list."""
     for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
         if path.name.removesuffix(".rrd") in names:
             raise ExperimentError(

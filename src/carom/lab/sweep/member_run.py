@@ -23,9 +23,9 @@ _NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's s
 
 @dataclass(frozen=True, slots=True)
 class SweepTask:
-    """The data that a worker needs; the scene itself is in the folder."""
+    """The data for a worker; the scene is in the folder."""
 
-    root: str  # the sweep's folder, as the client sees it
+    root: str  # the sweep's folder on the client
     scene: str  # digest of the scene's text
     version: str  # of carom
     command: str
@@ -33,7 +33,7 @@ class SweepTask:
 
 
 def execute(task: SweepTask) -> Report:
-    """Make a run, or find its recording; the report contains any error."""
+    """Run a member, or find its recording; return a report, which contains any error."""
     began = time.perf_counter()
     folder = Folder(Path(task.root))
     try:
@@ -78,7 +78,7 @@ def _made(task: SweepTask, folder: Folder) -> Report:
         outcome = simulate(recording_space(scene, threads=1), attempt, member=member)
         if outcome.status in _WHOLE:
             return _kept(attempt, whole, folder)
-        if outcome.status == "failed":  # keeps the recording; other ends say nothing about the scene
+        if outcome.status == "failed":  # keep the recording; other outcomes do not depend on the scene
             return _kept(attempt, folder.failed(point.name), folder)
         return _failure(outcome.status, outcome.reason)
     finally:
@@ -123,7 +123,7 @@ def _failure(outcome: str, reason: str) -> Report:
 
 
 def _results(summary: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """Write the numbers of a summary under dotted keys."""
+    """Return the numbers of a summary under dotted keys."""
     found: dict[str, Any] = {}
     for key, value in summary.items():
         if isinstance(value, Mapping):
@@ -134,6 +134,6 @@ def _results(summary: Mapping[str, Any], above: str = "") -> dict[str, Any]:
 
 
 def _recordable(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Write values without a Rerun component as text."""
+    """Convert values without a Rerun component to text."""
     kept = (bool, int, float, str)
     return {key: value if isinstance(value, kept) else str(value) for key, value in parameters.items()}

@@ -24,7 +24,7 @@ _UNSAFE = re.compile(r"[^A-Za-z0-9._+-]+")
 
 @dataclass(frozen=True, slots=True)
 class SweepPoint:
-    """One run to be made."""
+    """A planned run."""
 
     name: str  # from the varied values; the recording has the same name
     parameters: dict[str, Any]  # by key, without the seed
@@ -107,7 +107,7 @@ def plan(
 
 
 def _data_files(scene: Scene, points: Sequence[SweepPoint]) -> dict[str, Path]:
-    """Return the data files of all runs that lie at or below the scene's folder, by their names in the scene."""
+    """Return the data files of all runs within the scene's folder, by their names in the scene."""
     files = None if scene.held is None else scene.held.files
     if files is None:
         return {}
@@ -154,7 +154,7 @@ def _point(row: dict[str, Any], short: dict[str, str]) -> SweepPoint:
     shown = {short[key]: _shown(row[key]) for key in short}
     name = ",".join(f"{key}={value}" for key, value in shown.items())
     safe = ",".join(f"{_UNSAFE.sub('_', key)}={_UNSAFE.sub('_', value)}" for key, value in shown.items())
-    if safe != name or len(safe) > _LONGEST_NAME:  # two values might become equal
+    if safe != name or len(safe) > _LONGEST_NAME:  # shortened names might coincide
         safe = f"{safe[:_LONGEST_NAME]}-{hashlib.sha256(name.encode()).hexdigest()[:8]}"
     parameters = {key: value for key, value in row.items() if key != SEED}
     return SweepPoint(safe, parameters, row[SEED])
@@ -169,7 +169,7 @@ def _shown(value: Any) -> str:
 
 
 def _refuse_hopeless(text: str, points: Sequence[SweepPoint], held: HeldBodies | None) -> None:
-    """Refuse a sweep of which no run can be made, so a misspelt key is reported once, not once a run."""
+    """Refuse a sweep without a valid run, so that a misspelt key is reported once and not for each run."""
     first: SceneError | None = None
     for point in points:
         try:

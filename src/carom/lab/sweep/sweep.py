@@ -55,11 +55,11 @@ class Conductor:
         self._manifest = manifest
         self._watch = watch
         self._left: set[str] = set()  # names of the runs that have not ended
-        self._dropped = 0  # runs that the scheduler refuses to make, or whose report it lost
-        self._unsaved = ""  # why the manifest could not be written
+        self._dropped = 0  # runs that the scheduler dropped, or whose report it lost
+        self._unsaved = ""  # the error by which the manifest could not be written
 
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
-        """Make runs; return why this ended early, or an empty text.
+        """Execute runs; return why this ended early, or an empty text.
 
         The first interrupt lets current runs finish, the second drops them.
 
@@ -118,7 +118,7 @@ class Conductor:
 
 
 def _report_of(ended: Ended) -> Report:
-    """Return the report of a worker, or what is known if it sent none."""
+    """Return the report of a worker, or one made from its error."""
     if ended.error is None:
         report: Report = ended.value
         return report
@@ -129,12 +129,12 @@ def _report_of(ended: Ended) -> Report:
 
 @dataclass(frozen=True, slots=True)
 class SweepEnding:
-    """How a sweep ended."""
+    """The result of a sweep."""
 
     manifest: Manifest
     found: int  # runs that already existed
-    stopped: str  # why it ended early; empty if it did not
-    untabled: str = ""  # why the table could not be written
+    stopped: str  # the reason for an early end; otherwise empty
+    untabled: str = ""  # the error by which the table could not be written
 
     @property
     def failed(self) -> list[SweepRun]:
@@ -143,7 +143,7 @@ class SweepEnding:
 
     @property
     def missed(self) -> list[SweepRun]:
-        """The runs that completed and missed a promise of their scene."""
+        """The completed runs that missed a promise of their scene."""
         return [run for run in self.manifest.asked if run.status not in (FAILED, PENDING) and not run.ok]
 
     @property
@@ -223,7 +223,7 @@ def sweep(
 
 @contextlib.contextmanager
 def _nothing_left_of_a_mistake(folder: Folder) -> Iterator[None]:
-    """Remove a new folder if its sweep cannot begin, for example since no cluster is at the address."""
+    """Remove a new folder if its sweep cannot begin, for example without a cluster at the address."""
     fresh = folder.is_fresh
     try:
         yield

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class SweepProgress(LiveLine):
-    """Runs done, runs failed and time left; and a line that stays for each failure."""
+    """The numbers of completed and failed runs, the time left, and a permanent line for each failure."""
 
     def __init__(self, title: str, runs: int, quiet: bool = False) -> None:
         super().__init__(quiet)
@@ -26,10 +26,10 @@ class SweepProgress(LiveLine):
         self._found = 0
         self._ended = 0
         self._failed = 0
-        self._first: float | None = None  # when the first run ended: the workers were starting before
+        self._first: float | None = None  # end of the first run, before which the workers were starting
 
     def begin(self, found: int) -> None:
-        """Describe what there is to do."""
+        """Describe the task."""
         self._found = found
         self._restart()
         there = f", {found} of them are there" if found else ""
@@ -44,7 +44,7 @@ class SweepProgress(LiveLine):
             self.say(f"{run.name}: {run.outcome}: {' '.join(run.reason.split())}")
 
     def tick(self) -> None:
-        """Show where the sweep is."""
+        """Show the progress of the sweep."""
         self._show(self._line)
 
     def _line(self, now: float) -> str:
@@ -283,7 +283,7 @@ def show(folder: Path, conditions: list[str], sort: str | None, columns: str | N
 
 
 def print_json(folder: Path, conditions: list[str], sort: str | None, columns: str | None) -> None:
-    """Print the rows of a sweep, with all columns or with those that the table would have."""
+    """Print the rows of a sweep as JSON, with all columns or with those of the table."""
     from carom.lab.sweep.sweep_table import chosen
 
     rows, stored = _rows(folder)
@@ -295,7 +295,7 @@ def print_json(folder: Path, conditions: list[str], sort: str | None, columns: s
 
 
 def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: str) -> list[str]:
-    """Return the columns of a table: what varies, those asked for, what it is sorted by, and the outcome."""
+    """Return the columns of a table: varied keys, requested columns, the sort key, and the outcome."""
     from carom.lab.sweep.sweep_table import known
 
     wanted = [known(key, rows) for key in columns.split(",") if key]
@@ -304,7 +304,7 @@ def _keys(rows: list[Row], stored: dict[str, Any], sort: str | None, columns: st
 
 
 def refuse_plot(plot: tuple[str, str]) -> None:
-    """Refuse a figure that cannot be drawn, before anything is computed for it."""
+    """Refuse an impossible figure before anything is computed."""
     _axes(plot)
     with needing("plot", "carom sweep --plot", "matplotlib"):
         import matplotlib  # noqa: F401
@@ -325,8 +325,8 @@ def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
 def serve(folder: Path) -> None:
     """Serve a sweep's recordings to the viewer until the person closes it or interrupts.
 
-    Rerun's server has no password. So this process moves, with its viewer, where other users of the machine cannot
-    connect, before it loads libraries that start threads. Without a screen, the server is there for viewers elsewhere.
+    Rerun's server has no password. So this process and its viewer move into a network that other users of the machine
+    cannot reach, before libraries start threads. Without a screen, the server accepts viewers elsewhere.
     """
     from carom.extend import keeper
 

@@ -90,7 +90,7 @@ def known(key: str, rows: Sequence[Row]) -> str:
 
 
 def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Return of each row whether it meets a condition; a value of another kind than is wanted only differs."""
+    """Return for each row whether it meets a condition; a value of another kind meets only "differs"."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")
@@ -124,7 +124,7 @@ def _number_of(text: str) -> float | None:
 
 
 def _unlike(value: Any, wanted: str) -> str:
-    """Say of which kind a column is, by one of its values, where nothing in it can be compared with what is wanted."""
+    """Return the message that no value of a column can be compared with the condition, with an example."""
     if _is_number(value):
         return f'is numeric; got "{wanted}"'
     if physical(_text(value)):
@@ -207,7 +207,7 @@ def _line(axes: Any, label: str, points: Points) -> None:
 
 
 def _unit(rows: Sequence[Row], key: str) -> Physical | None:
-    """Return the first quantity with a unit in a column; its unit is that of the axis."""
+    """Return the first quantity with a unit in a column, which sets the unit of the axis."""
     quantities = (physical(row[key]) for row in rows if isinstance(row[key], str))
     return next((found for found in quantities if found), None)
 

@@ -1,14 +1,14 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
 SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
-a step, conservative advancement finds the first time at which they touch: the gap divided by a bound of the closing
-speed is a time in which they cannot meet, so no contact is missed. The time is then refined on steps from the same
-beginning, and `physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample is a separate,
-shorter step, which is more accurate than DOP853's interpolation.
+a step, conservative advancement finds their first contact: they cannot meet before the gap over a bound of the closing
+speed, so no contact is missed. The time is then refined with steps from the same beginning, and
+`physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample is a separate, shorter step,
+which is more accurate than DOP853's interpolation.
 
-Bodies may stay in touch without pressing on each other, as after a plastic impact without forces; the next impact of
-one of them is then an impact of all. The solution ends where a force presses touching bodies together, or where
-infinitely many contacts follow each other, because lasting contacts are not events.
+Bodies may stay in touch without force, as after a plastic impact; the next impact of one is then an impact of all. The
+solution ends where a force presses touching bodies together or where contacts accumulate, because lasting contacts are
+not events.
 
 The tolerance bounds the error of flights only. A *twin* measures how contacts amplify rounding: the same scene,
 displaced by rounding errors, with simultaneous contacts resolved in the opposite order.
@@ -42,11 +42,11 @@ MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
 SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
-TOUCHING = 1e-12  # of the sum of radii: gaps up to this, or up to rounding, are contact
-ROUNDINGS = 8.0  # units in the last place, of speeds and places, by which contacts may seem to close or be apart
-LOWEST_FLIGHT = 10.0  # times the largest gap that is contact; after a lower bounce the contact counts as lasting
+TOUCHING = 1e-12  # of the sum of radii: smaller gaps, or gaps within rounding, are contact
+ROUNDINGS = 8.0  # units in the last place of speeds and positions, the tolerance of contact
+LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; after a lower bounce, the contact counts as lasting
 BISECTIONS = 30  # of a step in which a force begins to press
-NEWTON = 12  # most iterations, each of which squares the error
+NEWTON = 12  # largest number of iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
 LONGER = 1.25  # factor of the longest step of a twin; at order eight its error is six times as large
 EPS = float(np.finfo(np.float64).eps)
@@ -57,12 +57,12 @@ class EventDrivenSolution:
     """The event-driven solution of a scene, up to its end."""
 
     trajectory: Trajectory
-    ended: str = ""  # why it ends before the scene does; empty if it does not
+    ended: str = ""  # why it ends before the scene; empty if complete
     time: list[float] = field(default_factory=list)  # s, of every contact
 
 
 def why_not(scene: Scene) -> str:
-    """Explain why a scene cannot be solved exactly; empty if it can."""
+    """Return why a scene cannot be solved exactly; empty if it can."""
     if scene.count > MOST_BODIES:
         return f"{scene.count} bodies are more than {MOST_BODIES}"
     if scene.domain.boundary != "open" or scene.plane:
@@ -122,7 +122,7 @@ class _Solver:
         self._velocity: list[FloatArray] = []  # (n, 3) m/s, at the same instant
         self._met: dict[tuple[int, int], float] = {}
         self._struck: list[float] = []  # s, of every impact
-        self._ends: list[tuple[int, int]] = []  # likewise, its bodies
+        self._ends: list[tuple[int, int]] = []  # the bodies of each impact
         self._ended = ""
         size = np.concatenate((start.position - start.position.mean(axis=0), start.position)).ravel()
         length = max(float(np.abs(size).max()), float(start.radius.max()))
@@ -203,7 +203,7 @@ class _Solver:
             self._velocity.append(v.copy())
 
     def _sample_now(self) -> None:
-        """Store the sample at the present time, if there is one; bodies struck then have their new velocities."""
+        """Store the sample at the present time, if there is one; colliding bodies then have their new velocities."""
         if self._next_sample() == self._time:
             self._position.append(self._bodies.position.copy())
             self._velocity.append(self._bodies.velocity.copy())
@@ -248,7 +248,7 @@ class _Solver:
         return np.concatenate((y[3 * self._n :], acceleration.ravel()))
 
     def _widen(self, y: FloatArray, solver: DOP853) -> None:
-        """Let gaps count as contact that rounding of coordinates and of the clock cannot resolve, as of fast bodies."""
+        """Widen the tolerance of contact to gaps below the rounding of coordinates and clock, as for fast bodies."""
         ends = np.stack((y, solver.y))
         largest = np.abs(ends[:, : 3 * self._n]).max(axis=0).reshape(-1, 3).max(axis=1)
         speed = np.max([self._speeds(end) for end in ends], axis=0)
@@ -338,7 +338,7 @@ class _Solver:
         for pair in np.flatnonzero(np.abs(self._gaps(state)) <= self._near):
             rate = self._closing(state, int(pair))
             if rate <= self._rate_noise(state, int(pair), self._tolerance):
-                continue  # it stays in touch; `_pressed` finds out whether a force presses
+                continue  # it stays in touch; `_pressed` checks for a force that presses
             pull = self._pull(state, int(pair))
             if pull >= 0.0:
                 continue
@@ -349,7 +349,7 @@ class _Solver:
         return longest
 
     def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
-        """Return a pair that touches before a step and closes after it, by more than errors of the step; or None."""
+        """Return a pair that touches before a step and closes after it by more than the step's error, or None."""
         for pair in np.flatnonzero((self._gaps(before) <= self._near) & (self._gaps(after) <= 0.0)):
             if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
                 return int(pair)

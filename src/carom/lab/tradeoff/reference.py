@@ -32,9 +32,9 @@ class Errors:
     """The errors of a run; NaN if not measured. Smaller is better for each."""
 
     position: float  # rms over bodies and samples up to the horizon, over the size of the system
-    velocity: float  # likewise, over its speed
+    velocity: float  # rms over bodies and samples, over the speed of the system
     impact: float  # s, rms over the pairs that met before the horizon, of the time of their first contact
-    missed: float  # number of those pairs that had not met by then; for `impact` they count as met at the horizon
+    missed: float  # number of those pairs without contact by then; in `impact` they count as met at the horizon
     energy: float  # largest |integration error| over the energy scale, from the ledger
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the scale
     momentum: float  # largest error of the momentum over its scale
@@ -42,7 +42,7 @@ class Errors:
     overlap: float  # deepest overlap over the smaller radius
     sinking: float  # error of the mean overlap of contacts late in the run; NaN if nothing can rest
     impacts: float  # | number of impacts / that of the reference - 1 |
-    size: float  # rms over all samples of the rms radius, over the reference's
+    size: float  # rms error over all samples of the rms radius, over the reference's
     dispersion: float  # error of the rms speed about the centre
 
 
@@ -88,7 +88,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
     samples
         Number of samples up to the horizon, at which trajectories are compared.
     whole
-        Whether the reference reaches the end of the scene, so its statistics are those of the whole run.
+        Whether the reference reaches the end of the scene, so that its statistics cover the whole run.
     """
     position, velocity = scale.apart(run.until(samples), reference.until(samples))
     horizon = float(reference.time[samples - 1]) if samples else 0.0
@@ -114,7 +114,7 @@ def compare(run: Trajectory, reference: Trajectory, scale: ErrorScale, samples: 
 
 
 def _late(run: Trajectory, reference: Trajectory, horizon: float) -> tuple[float, float]:
-    """Return the rms error in s of the first contacts up to the horizon, and how many pairs never met."""
+    """Return the rms error (s) of the first contacts up to the horizon, and the number of pairs that never met."""
     met = {tuple(pair): time for pair, time in zip(run.pair.tolist(), run.met.tolist(), strict=True)}
     due = [
         (tuple(pair), time)
@@ -139,10 +139,10 @@ def _total(values: FloatArray) -> float:
 AGREEMENT = 1e-3  # of the size of the system; refinements that differ by more do not agree
 LOOSER = 10.0  # ratio of the tolerances of the second and first exact solution
 GAIN = 1.1  # refinement ends when the horizon grows by less than this factor
-BUDGET = 120.0  # s of computing for all exact solutions; after it, no refinement but the second begins
+BUDGET = 120.0  # s of computing for all exact solutions; after it, only the second refinement may begin
 EPS = float(np.finfo(np.float64).eps)  # relative precision of double-precision numbers
 
-DIRECT_UP_TO = 20_000  # bodies; up to here the reference of a tree is a direct sum, beyond it uses `FINE_ANGLE`
+DIRECT_UP_TO = 20_000  # bodies; the reference of a tree is a direct sum up to here, and uses `FINE_ANGLE` beyond
 FINE_ANGLE = 0.2  # rad; the error of a tree is a twentieth of that at the default angle
 
 Teller = Callable[[str], None]
@@ -158,7 +158,7 @@ class Reference:
     fineness: float  # steps of the scene over its steps; infinite if it is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
     whole: bool  # whether it reaches the end of the scene
-    uncertainty: Errors  # the larger errors of the checks, by the same measures as for settings; at least rounding
+    uncertainty: Errors  # the larger errors of the checks, in the measures of settings; at least rounding
     text: str  # description
 
     @property
@@ -184,7 +184,7 @@ def make_reference(
     Parameters
     ----------
     finest
-        Steps of the scene over the smallest steps that will be compared; a refined reference begins at half of those.
+        Steps of the scene over the smallest compared steps; a refined reference begins at half of these.
     threads
         For the kernels.
     budget
@@ -208,7 +208,7 @@ def make_reference(
 
 
 def refined(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that divide the steps of a scene by a factor, whatever limits them."""
+    """Return the overrides that divide the steps of a scene by a factor, under any limit."""
     rule, units = scene.time, scene.unit_system
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
@@ -251,7 +251,7 @@ def scale_of(scene: Scene, trajectory: Trajectory) -> ErrorScale:
 
 
 def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tuple[Reference | None, str]:
-    """Solve a scene exactly; return no reference, and why, if none of its samples is known for certain."""
+    """Return the exact reference of a scene; None and the reason if none of its samples is certain."""
     times = sample_times(scene)
     tell(f"reference: exact, DOP853 with tolerances of {TIGHTEST:g}")
     best = solve(Space(scene, threads), times, budget=budget / 3)
@@ -304,7 +304,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
-    """Return the scene with smaller steps, without the error of a tree, and without forces with times of impact."""
+    """Return the scene with smaller steps and without the error of a tree; without forces, use times of impact."""
     overrides = refined(scene, factor) + _finer_pull(scene)[0]
     if not require(scene).pulls:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
@@ -341,7 +341,7 @@ def _agreement(scale: ErrorScale, best: Trajectory, check: Trajectory) -> int:
 
 
 def _largest(errors: list[Errors], horizon: float) -> Errors:
-    """Return the largest of each error, no less than its rounding; times of impacts are rounded as the clock is."""
+    """Return the largest of each error, at least its rounding; times of impact have the rounding of the clock."""
     rows = [astuple(error) for error in errors] or [(math.nan,) * len(NAMES)]
     largest = Errors(*np.fmax.reduce(np.array(rows), axis=0).tolist())
     return replace(

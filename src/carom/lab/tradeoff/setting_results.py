@@ -3,10 +3,10 @@
 A setting is on the front if no other setting beats it in both cost and error. Errors are the same in every run. Costs
 are noisy, so each is an interval. A setting is beaten if another one has no larger error and its cost interval lies
 entirely below. It is on the front if the cost intervals of all others with no larger error lie entirely above.
-Otherwise it is undecided. Two measurements with overlapping intervals, setting by setting, therefore never contradict
-each other: no setting is on the front in one and beaten in the other. A front of medians alone would change with every
-measurement where two settings cost the same. Errors that differ by less than the uncertainty of the reference are not
-distinguished, unless they are equal.
+Otherwise it is undecided. Two measurements whose intervals overlap for each setting therefore never contradict each
+other: no setting is on the front in one and beaten in the other. A front of medians would change with every measurement
+of settings with equal costs. Errors that differ by less than the uncertainty of the reference are not distinguished,
+unless they are equal.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class SettingResult:
     steps: int = 0
     frames: int = 0  # in a recording of it
     errors: Errors | None = None
-    spent: float = 0.0  # s of CPU time, after which it was stopped
+    spent: float = 0.0  # s of CPU time at which it was stopped
 
     @property
     def cost(self) -> float:

@@ -53,7 +53,7 @@ class GridPoint:
 
 
 def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
-    """Return the keys that trade speed for accuracy in a scene, each with values that differ from the scene's."""
+    """Return the keys that trade speed for accuracy in a scene, each with further values."""
     parts = require(scene)
     forces, located = parts.pulls, parts.impact_time.modelled
     found: dict[str, tuple[str, ...]] = {}
@@ -63,7 +63,7 @@ def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
         found["time.integrator"] = tuple(name for name in _integrators(scene) if INTEGRATORS[name].holds_contacts)
         found["contact.solver"] = ("lasting", "staged")
     if parts.contact.modelled:
-        if forces or not located:  # otherwise next to nothing is left to the end of the step
+        if forces or not located:  # otherwise almost nothing happens at the end of the step
             found["contact.sweeps"] = ("quick", "2")
             found["contact.stabilisation"] = ("split", "none", "baumgarte")
         found["contact.timing"] = ("end-of-step", "time-of-impact")
@@ -106,7 +106,7 @@ def _in_effect(scene: Scene) -> dict[str, str]:
 
 
 def default_points(scene: Scene) -> list[GridPoint]:
-    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene.
+    """Return about a dozen useful settings of the parts that the scene requires; the first is the scene itself.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def _controls_error(scene: Scene, point: GridPoint) -> bool:
 
 
 def default_settings(scene: Scene) -> list[Setting]:
-    """Return the default points as settings, and accuracies in place of a step where few bodies cannot touch."""
+    """Return the default points as settings; for few bodies that cannot touch, also accuracies in place of a step."""
     settings = [point.setting(scene) for point in default_points(scene)]
     if not require(scene).contact.modelled and scene.count <= MOST_ACCURATE:
         settings += [_accurate(scene, accuracy) for accuracy in ACCURACIES]
@@ -179,7 +179,7 @@ def vary(scene: Scene, choices: list[str]) -> list[Setting]:
 
 
 def refusal(scene: Scene) -> str:
-    """Explain why this version cannot run a valid scene; empty if it can."""
+    """Return why this version cannot run a valid scene; empty if it can."""
     try:
         Space(scene)
     except (SceneError, PhysicsError) as error:
@@ -198,7 +198,7 @@ class _Choice:
 
 
 def _setting(scene: Scene, picked: tuple[_Choice, ...]) -> Setting:
-    """Combine choices; the step is a multiple of its value with all the others."""
+    """Combine choices; the factor applies to the step under all other choices."""
     overrides = [choice.override for choice in picked if choice.override]
     step = math.prod(choice.step for choice in picked)
     if step != 1.0:
@@ -228,7 +228,7 @@ def _axis(choice: str) -> list[_Choice]:
 
 
 def _refuse_another_scene(key: str) -> None:
-    """Refuse keys that change the scene, whose error would be measured against another one."""
+    """Refuse keys that change the scene itself, since errors are relative to the original scene."""
     known = (STEP, THREADS, *METHOD)
     if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
         raise SceneError(

@@ -1,7 +1,7 @@
 """Measures the cost of accuracy on a scene: runs and times settings in rotation, with errors relative to a reference.
 
-Each measurement is stored at once, in the document ``tradeoff.json`` and as trajectories, so a study can be interrupted
-and resumed.
+Each measurement is stored at once, in ``tradeoff.json`` and as a trajectory, so that a study can be interrupted and
+resumed.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def cost_of(setting: Setting, scene: Scene, threads: int | None) -> float:
     settled_scene = with_promise(asked, threads)
     ahead = clock() - began
     space = Space(settled_scene, threads)
-    space.check_interval = math.inf  # other engines judge nothing
+    space.check_interval = math.inf  # other engines compute no checks
     began = clock()
     for _ in space.run(schedule=at(())):
         pass
@@ -77,13 +77,13 @@ ADVICE = "give --force to begin anew, or another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 
-BODIES_PER_STEP = 30  # the time of a step does not fall below that of about so many bodies
-DEARER = 30.0  # times the steps of the scene as written that a bounded setting may take in any case
+BODIES_PER_STEP = 30  # a step takes at least the time of about so many bodies
+DEARER = 30.0  # times the steps of the scene as written, which a bounded setting may always take
 MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
 
 Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
-Examiner = Callable[[SettingResult, Teller], None]  # of a run that was followed
+Examiner = Callable[[SettingResult, Teller], None]  # examines a followed run
 
 
 class Study:
@@ -102,11 +102,12 @@ class Study:
     advice
         Advice in the message if the folder contains another study.
     limit
-        s of CPU time, after which a run is stopped, and s after which no reference begins.
+        s of CPU time at which a run is stopped, and s after which no reference begins.
     files
-        Names of the files that the command writes into the folder; they are not replaced before it has a study.
+        Names of the files that the command writes into the folder; existing ones are not replaced before it has a
+        study.
     bounded
-        Whether each setting is stopped after a number of steps, too, see `WORK`: for settings that nobody chose.
+        Whether each setting is also stopped after a number of steps, see `WORK`, as for default settings.
 
     Raises
     ------
@@ -151,18 +152,17 @@ class Study:
     def noise(self) -> float:
         """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
 
-        Single runs are off by half of that, but of three runs two may be off by chance, and then so is the median. A
-        setting whose costs differ by more has that larger uncertainty. 0 if nothing was run twice.
+        A single run deviates by half of that, but two of three may deviate by chance, and with them the median. A
+        setting with a larger range has that larger uncertainty. 0 if nothing was run twice.
         """
         ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
         return median(ranges) if ranges else 0.0
 
     def measure(self, settings: list[Setting], repeats: int, tell: Teller) -> list[SettingResult]:
-        """Measure the settings that are not measured yet, and return the results of all these settings.
+        """Measure the unmeasured settings, and return the results of all given settings.
 
         The first run of a setting measures its errors and is not timed, because it also compiles kernels. Then all
-        settings are timed once, then all a second time, and so on, so a temporary slowdown of the machine affects all
-        of them.
+        settings are timed in rotation, so that a temporary slowdown of the machine affects all of them.
         """
         self.prepare(settings, tell)
         results = [self._result(setting) for setting in settings]
@@ -185,13 +185,13 @@ class Study:
         return results
 
     def prepare(self, settings: list[Setting], tell: Teller) -> Reference:
-        """Return the reference of the scene; make it if it is not fine enough for some settings."""
+        """Return the reference of the scene; compute a finer one if some settings need it."""
         scenes = [self._applied(self._result(setting)) for setting in settings]
         finest = max([1.0, *(fineness(self.scene, scene) for scene in scenes if scene is not None)])
         if self.reference is None or self.reference.fineness < MARGIN * finest:
             self.reference = make_reference(self.scene, finest, threads=self.threads, budget=self.budget, tell=tell)
             self.reference.trajectory.save(self.folder / REFERENCE)
-            for result in self.results:  # of an earlier study, compared with a coarser reference so far
+            for result in self.results:  # results of an earlier study, which had a coarser reference
                 if result.status == "measured":
                     result.errors = self.reference.errors(self.trajectory(result))
             write_document(self.folder / DOCUMENT, self.document())
@@ -225,7 +225,7 @@ class Study:
             "scene": {"title": self.scene.title, "bodies": self.scene.count, "toml": self.scene.toml},
             "environment": environment(self.threads or 0),
             "noise": self.noise,
-            "load": self._busy,  # of the machine while costs were measured: the largest mean of a minute
+            "load": self._busy,  # largest one-minute load of the machine while costs were measured
             "reference": None if self.reference is None else reference_entry(self.reference),
             "settings": [
                 {
@@ -258,14 +258,14 @@ class Study:
         return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
 
     def _bound(self, result: SettingResult) -> RunBound:
-        """Return how far a setting may go; the scene as written goes on up to the limit."""
+        """Return the bound of a setting; the scene as written has only the time limit."""
         if not self.bounded or not result.setting.overrides:
             return RunBound(seconds=self.limit)
         own = max((each.steps for each in self.results if each.setting == AS_WRITTEN), default=0)
         return RunBound(max(WORK / (self.scene.count + BODIES_PER_STEP), DEARER * own), self.limit)
 
     def _may_go_on(self, result: SettingResult) -> bool:
-        """Return whether a setting was stopped earlier than it would be now."""
+        """Return whether a stopped setting would now run longer."""
         bound = self._bound(result)
         return result.status == "stopped" and result.steps < bound.steps and result.spent < bound.seconds
 
@@ -335,12 +335,12 @@ class Study:
 
 
 def _key(setting: Setting) -> tuple[tuple[str, ...], int | None, str]:
-    """Return the values that identify settings; names may differ."""
+    """Return the key that identifies a setting; its name may differ."""
     return setting.overrides, setting.threads, setting.engine
 
 
 def _count(number: int, results: list[SettingResult]) -> str:
-    """Name which of several repeats it is."""
+    """Describe the number of a repeat."""
     return f"{number}/{len(results)}  " if len(results) > 1 else ""
 
 
@@ -356,4 +356,4 @@ def _left(results: list[SettingResult], repeats: int) -> str:
 
 
 def _leave(result: SettingResult, tell: Teller) -> None:
-    """Examine nothing besides the errors."""
+    """Do not examine a run beyond its errors."""

@@ -62,8 +62,8 @@ COLUMNS = {
     "size": "size",
     "dispersion": "dispersion",
 }
-TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared up to it only
-STATISTICS = ("size", "dispersion")  # that are compared as far as the reference goes
+TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
+STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference
 STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 
@@ -115,7 +115,7 @@ def opened(
     limit: float | None,
     advice: str | None = None,
 ) -> tuple[Study, list[Setting] | None]:
-    """Open the study of a scene, or begin it; return it with the settings of ``--vary``, None without."""
+    """Open or begin the study of a scene; return it with the settings of ``--vary`` (None without)."""
     from carom import Scene
     from carom.lab.tradeoff.settings_grid import vary as grid
     from carom.lab.tradeoff.tradeoff import ADVICE, Study
@@ -131,7 +131,7 @@ def opened(
 
 
 def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
-    """Measure, and print the progress; return whether it was completed, not stopped by the interrupt key."""
+    """Measure, and print the progress; return False if the interrupt key stopped it."""
     from rich.markup import escape
 
     from carom.extend import Terminal, announce_compilation
@@ -151,7 +151,7 @@ def ran(measure: Callable[[Teller], object], *, quiet: bool) -> bool:
 
 
 def _draw(study: Study, quiet: bool) -> None:
-    """Leave the figure and the recording beside the document; say where they are, or why there is none."""
+    """Write the figure and the recording beside the document; print their paths, or why there is none."""
     from carom.errors import ExperimentError
     from carom.lab.tradeoff.tradeoff import DOCUMENT, FIGURE, OVERLAY
     from carom.lab.tradeoff.tradeoff_figure import draw, record
@@ -237,7 +237,7 @@ def table_of(study: Study, errors: Collection[str] = tuple(COLUMNS)) -> Table:
 
 
 def _heading(study: Study, error: str) -> str:
-    """Return the name of a column, with the unit of its numbers, and up to when positions are compared."""
+    """Return the heading of a column, with its unit and the time up to which positions are compared."""
     units, reference = study.scene.unit_system, study.reference
     unit = units.unit(TIME) if error == "impact" else ""
     heading = f"{COLUMNS[error]} / {unit}" if unit else COLUMNS[error]

@@ -40,19 +40,19 @@ LEAST = 1e-14  # rounding; smaller errors are drawn here
 INK, FAINT = "#1b2a3a", "#8a94a0"
 COLOURS = ("#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#1b2a3a", "#a0522d")  # of families
 OWN, OTHERS = ("o", "s", "^"), ("D", "v", "P")  # markers of carom's families in turn, and of other engines'
-MOST_LABELLED = 100.0  # highest cost over the lowest up to which 2 and 5 of each power of ten are labelled
+MOST_LABELLED = 100.0  # largest ratio of costs at which 2 and 5 of each decade are labelled
 COLUMNS = 4  # of the legend
 
 
 class Look(NamedTuple):
-    """How the points of a family of settings are drawn."""
+    """The style of the points of a family of settings."""
 
     colour: str
     marker: str
 
 
 def styled(size: float) -> AbstractContextManager[None]:
-    """Return the context in which carom's figures are drawn, with a size of letters in points.
+    """Return the drawing context of carom's figures, with a font size in points.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
         for ax in axes[len(panels) :]:
             ax.set_visible(False)
         title, reference = document["scene"]["title"], document["reference"]
-        if not reference.get("complete", True):  # a document of before there was this key
+        if not reference.get("complete", True):  # older documents lack this key
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
@@ -116,7 +116,7 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
 
 
 def _families(done: list[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
-    """Group settings that differ in the step only, by the name that they share; one alone has its whole name."""
+    """Group settings that differ only in the step by their common name; a single setting keeps its whole name."""
     found: dict[str, list[dict[str, Any]]] = {}
     for entry in done:
         found.setdefault(_without_step(entry), []).append(entry)
@@ -129,7 +129,7 @@ def _without_step(entry: dict[str, Any]) -> str:
 
 
 def _short(entry: dict[str, Any]) -> str:
-    """Return the name of a setting without what most of them have in common."""
+    """Return the name of a setting without the values common to most."""
     return str(entry["name"]).replace("integrator = ", "")
 
 
@@ -159,7 +159,7 @@ def _panel(
     looks: dict[str, Look],
     units: UnitSystem | None,
 ) -> None:
-    """Draw one error over the cost; ``units`` are for an error that is a time."""
+    """Draw one error over the cost; ``units`` apply to an error that is a time."""
     from matplotlib.ticker import LogLocator, NullLocator  # noqa: PLC0415
 
     one, unit = (units.shown(1.0, TIME), units.unit(TIME)) if units else (1.0, "")
@@ -186,7 +186,7 @@ def _panel(
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
-    # of the medians: a line through the settings that are certainly on the front would have gaps
+    # of the medians, since a line through only the certain settings of the front would have gaps
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)
@@ -199,7 +199,7 @@ def _panel(
     ax.margins(x=0.06)
     drawn = [*wrong, floor] if seen else wrong
     least, most = min(drawn), max(drawn)
-    room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits of equal errors come with a warning
+    room = max(1.2, (most / least) ** 0.08)  # matplotlib's own limits warn if all errors are equal
     ax.set_ylim(least / room, most * room)
 
 

@@ -25,11 +25,11 @@ from carom.lab.tradeoff.settings_grid import GridPoint, default_points, knobs
 from carom.lab.tradeoff.tradeoff import Study, Teller
 
 FRAMES_KEPT = 0.95  # of the frames in a recording of the scene; a longer step would make it jerky
-NEARER = 0.9  # half the step must reduce the factor by which limits are missed to this fraction
+NEARER = 0.9  # largest fraction of the excess that half the step may leave
 DEAREST = 16.0  # times the cost of the scene; at a higher cost no step is halved
-HOPELESS = 2.0  # times the cost of a rival, that a setting would have which keeps the limits; costs are uncertain
+HOPELESS = 2.0  # times the cost of a rival, above which a setting cannot win; costs are uncertain
 SHORTEST = 2.0**-6  # of the scene's step
-BETWEEN = 1.5  # times the step, where twice the step is too long
+BETWEEN = 1.5  # factor on the step, where twice the step is too long
 CLOSE = 1.3  # times the lowest cost; settings up to this cost are timed again before one is chosen
 
 
@@ -54,7 +54,7 @@ class SettingSearch:
         return list(self._found.values())
 
     def run(self, repeats: int) -> None:
-        """Search; then time the scene and the settings near the lowest cost as often as requested."""
+        """Search, and then time the scene and the settings near the lowest cost as often as requested."""
         points = default_points(self._study.scene)
         results = self._study.measure([point.setting(self._study.scene) for point in points], 1, self._tell)
         self._found.update(zip(points, results, strict=True))
@@ -76,7 +76,7 @@ class SettingSearch:
             best = self._better(best, best.times(BETWEEN))
 
     def _along_step(self, here: GridPoint, best: GridPoint | None = None) -> GridPoint:
-        """Return the best step for the other coordinates of a point; stops at shorter steps that cost more."""
+        """Return the point with the best step; stop when shorter steps only cost more."""
         if not self._excess(here):
             while self._better(here, here.times(2.0)) != here:
                 here = here.times(2.0)
@@ -97,7 +97,7 @@ class SettingSearch:
     def _cannot_win(self, point: GridPoint, best: GridPoint | None) -> bool:
         """Return whether a point is too expensive, now or once its steps are short enough to keep the limits.
 
-        Half the step costs twice as much, and errors of smooth motion fall by the order of the integrator at most.
+        Half the step costs twice as much, and reduces errors at most by the order of the integrator.
         """
         if self._too_dear(point, best):
             return True
@@ -151,9 +151,9 @@ def excess(study: Study, written: SettingResult, result: SettingResult, limits: 
 
 
 def loses_frames(study: Study, written: SettingResult, result: SettingResult) -> bool:
-    """Return whether a recording has fewer frames than one of the scene as written.
+    """Return whether a recording has fewer frames than that of the scene as written.
 
-    If the scene records every step, the number of frames of an automatic recording is enough.
+    If the scene records every step, as many frames as in an automatic recording suffice.
     """
     wanted = written.frames
     if study.scene.record.every == "step":
@@ -232,7 +232,7 @@ class Tuning:
         }
 
     def why_none(self) -> str:
-        """Explain why no setting keeps the limits, by the one that misses by the smallest factor."""
+        """Explain why no setting keeps the limits, by the setting with the smallest excess."""
         for name in unsure(self.study, self.limits):
             return f"{name} below {self.study.floor(name):.2g} is rounding, or the uncertainty of the reference itself"
         done = [result for result in self.tried if result.complete]
@@ -264,7 +264,7 @@ def stopped(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
 
 
 def _asked(study: Study, limits: Mapping[str, float]) -> dict[str, Any]:
-    """Return what was searched for, and where the measurements are."""
+    """Return the limits of the search, and the path of its measurements."""
     return {
         "units": study.scene.unit_system.recorded,
         "scene": {"title": study.scene.title, "bodies": study.scene.count},
@@ -298,7 +298,7 @@ def tuned(
 
 
 def _refuse_beyond_reference(study: Study, limits: Mapping[str, float]) -> None:
-    """Refuse limits of errors that a reference which ends early does not have."""
+    """Refuse limits of errors that an incomplete reference lacks."""
     reference, units = study.reference, study.scene.unit_system
     asked = [name for name in limits if name in COMPARED]
     if reference is None or reference.whole or not asked:
@@ -313,7 +313,7 @@ def _refuse_beyond_reference(study: Study, limits: Mapping[str, float]) -> None:
 
 
 def _refuse_unmeasured(limits: Mapping[str, float], written: SettingResult) -> None:
-    """Refuse limits of errors that the scene as written does not have, such as overlaps where nothing can touch."""
+    """Refuse limits of errors that the scene as written lacks, such as overlaps where nothing can touch."""
     if written.errors is None:
         return
     for name in limits:
@@ -350,7 +350,7 @@ def limits(asked: list[str]) -> dict[str, float]:
 
 
 def write(tuning: Tuning, path: Path) -> None:
-    """Write the scene with the best setting and the measurement in a comment; keeps the comments of the scene.
+    """Write the scene with the best setting, with its own comments and the measurement in a comment.
 
     Raises
     ------

@@ -110,7 +110,7 @@ def _show(study: Study, limits: Collection[str]) -> None:
 
 
 def _extent(tuning: Tuning, errors: Collection[str]) -> str:
-    """Say up to when errors are compared with the reference, if that is not the end of the scene."""
+    """Return the time up to which errors are compared with the reference, if it is not the end of the scene."""
     reference, units = tuning.study.reference, tuning.study.scene.unit_system
     compared = {*TO_THE_HORIZON, *(() if reference is None or reference.whole else STATISTICS)}
     if reference is None or reference.is_complete or not compared & set(errors):

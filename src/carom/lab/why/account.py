@@ -1,4 +1,4 @@
-"""`Account`: the velocity of a body as the sum of what it began with, the impulses of contacts, and forces."""
+"""`Account`: the velocity of a body as the sum of its start velocity, impulses of contacts, and forces."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carom.arrays import FloatArray, Records
 from carom.lab.why.cone import components, directions, gained
 from carom.lab.why.history import History, Step
 
-_AT_REST = 1e-3  # of the impulses that hold a body, in a step
+_AT_REST = 1e-3  # of the impulses that hold a body in a step
 
 
 @dataclass(slots=True)
@@ -25,14 +25,14 @@ class Cause:
     first: float  # s
     last: float  # s; equal to `first` for an impact
     step: int  # the last one
-    impulse: FloatArray  # (3,) N s, on the body
+    impulse: FloatArray  # (3,) N s, impulse on the body
     size: float  # N s, Σ |J|
     work: float  # J, on the motion of the body's centre
     moment: float  # s, of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
     energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction
-    share: float = 0.0  # of the velocity; all shares of an account, with its start and the forces, sum to 1
+    share: float = 0.0  # of the velocity; with start and forces, the shares of an account sum to 1
 
     @property
     def kind(self) -> str:
@@ -42,7 +42,7 @@ class Cause:
         return "stop" if self.approach_speed is None else "impact"
 
     def takes(self, earlier: Cause, gap: int) -> bool:
-        """Whether an earlier contact with the same partner is a part of this one, `gap` steps before."""
+        """Return whether an earlier contact with the same partner, `gap` steps before, is part of this one."""
         return self.holds and earlier.holds and earlier.partner == self.partner and gap <= 1
 
     def join(self, earlier: Cause) -> None:
@@ -57,9 +57,9 @@ class Cause:
 
 @dataclass(slots=True)
 class Account:
-    """Where the velocity of a body comes from, since the beginning of a window.
+    """The sources of a body's velocity since the beginning of a window.
 
-    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares divide as in `Cone`, but nothing passes
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares divide as in `Cone`, but are not passed
     on to other bodies.
     """
 
@@ -70,16 +70,16 @@ class Account:
     by_contacts: FloatArray  # (3,) m/s, Σ J / m
     by_forces: FloatArray  # (3,) m/s
     fastest: float  # m/s, the largest speed or change of velocity in the account
-    start_share: float = 1.0  # of the velocity, that it had at the beginning
+    start_share: float = 1.0  # share of the velocity at the beginning
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
-    _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held it in the last step
+    _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
     _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
-    _lost: dict[int, float] = field(default_factory=dict)  # J, by partner, in the step, without impacts
+    _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step by partner, without impacts
 
     @classmethod
     def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
-        """Begin with the velocity at the moment asked about."""
+        """Begin with the velocity at the moment of the question."""
         none = np.zeros(3)
         return cls(body, mass, velocity.copy(), velocity.copy(), none, none.copy(), float(np.linalg.norm(velocity)))
 
@@ -91,7 +91,7 @@ class Account:
 
     @property
     def rests(self) -> bool:
-        """Whether contacts hold it still: its speed is below a thousandth of the impulses by which they hold it."""
+        """Whether contacts hold it still: its speed is below a thousandth of their impulses over its mass."""
         return bool(np.linalg.norm(self.velocity) <= _AT_REST * (self._bearing or -1.0))
 
     @property
@@ -100,20 +100,20 @@ class Account:
         return sorted(self.causes, key=lambda cause: -(cause.size if self.rests else cause.share))
 
     def share_of(self, *kinds: str) -> float:
-        """Return the share of the velocity that causes of these kinds gave."""
+        """Return the share of the velocity from causes of these kinds."""
         return sum(cause.share for cause in self.causes if cause.kind in kinds)
 
     def take(self, step: Step, rows: Records, kicks: list[FloatArray], impacts: Records, contacts: Records) -> None:
-        """Go back over a step, or its beginning.
+        """Go back through a step, or its beginning.
 
         Parameters
         ----------
         step
-            What happened in it.
+            Its data.
         rows
             Its impulses on this body up to the moment, in order.
         kicks
-            (3,) m/s each, those that forces gave this body up to the moment.
+            (3,) m/s each, velocity changes of this body by forces up to the moment.
         impacts, contacts
             (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
         """
@@ -138,9 +138,9 @@ class Account:
         self.start_velocity = step.before[self.body].copy()
 
     def _divide(self, rows: Records, forces: FloatArray, start: FloatArray) -> FloatArray:
-        """Divide the share of the velocity that is left, as `Cone` does; return those of impulses, (k,).
+        """Divide the remaining share of the velocity as in `Cone`; return the shares of impulses, (k,).
 
-        The forces changed the velocity by (3,) m/s from ``start``, at the beginning of the step.
+        Forces changed the velocity by (3,) m/s from ``start``, the velocity at the beginning of the step.
         """
         shares = np.zeros(len(rows))
         changes = self._impulses(rows) / self.mass
@@ -176,7 +176,7 @@ class Account:
         return impulses
 
     def _lost_at_rest(self, contacts: Records, impacts: Records) -> dict[int, float]:
-        """Return the energies in J that contacts took out in a step without their impacts, by the other end."""
+        """Return the energies (J) that contacts dissipated in a step, without impacts, by the other end."""
         lost: dict[int, float] = {}
         if len(contacts) == 0:
             return lost
@@ -194,8 +194,8 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
-        Contacts at rest act while a force does. Their work is along the mean velocity without its ``kick``, (3,) m/s,
-        which they take back where it presses: a ball that slides on a floor gets none from the floor's normal force.
+        Contacts at rest act while a force does. Their work is along the mean velocity without the ``kick``, (3,) m/s,
+        that they cancel: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
@@ -221,7 +221,7 @@ class Account:
         cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
         if not holds:
             self._find_impact(cause, impacts)
-        if cause.kind != "impact":  # the loss of the whole step is booked to its last piece
+        if cause.kind != "impact":  # the loss of the whole step belongs to its last cause
             cause.energy_lost = self._lost.pop(partner, 0.0)
         known = self._held.get(partner)
         if holds and known is not None and known[0].takes(cause, known[1] - step):
@@ -233,7 +233,7 @@ class Account:
         self.causes.append(cause)
 
     def _find_impact(self, cause: Cause, impacts: Records) -> None:
-        """Add what is known of a cause if it was an impact."""
+        """Add approach speed and energy loss to a cause that was an impact."""
         low, high = min(self.body, cause.partner), max(self.body, cause.partner)
         own = impacts[(impacts["i"] == low) & (impacts["j"] == high) & (impacts["time"] == cause.moment)]
         if len(own):  # a pair may meet several times at one moment
@@ -242,7 +242,7 @@ class Account:
 
 
 def _loss(row: np.void) -> float:
-    """Return the energy that a contact took out, in J."""
+    """Return the energy (J) that a contact dissipated."""
     return float(row["restitution_loss"] + row["friction_loss"])
 
 

@@ -1,6 +1,6 @@
-"""`Cone`: goes back through a window, from the bodies asked about to all that could have an effect on them.
+"""`Cone`: goes back through a window, from the bodies of a question to all that could affect them.
 
-Each body carries a share of the answer, 1 in all at the moment asked about. It divides in two ways:
+Each body carries a share of the answer; the shares sum to 1 at the moment of the question. They divide in two ways:
 
 - **Over a step**, forces are summed with the impulses that hold contacts or stop them, so that a floor and the weight
   on it give nothing. If the sum N makes the body faster, it gave the share N·e / |v|, where e points along the velocity
@@ -8,13 +8,13 @@ Each body carries a share of the answer, 1 in all at the moment asked about. It 
 - **Over an instant with impacts**, it divides among the velocity before and the impulses as the sizes of their
   components along e are, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … Where the impacts stop the body, their whole sizes count.
 
-A sum over many short steps converges, so shares depend on the step no more than the motion does. What forces gave has
-arrived at its cause. What passes over a contact divides between its ends as their speeds along the impulse before it
-are, since these are what the impulse is made of. In an instant in which several bodies touch, it may also come from
-further impulses on the other end. A plane gives everything back.
+A sum over many short steps converges, so shares depend on the step no more than the motion does. A share given by
+forces has reached its cause. A share that passes over a contact divides between the two ends in proportion to their
+speeds along the impulse before it, from which the impulse arises. Where several bodies touch in an instant, it may also
+come from further impulses on the other end. A plane returns its whole share.
 
-Shares are between 0 and 1. What could have had an effect at all is exact: a body belongs to the cone from the moment
-on, going back, at which it touched one that does.
+Shares are between 0 and 1. Membership is exact: going back in time, a body belongs to the cone from its first contact
+with a body of the cone.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from scipy.sparse.csgraph import connected_components
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
 
-_ROUNDS = 16  # bodies that a share passes on through in one instant
+_ROUNDS = 16  # bodies through which a share passes in one instant
 NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
 
 
 @dataclass(slots=True)
 class Passage:
-    """An impact over which a share of the answer passed."""
+    """An impact that passed on a share of the answer."""
 
     step: int
     time: float  # s
     i: int
     j: int
     impulse: float  # N s
-    to_i: float  # share of the answer that passed from j to i, and did not come back
+    to_i: float  # net share of the answer that passed from j to i
     to_j: float
 
 
@@ -57,19 +57,19 @@ class Edge:
     last: float  # s
     impulse: float = 0.0  # N s, Σ |J|
     count: int = 0  # impulses
-    share: float = 0.0  # of the answer, that passed over it
+    share: float = 0.0  # share of the answer that passed over it
 
 
 @dataclass(slots=True)
 class Cone:
-    """The bodies behind an answer, how much of it is theirs, and the contacts between them.
+    """The bodies behind an answer, their shares, and the contacts between them.
 
     Parameters
     ----------
     inverse_mass
         (n + p,) 1/kg.
     shares
-        The bodies asked about, and the share of each.
+        The bodies of the question, and the share of each.
     """
 
     inverse_mass: FloatArray
@@ -91,7 +91,7 @@ class Cone:
         return cls(inverse_mass, count, carried, ~np.isnan(since), since, np.zeros(count))
 
     def take(self, step: Step, rows: Records, velocity: FloatArray, kicked: bool) -> None:
-        """Go back over a step, or its beginning.
+        """Go back through a step, or its beginning.
 
         Parameters
         ----------
@@ -126,7 +126,7 @@ class Cone:
                 self._strike(some, inside[instant][impact[instant]], before)
 
     def reach(self, rows: Records) -> BoolArray:
-        """Add the bodies that touch one of the cone in an instant, directly or not; return which rows are of these."""
+        """Add the bodies connected to the cone by contacts of an instant; return a mask of the rows of the cone."""
         if len(rows) == 1:  # the usual case, five times as fast
             i, j = int(rows["i"][0]), int(rows["j"][0])
             ends = [end for end in (i, j) if end < self.count]
@@ -147,9 +147,9 @@ class Cone:
             self.since[new] = rows["time"][0]
 
     def closed(self) -> BoolArray:
-        """Return which bodies touched one of the cone before the moment, directly or not, (n,).
+        """Return a mask (n,) of the bodies connected to the cone by contacts before the moment.
 
-        A body outside the cone can still matter, if it kept one of the cone from touching another. The others cannot.
+        Only these can matter: a body outside the cone may have kept a body of the cone from touching another.
         """
         pairs = np.concatenate([np.empty((0, 2), dtype=np.int64), *self.pairs])
         graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(self.count, self.count))
@@ -168,7 +168,7 @@ class Cone:
         np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
 
     def _bear(self, rows: Records, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
-        """Pass on what the forces of a step, and the contacts that it held, gave; velocities (n, 3) m/s."""
+        """Pass on the shares given by the forces of a step and by its resting contacts; velocities (n, 3) m/s."""
         n, m = self.count, len(rows)
         bodies = np.flatnonzero(self.shares > NEGLIGIBLE)
         net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
@@ -191,7 +191,7 @@ class Cone:
             self._note(rows, flow, flow - returned, holds=True)
 
     def _strike(self, rows: Records, inside: BoolArray, velocity: FloatArray) -> None:
-        """Undo the impacts of an instant, and pass shares on over those that are of the cone; velocities (n, 3) m/s."""
+        """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities (n, 3) m/s."""
         ends, local = np.unique(np.concatenate((rows["i"], rows["j"])), return_inverse=True)
         bodies = ends < self.count
         after, before = np.zeros((2, len(ends), 3))
@@ -201,7 +201,7 @@ class Cone:
         rows, chosen = rows[inside], np.flatnonzero(np.tile(inside, 2))
         if not len(rows):
             return
-        # each impulse twice: as taken by i from j, and by j from i
+        # each impulse twice, once for each end
         to, m = local[chosen], len(rows)
         origin = np.roll(to, m)
         J = np.concatenate((_vectors(rows), _vectors(rows))) * self.inverse_mass[ends[to], None]
@@ -233,7 +233,7 @@ class Cone:
     def _divide(
         self, rows: Records, flow: FloatArray, further: FloatArray, before: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Divide what passes over contacts between their ends; return what goes on, and what went back.
+        """Divide the shares that pass over contacts between their ends; return the forwarded and the returned shares.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class Cone:
         to, origin = np.concatenate((rows["i"], rows["j"])), np.concatenate((rows["j"], rows["i"]))
         along = _units(_vectors(rows))
         moves = to < self.count
-        back: FloatArray = np.zeros(len(to))  # m/s, speed of the taker along the impulse
+        back: FloatArray = np.zeros(len(to))  # m/s, speed of the receiving end along the impulse
         back[moves] = np.abs((before[to[moves]] * np.concatenate((along, along))[moves]).sum(axis=1))
         is_free = (origin < self.count) & (self.inverse_mass[origin] > 0.0)
         own = np.where(is_free, np.roll(back, len(rows)), 0.0)
@@ -267,7 +267,7 @@ class Cone:
         onward: FloatArray,
         opposite: NDArray[np.integer],
     ) -> FloatArray:
-        """Divide what goes on through the other ends among their further impulses, not back over the same."""
+        """Divide forwarded shares among the further impulses of the other ends, without the impulse itself."""
         others = np.maximum(total[origin] - taken[opposite], 0.0)
         rate = np.divide(onward, others, out=np.zeros(len(onward)), where=others > 0.0)
         arriving = np.bincount(origin, weights=rate, minlength=len(total))  # per unit of impulse, at each end
@@ -336,7 +336,7 @@ def _units(vectors: FloatArray) -> FloatArray:
 
 # The chain of causes: the strongest way back from the bodies asked about.
 MOST_LINKS = 50
-_WEAKEST = 0.1  # of the share that led to a body, below which what it had by itself is the cause
+_WEAKEST = 0.1  # of the share that led to a body; below it, the body's own motion is the cause
 _AT_ONCE = 0.5  # an impact at the same instant as another: their order is unknown
 
 

@@ -1,4 +1,4 @@
-"""`Question`: which bodies at which moment; `History`: every impulse of the window before it, by running it again."""
+"""`Question`: bodies and a moment; `History`: every impulse of the window before it, which is run again."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ IMPULSE = np.dtype(
     ]
 )
 
-_AUDIT = 1e-12  # asks the run for its kicks; nothing is expected of a replay
+_AUDIT = 1e-12  # makes the run audit its kicks; the bound itself is not used
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What happened in one step."""
+    """The data of one step."""
 
     step: int
     time: float  # s, at its end
@@ -55,7 +55,7 @@ class Step:
     before: FloatArray  # (n, 3) m/s, velocities at its beginning
     after: FloatArray  # (n, 3) m/s, and at its end
     impulses: Records  # (k,) `IMPULSE`, in order
-    kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies asked about
+    kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies of the question
     contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
 
 
@@ -67,13 +67,13 @@ class History:
     inverse_mass: FloatArray  # (n + p,) 1/kg
     steps: list[Step] = field(default_factory=list)
     impacts: Records = field(default_factory=lambda: np.empty(0, CONTACT_ROW))
-    differs: int | None = None  # the first recorded step whose bits are others
+    differs: int | None = None  # the first recorded step with different bits
 
     @classmethod
     def replay(
         cls, recording: Recording, begin: Checkpoint, end: float, bodies: tuple[int, ...], watch: Watcher
     ) -> History:
-        """Run a recording again from a checkpoint up to the step that a time (s) is in.
+        """Run a recording again from a checkpoint up to the step that contains a time (s).
 
         Raises
         ------
@@ -106,12 +106,12 @@ class History:
 
 
 def _audited(scene: Scene) -> Scene:
-    """Ask for the audit of impulses, which notes the kicks of forces."""
+    """Switch on the audit of impulses, which records the kicks of forces."""
     return scene.model_copy(update={"expect": scene.expect.model_copy(update={"contact_audit": _AUDIT})})
 
 
 def _impulses(space: Space, touching: Records) -> Records:
-    """Return the impulses of the last step, and at its end the contacts that touch and gave none."""
+    """Return the impulses of the last step, and the contacts without an impulse at its end."""
     parts = [*_given(space)]
     last = max((int(part["instant"][-1]) for part in parts if len(part)), default=0)
     silent = touching[(touching["mode"] == OPEN) & (touching["normal_impulse"] == 0.0)]
@@ -148,12 +148,12 @@ def _given(space: Space) -> Iterator[Records]:
 class Question:
     """A body at a time, or the two ends of an impact."""
 
-    bodies: tuple[int, ...]  # one, or both of the impact that are no planes
+    bodies: tuple[int, ...]  # the body, or the ends of the impact that are bodies
     ends: tuple[int, int] | None  # of the impact, i < j; planes have numbers from n on
     time: float  # s
     text: str  # it, in words
     event: str | None = None  # its name
-    units: UnitSystem = SI  # that it is answered in
+    units: UnitSystem = SI  # units of the answer
 
 
 def question_of(recording: Recording, body: str | None, at: float | None, event: str | None) -> Question:
@@ -162,7 +162,7 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     Parameters
     ----------
     recording
-        What it is about.
+        The recording.
     body
         Number or name of a body.
     at

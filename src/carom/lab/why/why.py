@@ -19,7 +19,7 @@ from carom.lab.why.history import History, Question, Step, Watcher
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The velocities of the bodies asked about, where they come from, and what is behind that."""
+    """The velocities of the bodies of a question, their sources, and the causes behind these."""
 
     question: Question
     time: float  # s, to which the velocities belong
@@ -27,25 +27,25 @@ class Answer:
     begin: float  # s, of the window
     begin_step: int
     source: str  # of the numbers, in words
-    accounts: list[Account]  # of the bodies asked about
+    accounts: list[Account]  # of the bodies of the question
     cone: Cone
     chain: list[Link]  # the latest first
 
     @property
     def is_flow(self) -> bool:
-        """Whether contacts hold a body still, or gave it more than impacts did: the answer is a flow of impulse."""
+        """Whether contacts hold a body still or gave it more than impacts: the answer is then a flow of impulse."""
         return any(a.rests or a.share_of("contact", "stop") > a.share_of("impact") for a in self.accounts)
 
     @property
     def kind(self) -> str:
-        """What is behind it most: "flow", "impacts", "forces", or "start", the velocities at the beginning."""
+        """The main cause: "flow", "impacts", "forces", or "start", the velocities at the beginning."""
         if self.is_flow or self.chain:
             return "flow" if self.is_flow else "impacts"
         return "forces" if self.cone.from_forces.sum() > self.cone.shares.sum() else "start"
 
     @property
     def bodies(self) -> IntArray:
-        """The bodies of the cone: only these could have had an effect, but for forces between bodies."""
+        """The bodies of the cone: apart from forces between bodies, only these could have had an effect."""
         return np.flatnonzero(self.cone.reached)
 
     @property
@@ -67,7 +67,7 @@ class Answer:
         return self.chain[-1].by if self.chain else self.question.bodies[0]
 
 
-MOST_BODY_STEPS = 100_000  # that are run again without being asked for more; about a second of 500 bodies in a pile
+MOST_BODY_STEPS = 100_000  # run again by default; about a second for 500 bodies in a pile
 
 
 def why(
@@ -83,7 +83,7 @@ def why(
         The question.
     start
         s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
-        to the last checkpoint before the moment asked about.
+        to the last checkpoint before the moment.
     watch
         Called after every step with where the replay stands.
 
@@ -92,7 +92,7 @@ def why(
     RecordingError, SceneError
         If the recording cannot be run again.
     ExperimentError
-        If the window does not have what is asked about.
+        If the window lacks the bodies or the event.
     """
     return answer_from(question, _histories(recording, question, start, watch), recording.bodies.mass)
 
@@ -198,7 +198,7 @@ class _Backwards:
         self._cone.take(step, rows, velocity, kicked=len(step.kicks) > 0)
 
     def _shares(self, late: Records, velocity: FloatArray) -> dict[int, float]:
-        """Divide the answer between the bodies asked about: of an impact, as their speeds along the impulse."""
+        """Divide the answer between the bodies of the question; for an impact, by their speeds along the impulse."""
         bodies = self._question.bodies
         if len(bodies) == 1 or not len(late):
             return dict.fromkeys(bodies, 1.0 / len(bodies))
@@ -210,7 +210,7 @@ class _Backwards:
 
 
 def _moment(question: Question, history: History) -> tuple[Step, Records, list[FloatArray], Records]:
-    """Return the step asked about, its impulses and kicks before the moment, and the impulses from it on."""
+    """Return the step of the question, its impulses and kicks before the moment, and the later impulses."""
     time = question.units.text(question.time, TIME, ".9g")
     if not history.steps:
         raise ExperimentError(f"t = {time} is not after the beginning of the recording: nothing is known before it")
@@ -237,7 +237,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
 
 
 def _rows_of(step: Step, ends: tuple[int, int]) -> list[int]:
-    """Return which impulses of a step acted between two ends."""
+    """Return a mask of the impulses of a step between two ends."""
     rows = step.impulses
     own = (
         (rows["i"] == ends[0]) & (rows["j"] == ends[1]) & ((rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0))

@@ -1,4 +1,4 @@
-"""`carom why`: which impacts, contacts and forces gave a body its velocity, and what is behind them."""
+"""`carom why`: the impacts, contacts and forces that gave a body its velocity, and their causes."""
 
 from __future__ import annotations
 
@@ -213,7 +213,7 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
 
 
 def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Describe what the velocity is and what it is the sum of."""
+    """Describe the velocity and the terms of its sum."""
     at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
     yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
     parts = (
@@ -285,7 +285,7 @@ def _kind(cause: Cause, units: UnitSystem) -> str:
 
 
 def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
-    """Describe what is behind the impulses: a chain of impacts, a flow over contacts, or neither."""
+    """Describe the causes of the impulses: a chain of impacts, a flow over contacts, or neither."""
     cone = answer.cone
     others = len(answer.bodies) - len(answer.question.bodies)
     resting = [account for account in answer.accounts if account.rests]
@@ -339,7 +339,7 @@ def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:
 
 
 def write_answer(out: Path, recording: Recording, answer: Answer, text: str) -> None:
-    """Write the bodies and contacts behind an answer. RecordingError if it cannot be written."""
+    """Write the bodies and contacts behind an answer. Raises RecordingError if they cannot be written."""
     from carom.extend import CauseEdge, Causes, write_causes
 
     cone = answer.cone
