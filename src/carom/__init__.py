@@ -41,7 +41,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on its first use: a person who asks for help does not wait for compilers and viewers."""
+    """Import a public name on its first use, so that help does not wait for compilers and viewers."""
     if name == "__version__":
         return importlib.import_module("importlib.metadata").version("carom")
     if name in ("errors", "record"):
@@ -52,5 +52,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names, whether they have been used or not."""
+    """Return all public names, used or not."""
     return __all__

@@ -5,19 +5,19 @@ from __future__ import annotations
 import os
 import sys
 
-LEAST_ADDRESS_SPACE = 1.2e9  # bytes; with 0.9 GB Arrow aborts in the middle of a run of two spheres, with 1.1 it ends
-DESCRIPTORS = 40  # that must be free: on two cores every command works with 24, and Rerun aborts with fewer than 16
-USUAL_DESCRIPTORS = 1024  # a lower limit is raised, where the user may do so
+LEAST_ADDRESS_SPACE = 1.2e9  # bytes; a run of two spheres aborts in Arrow with 0.9 GB, and completes with 1.1 GB
+DESCRIPTORS = 40  # required free descriptors: on two cores every command works with 24, and Rerun aborts below 16
+USUAL_DESCRIPTORS = 1024  # a lower limit is raised if the user may do so
 RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a time
 
 
 def main() -> None:
-    """Run the command; an interrupt while it is loaded ends it without a traceback."""
+    """Run the command; an interrupt during its import ends it without a traceback."""
     if os.name != "posix":
         sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL")
     fit_into_address_space()
     fit_into_descriptors()
-    # Arrow's own allocator keeps what is freed: a clip took 30 MB more with it, in the same time
+    # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
     try:
         from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
@@ -28,10 +28,10 @@ def main() -> None:
 
 
 def fit_into_address_space() -> None:
-    """Exit where ``ulimit -v`` leaves too little for the libraries; where it is set, let them reserve little.
+    """Exit if ``ulimit -v`` leaves too little for the libraries; under any limit, let them reserve little.
 
-    Rerun and Arrow each reserve a GiB of addresses if they can. Under a limit of 2 GB they could, and OpenBLAS or Arrow
-    then aborted for want of a few kB. Both read the size of the reservation when they are loaded.
+    Rerun and Arrow each reserve a GiB of addresses if possible. Under a limit of 2 GB, OpenBLAS or Arrow then aborted
+    for lack of a few kB. Both read the size of the reservation when they are loaded.
     """
     import resource  # noqa: PLC0415 - POSIX only
 
@@ -48,7 +48,7 @@ def fit_into_address_space() -> None:
 
 
 def fit_into_descriptors() -> None:
-    """Raise a low limit of open files as far as the user may; exit if fewer than `DESCRIPTORS` more can be opened."""
+    """Raise a low limit of open files as far as permitted; exit if fewer than `DESCRIPTORS` more can be opened."""
     import resource  # noqa: PLC0415 - POSIX only
 
     limit, most = resource.getrlimit(resource.RLIMIT_NOFILE)

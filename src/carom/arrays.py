@@ -1,4 +1,4 @@
-"""The types of arrays, for annotations; the shapes stand beside each use."""
+"""The types of arrays, for annotations; comments at each use give the shapes."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
-SingleArray = NDArray[np.float32]  # what is drawn
+SingleArray = NDArray[np.float32]  # drawn values
 IntArray = NDArray[np.int64]
 Int32Array = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]

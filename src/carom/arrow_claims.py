@@ -1,4 +1,4 @@
-"""Reads from FlatBuffers metadata how much data an Arrow record batch claims to hold, before it is built."""
+"""Reads the claimed size of an Arrow record batch from its FlatBuffers metadata, before the batch is built."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Claims:
 
 
 def claims(message: bytes, dictionary: bool = False) -> Claims:
-    """Read the metadata of an Arrow IPC message that holds a record batch, or a dictionary, which has one inside.
+    """Read the metadata of an Arrow IPC message with a record batch, or with a dictionary, which contains one.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def claims(message: bytes, dictionary: bool = False) -> Claims:
 
 
 def unpacked_bytes(claimed: Claims, body: memoryview) -> int:
-    """Return the bytes that the buffers of a batch take in memory; each that is compressed begins with its size.
+    """Return the bytes of the buffers of a batch in memory; a compressed buffer begins with its size.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def unpacked_bytes(claimed: Claims, body: memoryview) -> int:
         if not 0 <= offset <= offset + length <= len(body):
             raise ValueError("a record batch that uses more than its bytes")
         size = struct.unpack_from("<q", body, offset)[0] if claimed.compressed and length >= _SIZE else -1
-        total += length if size < 0 else size  # -1: as it is
+        total += length if size < 0 else size  # -1: not compressed
     return total
 
 

@@ -1,7 +1,7 @@
 """The contact table: impulses, mode and energies of the contacts of a step, one row per contact.
 
-The signs of the impulses are those of body j: it takes ``normal_impulse`` along the normal and ``friction``, body i the
-opposite. docs/physics.md, section 9, defines impulses, modes and energies.
+Impulses have the sign for body j, which receives ``normal_impulse`` along the normal and ``friction``; body i receives
+the opposite. docs/physics.md, section 9, defines impulses, modes and energies.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ import numpy as np
 
 MODES = ("impact", "sticking", "sliding", "resting", "open")  # `mode` is an index into these
 IMPACT_MODE, STICKING, SLIDING, RESTING, OPEN = range(len(MODES))
-# impact: it closed faster than its rest speed; sticking, sliding: by Coulomb's law; resting: friction is not modelled;
-# open: it touches and carries no impulse
+# impact: closed faster than the rest speed; sticking, sliding: by Coulomb's law; resting: without friction in the
+# model; open: touches without an impulse
 
 CONTACT_ROW = np.dtype(
     [
@@ -25,18 +25,18 @@ CONTACT_ROW = np.dtype(
         ("nx", np.float64),  # the normal, from i to j
         ("ny", np.float64),
         ("nz", np.float64),
-        ("approach_speed", np.float64),  # m/s, at which it closed before the impulses; 0 if it did not close
+        ("approach_speed", np.float64),  # m/s, closing speed before the impulses; 0 if separating
         ("normal_impulse", np.float64),  # N s
         ("friction_x", np.float64),  # N s, the tangential impulse
         ("friction_y", np.float64),
         ("friction_z", np.float64),
         ("mode", np.uint8),
-        ("restitution_loss", np.float64),  # J, taken out by the normal impulse
-        ("friction_loss", np.float64),  # J, taken out by the tangential impulse
-        ("stabilisation_gain", np.float64),  # J, put in by the position correction or the bias
+        ("restitution_loss", np.float64),  # J, dissipated by the normal impulse
+        ("friction_loss", np.float64),  # J, dissipated by the tangential impulse
+        ("stabilisation_gain", np.float64),  # J, injected by the position correction or the bias
     ],
     align=True,
 )
 NO_ROWS = np.empty(0, CONTACT_ROW)
 
-ROUNDED_OVERLAP = 1e-13  # of a radius; bodies that just touch overlap by this much at most, by rounding
+ROUNDED_OVERLAP = 1e-13  # of a radius; largest overlap by rounding of bodies that just touch

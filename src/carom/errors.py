@@ -11,15 +11,15 @@ __all__ = ["ExperimentError", "PhysicsError", "RecordingError", "SceneError"]
 
 
 class SceneError(ValueError):
-    """A scene cannot be simulated as written; the message names the place, the mistake and what would be right.
+    """A scene cannot be simulated as written; the message has the place, the mistake and a valid value.
 
     Parameters
     ----------
     message
         The sentence.
     key
-        The key that it is about, such as ``("group", 0, "region")``, where whoever raises it does not know its place.
-        `naming_places` puts the place before the message.
+        The key in question, such as ``("group", 0, "region")``, if its place is unknown where the error is raised.
+        `naming_places` then puts the place before the message.
     """
 
     def __init__(self, message: str, key: tuple[str | int, ...] = ()) -> None:
@@ -32,15 +32,15 @@ class PhysicsError(RuntimeError):
 
 
 class ExperimentError(Exception):
-    """A request cannot be fulfilled; the message says why, and what would be right."""
+    """A request cannot be fulfilled; the message has the reason and the remedy."""
 
 
 class RecordingError(Exception):
-    """A recording cannot be written, read or shown; the message says why in one sentence."""
+    """A recording cannot be written, read or shown; the message is one sentence with the reason."""
 
 
 class ExistsError(RecordingError):
-    """A file would be replaced without leave."""
+    """A file would be replaced without permission."""
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: exists; give force=True to replace it")

@@ -1,8 +1,8 @@
-"""What authors of extensions and of the tools in `carom.lab` need, beside what `carom` itself exports.
+"""The interface for authors of extensions and of the tools in `carom.lab`, in addition to that of `carom`.
 
 An extension is a package that names its parts in its ``pyproject.toml``, as `carom.registry` describes;
-``examples/extension`` has parts of most kinds. docs/extending.md lists the names by what they are for. They are
-imported at their first use, so that a command starts as fast as those of carom.
+``examples/extension`` has parts of most kinds. docs/extending.md lists the names by purpose. They are imported at their
+first use, so that a command starts as fast as those of carom.
 """
 
 from __future__ import annotations
@@ -187,7 +187,7 @@ if TYPE_CHECKING:
     from carom.show.forecast import write_forecast as write_forecast
     from carom.show.request import named_event as named_event
 
-SECTIONS = {  # what for: module: its names
+SECTIONS = {  # purpose → module → names
     "Sections of a scene and units": {
         "carom.scene.schema.quantity": "Section Count NonNegative Positive Real",
         "carom.scene.units.dimension": (
@@ -315,5 +315,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the names, whether they have been used or not."""
+    """Return all names, used or not."""
     return sorted(_PLACES)

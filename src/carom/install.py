@@ -1,4 +1,4 @@
-"""Commands that install what is missing: Python packages of an extra, and packages of the system."""
+"""Commands that install missing packages: those of an extra, and those of the system."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _EXTRA = re.compile(r"""extra\s*==\s*["']([\w-]+)["']""")
 def install_extra(extra: str) -> str:
     """Return the command that installs the packages of an extra into the environment of this process.
 
-    It names the packages, because carom's own name leads nowhere where it was installed from a folder or an archive.
+    It lists the packages themselves, because carom may have been installed from a folder or an archive.
     """
     wanted = [package for package, name in map(_parsed, importlib.metadata.requires("carom") or ()) if name == extra]
     packages = shlex.join(wanted or [f"carom[{extra}]"])

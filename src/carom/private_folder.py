@@ -1,8 +1,8 @@
 """The one temporary folder of a process: its own, closed to other users, and removed when the process ends.
 
-Where several users share a machine, each can make a folder of any name in the system's temporary folder. So this one
-has a random name and mode 0700, and lies where no other user can exchange it. Every temporary file of carom is in it.
-A process that is killed leaves its folder behind; the next process of the same user removes it.
+Where several users share a machine, each can make a folder of any name in the system's temporary folder. So this folder
+has a random name and mode 0700, and a location where no other user can replace it. Every temporary file of carom is in
+it. A process that is killed leaves its folder behind; the next process of the same user removes it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from functools import cache
 from pathlib import Path
 
 PREFIX = "carom-"
-MARK = "made-by-carom"  # in each folder, once it is locked: without it a folder is never removed
+MARK = "made-by-carom"  # in each locked folder; a folder without it is never removed
 _above: list[Path] = []  # the folder of the process that started this one
 _guard = threading.Lock()
 _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descriptor that locks it
@@ -31,16 +31,16 @@ _made: dict[int, tuple[Path, int]] = {}  # by process: its folder, and the descr
 def private_folder() -> Path:
     """Return the temporary folder of this process; make it at the first call.
 
-    Children that write temporary files of their own get it as ``TMPDIR``.
+    Child processes get it as ``TMPDIR`` for their own temporary files.
 
     Raises
     ------
     OSError
-        If no temporary folder is writable, or others can exchange what is in it.
+        If no temporary folder is writable, or others can replace its content.
     """
     with _guard:
         known = _made.get(os.getpid())
-        if known is None or not known[0].is_dir():  # a fork makes its own; another program may have removed it
+        if known is None or not known[0].is_dir():  # a fork has its own; another program may have removed it
             known = _made[os.getpid()] = _make()
             atexit.register(remove_private_folder)
         return known[0]
@@ -70,7 +70,7 @@ def remove_private_folder() -> None:
 
 
 def is_own(folder: Path) -> bool:
-    """Return whether a folder is this user's and nobody else can write to it or exchange it; a link is no folder."""
+    """Return whether a folder, not a link, belongs to this user and nobody else can write to or replace it."""
     try:
         status = folder.lstat()
     except OSError:
@@ -80,13 +80,13 @@ def is_own(folder: Path) -> bool:
 
 
 def is_fixed(path: Path) -> bool:
-    """Return whether nobody but this user and the system can exchange what is at a path, by writing above it."""
+    """Return whether only this user and the system can replace the file at a path, by write access to its parents."""
     try:
         trusted = (
             0,
             os.getuid(),
             Path("/").stat().st_uid,
-        )  # who has the root has all; in a container that may be nobody
+        )  # the owner of the root folder can do anything; in a container, that may be "nobody"
         above = [parent.stat() for parent in (path.parent, *path.parent.resolve().parents)]
     except OSError:
         return False

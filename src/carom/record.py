@@ -42,7 +42,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import what records an engine at its first use."""
+    """Import the recorder of an engine at its first use."""
     if name.startswith("_"):
         raise AttributeError(f"module 'carom.record' has no attribute {name!r}")
     try:

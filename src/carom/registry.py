@@ -5,8 +5,8 @@ An installed package adds a part through an entry point, whose group is the kind
     [project.entry-points."carom.forces"]
     harmonic-trap = "carom_example.trap:TRAP"
 
-`carom.extend` has what such a part is made of. A part is imported when it is used for the first time. A name that two
-packages define, or carom and a package, is refused where it is used.
+`carom.extend` has what such a part is made of. A part is imported when it is used for the first time. Using a name that
+two packages define, or carom and a package, is an error.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from carom.errors import SceneError
 from carom.scene.wording import suggestion
 
 PREFIX = "carom."  # of the groups of entry points
-KINDS = {  # kind → what a message calls one of them
+KINDS = {  # kind → its name in messages
     "forces": "force",
     "contact_laws": "contact law",
     "integrators": "integrator",
@@ -45,12 +45,12 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
         "tree": "carom.physics.forces.gravity.tree:make",
         "fast-multipole": "carom.physics.forces.gravity.fast_multipole.fast_multipole:make",
     },
-    "integrators": {  # those that choose their own steps; the others are sequences of kicks and drifts
+    "integrators": {  # integrators that choose their own steps; the others are sequences of kicks and drifts
         "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
     },
     "contact_laws": {"coulomb": "carom.scene.contact_laws:COULOMB"},
-    "placements": {  # arrangements of groups, and the shape of a region that brings its own velocities
+    "placements": {  # arrangements of groups, and the region shape with its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",
         "compressed": "carom.physics.placement.growth:COMPRESSED",
         "cubic": "carom.physics.placement.lattice:LATTICE",
@@ -106,7 +106,7 @@ class PartOrigin(NamedTuple):
     """Where a part comes from."""
 
     target: str  # module:attribute
-    package: str  # the distribution that has it; empty if it is carom's own
+    package: str  # the distribution; empty for carom's own parts
     version: str  # of the distribution
 
 
@@ -117,12 +117,12 @@ def names(kind: str) -> tuple[str, ...]:
 
 
 def installed(kind: str) -> tuple[str, ...]:
-    """Return the names of the parts of a kind that installed packages have, in alphabetical order."""
+    """Return the names of the parts of a kind in installed packages, in alphabetical order."""
     return tuple(sorted(_installed(kind)))
 
 
 def origin(kind: str, name: str) -> PartOrigin | None:
-    """Return where a part of an installed package comes from; None if no package has one of that name.
+    """Return the origin of a part of an installed package; None if no package has that name.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def origin(kind: str, name: str) -> PartOrigin | None:
 
 
 def source_of(kind: str, name: str) -> str:
-    """Return the package and version that a part comes from, for messages; "carom" if it is one of its own."""
+    """Return the package and version of a part, for messages; "carom" for its own parts."""
     found = origin(kind, name)
     return f"{found.package} {found.version}" if found else "carom"
 
@@ -154,7 +154,7 @@ def load(kind: str, name: str) -> Any:
     Raises
     ------
     ExtensionError
-        If there is none of that name, it cannot be imported, or its name is defined twice.
+        If the name is unknown or defined twice, or the part cannot be imported.
     """
     found = origin(kind, name)
     target = found.target if found else HOUSE.get(kind, {}).get(name)
@@ -191,7 +191,7 @@ def _imported(target: str) -> Any:
 
 @cache
 def _installed(kind: str) -> Mapping[str, tuple[PartOrigin, ...]]:
-    """Return the parts of installed packages, by name; a package that is found twice counts once."""
+    """Return the parts of installed packages by name; a package found twice counts once."""
     return _all_installed().get(kind, {})
 
 

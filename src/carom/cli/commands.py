@@ -1,7 +1,7 @@
-"""The table of commands, and how they are loaded and shown.
+"""The table of commands, their loading and their help.
 
-A command is one function. Its module is imported when the command runs or its help is shown, and imports what it needs
-when it runs, so that `carom --help` does not wait for a compiler and a viewer.
+A command is a function. Its module is imported when the command runs or shows its help, and imports other packages when
+it runs, so that `carom --help` does not wait for a compiler and a viewer.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typer.core import TyperCommand, TyperGroup
 from carom import registry
 
 EXTENSIONS = "Extensions"  # panel of the commands of installed packages
-COMMANDS: dict[str, dict[str, str]] = {  # module:function by panels of the help, in the order of a newcomer's needs
+COMMANDS: dict[str, dict[str, str]] = {  # panel → name → module:function, in the order of a newcomer's needs
     "Simulate": {
         "run": "carom.cli.run:run",
         "scenes": "carom.cli.scenes:scenes",
@@ -127,7 +127,7 @@ def _made(name: str, function: Any, panel: str) -> Any:
 
 
 def _raising(error: registry.ExtensionError) -> Any:
-    """Return what a command that cannot be loaded does: its help has the error, and a call raises it."""
+    """Return a command in place of one that cannot be loaded: its help has the error, and a call raises it."""
 
     def broken() -> None:
         raise error

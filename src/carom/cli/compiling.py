@@ -45,8 +45,8 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
 def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
     """Start the second process if no kernel has been compiled since the installation; otherwise return None.
 
-    This saves the time in which the run loads its modules. Only the default cache folder is checked; with another one,
-    the second process starts at the first compilation.
+    It then compiles while the run loads its modules. Only the default cache folder is checked; with another one, the
+    second process starts at the first compilation.
     """
     folder = Path(jit.__file__).parent / "__pycache__"
     new = "NUMBA_CACHE_DIR" not in os.environ and os.access(folder, os.W_OK) and not any(folder.glob("*.nbc"))

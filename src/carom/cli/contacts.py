@@ -1,4 +1,4 @@
-"""`carom contacts`: which bodies touch at a moment, or collided in the course of a run, and how hard."""
+"""`carom contacts`: the contacts at a moment, or the impacts of a run, with their impulses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carom.recording.read.recording import Recording
     from carom.scene.units.system import UnitSystem
 
-MOST_ROWS = 40  # that are printed for people
+MOST_ROWS = 40  # printed in the table
 FORMATS = (".parquet", ".csv")  # of files
 
 _MEASURED = (
@@ -123,7 +123,7 @@ def _table(
     end: OptionalTime,
     again: bool,
 ) -> pa.Table:
-    """Ask the recording, and keep the contacts of the bodies."""
+    """Return the contacts of the recording that concern the bodies."""
     from carom.errors import RecordingError
     from carom.recording.read.body_lookup import shown_body
     from carom.recording.read.recorded_contacts import of_body
@@ -149,7 +149,7 @@ def _table(
 
 
 def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
-    """Return when these bodies were hit hardest, as far as impacts are recorded; None if they were not."""
+    """Return the time of these bodies' hardest recorded impact; None without one."""
     import numpy as np
 
     from carom.recording.read.recorded_contacts import of_body
@@ -217,7 +217,7 @@ def _named(recording: Recording, table: pa.Table) -> pa.Table:
 
 
 def _with_units(table: pa.Table) -> pa.Table:
-    """Write the units into the names of the columns, where a format has no other place for them."""
+    """Write the units into the names of the columns, for formats without units."""
     units = [(field.metadata or {}).get(b"unit", b"").decode() for field in table.schema]
     names = zip(table.column_names, units, strict=True)
     return table.rename_columns([f"{name} [{unit}]" if unit else name for name, unit in names])
@@ -232,7 +232,7 @@ def _json(recording: Recording, table: pa.Table) -> dict[str, Any]:
 
 
 def _source(table: pa.Table) -> str:
-    """Say where the rows come from, and what is not among them."""
+    """Describe the source of the rows, and missing rows."""
     told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     left_out = int(told.get("left_out", "0"))
     more = f"; {left_out} smaller impacts of the run are not, --replay finds them" if left_out else ""
@@ -247,7 +247,7 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
 
     names = _names(recording)
     count, units, moment = counted(table.num_rows, "impact" if at is None else "contact"), recording.units, ""
-    if at is not None:  # impacts have moments of their own within the step
+    if at is not None:  # impacts have their own times within the step
         moment = f" in step {table['step'][0]}" if table.num_rows else f" at t = {units.text(at, TIME, '.9g')}"
     later = "" if at is None or table.num_rows else _in_next_step(recording, at)
     say(f"{count}{moment}, {_source(table)}{later}")
@@ -271,7 +271,7 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
 
 
 def _in_next_step(recording: Recording, at: float) -> str:
-    """Say which step has the impacts at the very end of the step that a time (s) is in, if they are recorded."""
+    """Return a hint to the next step, if it recorded impacts at the very end of the step that contains a time (s)."""
     from carom.recording.read.moment import frame_of
 
     row = frame_of(recording, at)

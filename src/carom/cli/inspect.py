@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from carom.scene.units.system import UnitSystem
 
 NOT_RECORDED = "not recorded, or lost"
-AROUND = 20  # frames, of a clip of a moment
+AROUND = 20  # frames in a clip around a moment
 
 Row = tuple[str, str]  # name and text
 
@@ -66,7 +66,7 @@ def inspect(
 
 
 def _print_comparison(recording: Recording, file: Path, as_json: bool) -> None:
-    """Print what a file that shows several runs compares, and the verdict."""
+    """Print the runs in a comparison, and the verdict."""
     from carom.cli.terminal import Terminal
 
     compared = {"title": recording.title, **recording.overlaid}
@@ -96,7 +96,7 @@ def _overview(summary: dict[str, Any], units: UnitSystem) -> Table:
 
 
 def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
-    """Say what ran, for how long, and how it ended."""
+    """Describe the run, its length and its outcome."""
     from carom.runs.overview import in_words
     from carom.scene.wording import in_series
 
@@ -120,7 +120,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
 
 
 def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
-    """Say how well energy and momenta were conserved."""
+    """Describe the conservation of energy and momenta."""
     from carom.runs.overview import energy_texts, error_text
 
     energy = summary["energy"]
@@ -157,7 +157,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
 
 
 def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
-    """Say which accuracy and promises were kept, and which laws were broken."""
+    """Describe the kept and missed accuracy and promises, and the violated laws."""
     from carom.runs.overview import accuracy_text
 
     if summary["accuracy"]:
@@ -166,7 +166,7 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):
             kept = "not judged, the run ended elsewhere"
-        bound = verdict.get("bound", "at most")  # recordings of before there was another bound
+        bound = verdict.get("bound", "at most")  # older recordings have only this bound
         yield "promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}"
     for law, broken in summary.get("laws", {}).items():
         first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"
@@ -185,7 +185,7 @@ def _warnings(summary: dict[str, Any], units: UnitSystem) -> Iterator[str]:
 
 
 def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator[str]:
-    """Name each extreme, and the commands that look closer."""
+    """List each extreme, with the commands that show it."""
     from carom.runs.overview import moments
 
     first, last = summary.get("clip", {}).get("from", 0.0), summary["sim_time"]
@@ -203,7 +203,7 @@ def _moments(summary: dict[str, Any], file: Path, units: UnitSystem) -> Iterator
 
 
 def _profile(profile: dict[str, float]) -> Table:
-    """Show where the time of the steps went."""
+    """Show the computing time by part of a step."""
     table, whole = _grid(), sum(profile.values())
     for justify in ("left", "right", "right"):
         table.add_column(justify=justify)

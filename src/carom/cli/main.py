@@ -50,7 +50,7 @@ def main() -> NoReturn:
             _leave()
         raise
     sys.stdout.flush()
-    if output.error is not None and output.error.errno != errno.EPIPE:  # a reader that left has read enough
+    if output.error is not None and output.error.errno != errno.EPIPE:  # a closed pipe is no error
         typer.echo(f"carom: cannot write to standard output: {output.error.strerror}", err=True)
         code = code or 1
     sys.exit(code)
@@ -105,7 +105,7 @@ def run_command() -> None:
     A mistake of the user ends with one message and exit code 2, a failure of the system with one message and exit
     code 1. Neither prints a traceback.
     """
-    # imported now: at the limit of open files nothing can be imported any more
+    # imported now: at the limit of open files, imports fail
     from carom.cli.printing import say
     from carom.errors import ExistsError, ExperimentError, PhysicsError, RecordingError, SceneError
 
@@ -173,7 +173,7 @@ def replace_streams() -> Lossy:
 
     Characters that the encoding of a terminal lacks are printed as question marks.
     """
-    for descriptor in range(3):  # a recording must not be opened as standard error, to which libraries print
+    for descriptor in range(3):  # otherwise a recording could be opened as standard error, to which libraries print
         try:
             os.fstat(descriptor)
         except OSError:

@@ -108,7 +108,7 @@ def movie(
 
 
 def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None:
-    """Refuse what no movie can be made of."""
+    """Refuse recordings and options from which no movie can be made."""
     from carom.errors import RecordingError
     from carom.show.movie import FORMATS
 

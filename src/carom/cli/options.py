@@ -16,7 +16,7 @@ from carom.scene.units.system import UnitSystem
 _NO_TIME = f'expected a time, such as 12.5 or "{TIME.example}"'
 _SECONDS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0}
 _WORK_TIME = re.compile(r"\s*([0-9.]+(?:e[-+]?[0-9]+)?)\s*(s|min|h|)\s*")
-OptionalTime = float | None  # what `seconds` read, or None
+OptionalTime = float | None  # a result of `seconds`, or None
 
 
 class Seconds(float):
@@ -53,7 +53,7 @@ def simulated_or_none(given: float | None, units: UnitSystem) -> float | None:
 
 
 def work_time(text: str | float) -> float:
-    """Read how long a command may work, such as 60s, 10min or 2h; a default is in s already."""
+    """Read a limit of computing time, such as 60s, 10min or 2h; a default is already in s."""
     matched = _WORK_TIME.fullmatch(str(text))
     with suppress(ValueError):
         if matched and float(matched[1]) > 0:
@@ -62,7 +62,7 @@ def work_time(text: str | float) -> float:
 
 
 def bundled(incomplete: str) -> list[str]:
-    """Complete the name of a bundled scene; if none fits, the shell completes files."""
+    """Complete the name of a bundled scene; if none matches, the shell completes files."""
     from carom.scene.scene_file import bundled_scenes, crosscheck_scenes, extreme_scenes
 
     return [
@@ -74,14 +74,14 @@ def not_a_folder(path: Path) -> Path:
     """Return the path of a recording; refuse a folder, which may have no name for other files to take."""
     from carom.errors import RecordingError
 
-    with suppress(OSError):  # such as for a name that is too long, which is refused when it is opened
+    with suppress(OSError):  # such as a name that is too long, which is refused when it is opened
         if path.is_dir():
             raise RecordingError(f"{path}: a folder, not a recording; name an .rrd file")
     return path
 
 
 def recording_to_write(path: Path | None) -> Path | None:
-    """Return the path of a recording to write; refuse a name that the viewer would not take for a recording."""
+    """Return the path of a recording to write; refuse a name that the viewer would not recognise as a recording."""
     from carom.runs.output import refuse_name
 
     if path is not None:

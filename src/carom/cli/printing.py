@@ -22,12 +22,12 @@ COLOUR = "colour by material"  # used where `colour_by` is "material"; bodies us
 
 
 def say(text: str, *, err: bool = False) -> None:
-    """Print a line without control characters, which a terminal would obey and text from files may contain."""
+    """Print a line without control characters: text from files may contain some, and a terminal would execute them."""
     typer.echo(escaped(text), err=err)
 
 
 def finite(value: Any) -> Any:
-    """Return a number or a document with None in place of NaN and infinity, which JSON does not have."""
+    """Return a number or a document with None in place of NaN and infinity, which JSON lacks."""
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""What a person sees while a run is under way, and when it has ended."""
+"""The progress of a run on the terminal, and its summary at the end."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
-LEAST_FRAMES = 0.9  # of those asked for; fewer are pointed out
+LEAST_FRAMES = 0.9  # fraction of the requested frames; fewer are reported
 
 
 class RunProgress(LiveLine):
-    """Time simulated, pace, and time left of one run; then how it ended."""
+    """Simulated time, pace and remaining time of a run; at the end, its outcome."""
 
     def __init__(self, scene: Scene, quiet: bool = False, heading: str = "") -> None:
         super().__init__(quiet)
@@ -51,12 +51,12 @@ class RunProgress(LiveLine):
         return super().__enter__()
 
     def announce(self, scene: Scene) -> None:
-        """Say what the scene, with the step that its accuracy takes, cannot promise."""
+        """Print what the scene cannot promise with the step of its accuracy."""
         if shortfall := shortfall_text(scene):
             self.say(f"carom: {shortfall}")
 
     def update(self, status: StepStatus) -> None:
-        """Show where the run is."""
+        """Show the progress of the run."""
         self._show(lambda now: self._line(status, now))
 
     def _line(self, status: StepStatus, now: float) -> str:
@@ -72,7 +72,7 @@ class RunProgress(LiveLine):
         )
 
     def summarise(self, outcome: Outcome) -> None:
-        """Say how the run ended, what it measured, and what to do with the file."""
+        """Print the outcome of the run, its measurements, and commands for the file."""
         moments, units = outcome.moments, self._scene.unit_system
         table = Table.grid(padding=(0, 2))
         table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
@@ -111,11 +111,11 @@ class RunProgress(LiveLine):
         terminal = Terminal(file=sys.stdout)
         terminal.print(table)
         for label, name in zip_longest(("next",), (*resumed, "view", "inspect", "picture"), fillvalue=""):
-            terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # whole, to be copied
+            terminal.print(Text(f"{label:<10}{command(name, outcome.path)}"), soft_wrap=True)  # one line, for copying
 
 
 def notes_on(scene: Scene) -> list[str]:
-    """Return what a person should know before a run: on files, test particles, impacts, and likely mistakes."""
+    """Return notes before a run: about files, test particles, impacts, and probable mistakes."""
     notes = [note for notes in scene.notes for note in notes]
     if count := scene.test_particles:
         are = "is a test particle" if count == 1 else "are test particles"
@@ -131,7 +131,7 @@ def notes_on(scene: Scene) -> list[str]:
 
 
 def preparing(scene: Scene, beside: LiveLine) -> Patience:
-    """Say what carom does before the first step, if that takes long: place bodies, or look ahead for an accuracy."""
+    """Announce long work before the first step: placing bodies, or the look-ahead of an accuracy."""
     if scene.time.accuracy is None or scene.promise is not None:
         return Patience(f"preparing {scene.count} bodies …", beside)
     text = f"looking ahead for the step that keeps accuracy = {scene.time.accuracy:g}:"
@@ -139,7 +139,7 @@ def preparing(scene: Scene, beside: LiveLine) -> Patience:
 
 
 def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
-    """Return what shows how far a look ahead is."""
+    """Return the function that shows the progress of a look-ahead."""
 
     def watch(budget: WorkBudget) -> None:
         reached = scene.unit_system.text(budget.reached, TIME, ".4g")
@@ -149,7 +149,7 @@ def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
 
 
 def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
-    """Say that steps were longer than the time between frames that the scene asks for; empty if they were not."""
+    """Return a note if steps were longer than the requested time between frames; otherwise an empty text."""
     if isinstance(scene.record.every, str):
         return ""
     asked = outcome.sim_time / scene.record.every + 1.0  # and a frame of the start
@@ -162,7 +162,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
 
 
 def _many_steps(scene: Scene) -> str:
-    """Warn that the longest step allowed makes a run long; empty if it does not, or if another key sets the step."""
+    """Return a warning if the largest allowed step makes a run long; empty if another key sets the step."""
     time, largest = scene.time, largest_step(scene)
     if time.fixed_dt is not None or time.accuracy is not None or time.duration / largest < MANY_STEPS:
         return ""

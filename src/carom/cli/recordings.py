@@ -114,7 +114,7 @@ def _interval(
 
 
 def _numbers(file: Path, bodies: str | None) -> list[int] | None:
-    """Find the bodies that are meant, by their numbers or names."""
+    """Return the numbers of the bodies, given by number or name."""
     from carom.recording.read.body_lookup import body_number, split_at_commas
     from carom.recording.read.recording import Recording
 
@@ -150,7 +150,7 @@ def repair(
     if in_place and torn.exists() and not force:
         raise RecordingError(f"{torn}: exists, from an earlier repair; move it away, or give --force to replace it")
     refuse_output(path, force or in_place)
-    with Claim(file) if in_place else nullcontext():  # a run under way looks like one that was killed
+    with Claim(file) if in_place else nullcontext():  # a running simulation's file looks like that of a killed one
         done = mend(file, path)
         if in_place and done.path is not None:
             file.replace(torn)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from carom.runs.replay import Replay
     from carom.scene.units.system import UnitSystem
 
-ASKS_ABOVE = 60.0  # s; a replay that takes longer wants a word first
+ASKS_ABOVE = 60.0  # s; a longer replay requires consent
 
 
 def replay(

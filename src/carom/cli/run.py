@@ -87,13 +87,13 @@ def telling_of(path: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        if path.exists():  # an interrupt before the first step finds no file
+        if path.exists():  # there is no file before the first step
             say(f"carom: {path} may not be closed; `{command('repair', path)}` closes it", err=True)
         raise
 
 
 def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
-    """Say how a run ended; exit with 1 if it did not end well."""
+    """Print the outcome of a run; exit with 1 unless it completed."""
     from carom.runs.overview import in_words
 
     if as_json:
@@ -106,7 +106,7 @@ def report(outcome: Outcome, progress: RunProgress, as_json: bool) -> None:
 
 
 def live_viewer() -> str | None:
-    """Start a viewer and return its address; without a screen, say so and return None."""
+    """Start a viewer and return its address; without a screen, report it and return None."""
     from carom.errors import RecordingError
     from carom.show.viewer import start_live_viewer
 

@@ -72,7 +72,7 @@ def new(
         raise SceneError(f"{name}: a folder; name a file to write, such as {Path(name) / 'mine.toml'}")
     path = Path(name if name.endswith(".toml") else f"{name}.toml")
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
-    if source and source not in bundled:  # cradle stands for newtons-cradle
+    if source and source not in bundled:  # "cradle" stands for "newtons-cradle"
         matches = [name for name in bundled_scenes() if source in name]
         if len(matches) != 1:
             raise SceneError(f"--from {source}: there is no such bundled scene; choose one of {', '.join(bundled)}")
@@ -162,7 +162,7 @@ def explain(
 
 
 def _steps(cost: Cost, scene: Scene) -> str:
-    """Say how many steps there will be, what sets them, and what would make them longer."""
+    """Describe the number of steps, their limits, and how to make them longer."""
     from carom.cli.printing import count_text, duration_text
     from carom.physics.diagnostics.run_monitor import remedies_of
 
@@ -177,12 +177,12 @@ def _steps(cost: Cost, scene: Scene) -> str:
             f"(seen up to t = {scene.unit_system.text(cost.looked_until, TIME, '.4g')})"
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
-    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none where the integrator's own error sets the step
+    remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none if the integrator's own error sets the step
     return f"{count}\n  set by: {shares}" + (f"; for fewer steps raise {remedy}" if remedy else "")
 
 
 def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:
-    """Load a scene with parts switched on, besides those that it switches on by itself."""
+    """Load a scene with further parts switched on."""
     import json
 
     from carom.errors import SceneError
@@ -216,7 +216,7 @@ def _parts(parts: list[PartCost]) -> Table:
 
 
 def _entities(entities: list[EntityCost]) -> Table:
-    """Show the entities; those of one folder that are there for the same reason share a row, as do those left out."""
+    """Show the entities; entities of one folder with the same reason share a row, recorded or not."""
     from carom.recording.schema.series import ONCE
 
     rows: dict[tuple[str, str], list[EntityCost]] = {}

@@ -49,7 +49,7 @@ def stress(
                 trials.append(attempt(short, scene, folder, watch=progress.update))
             if trials[-1].status == "interrupted":
                 break
-    except KeyboardInterrupt:  # between two runs; within one, the run itself ends and says so
+    except KeyboardInterrupt:  # between two runs; an interrupted run reports its own end
         pass
     if as_json:
         say_json(_document(trials, scenes))
@@ -119,7 +119,7 @@ def _met(verdict: Verdict) -> str:
 
 
 def _worst(trial: Trial, units: UnitSystem) -> Table:
-    """Show each worst moment with the command that looks at it."""
+    """Show each worst moment with the command that displays it."""
     from rich.markup import escape
     from rich.table import Table
 

@@ -40,7 +40,7 @@ class Terminal(Console):
         super().__init__(**{"markup": False, "highlight": False, **options})
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render, with control characters of the text escaped."""
+        """Render the text with control characters escaped."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else Segment(escaped(segment.text), segment.style)
 
@@ -79,7 +79,7 @@ class LiveLine:
         self._console.print(text, soft_wrap=True)
 
     def _restart(self) -> None:
-        """Count time from now on."""
+        """Restart the clock."""
         self._began = self._last_line = time.perf_counter()
 
     def _show(self, line: Callable[[float], str]) -> None:
@@ -179,7 +179,7 @@ class MovieProgress(LiveLine):
         self._units = units
         self._times = times  # s, of the frame that each picture shows
         self._made = 0
-        self._first: float | None = None  # when the first picture was there: the viewers were starting before
+        self._first: float | None = None  # time of the first picture, before which the viewers were starting
         self._last = 0.0
 
     def __enter__(self) -> Self:

@@ -50,7 +50,7 @@ PlotOption = Annotated[
 
 
 class ColourBy(StrEnum):
-    """What tells bodies apart."""
+    """The property that sets the colours of bodies."""
 
     GROUP = "group"
     MATERIAL = "material"
@@ -210,7 +210,7 @@ def picture(
 
 
 def _simulated(file: Path, at: float | None) -> float | None:
-    """Return a moment that was given as a time of the simulation."""
+    """Convert a given moment to a time of the simulation."""
     from carom.recording.read.recording import Recording
 
     return None if at is None else simulated(at, Recording.open(file).units)

@@ -22,29 +22,29 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
 
-STEP_GROWS_UP_TO = 100  # bodies; "auto" steps of more are a tenth of the time of a fall through the smallest radius
+STEP_GROWS_UP_TO = 100  # bodies; for more, "auto" steps are a tenth of the time of a fall through the smallest radius
 STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they get shorter ones for accurate flights;
 # bodies that contacts hold get the step of `STEP_GROWS_UP_TO` (docs/physics.md, 3)
 
 SMOOTH_UP_TO = 8  # bodies without contacts: with more, a step that does not follow the pulls misses encounters, and
 # fourth order then gains less than it costs
 
-PAIRS_UP_TO = 100  # bodies, of which the step examines each pair; with more that costs as much as gravity
+PAIRS_UP_TO = 100  # bodies for which the step examines each pair; with more, that costs as much as gravity
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
-PULL_FRACTION = 0.02  # of the time scale of the largest acceleration; for two equal bodies that is twice the pair's
+PULL_FRACTION = 0.02  # of the time scale of the largest acceleration, which is twice that of a pair of equal bodies
 SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
 
-LATE_CFL = 0.5  # fraction of its radius that a body may move in a step, if impacts are resolved at its end
-FREE_CFL = 1.0  # the same with times of impact and without forces: shorter steps only cost more (docs/trade.md)
+LATE_CFL = 0.5  # largest motion of a body in a step over its radius, if impacts are resolved at the end
+FREE_CFL = 1.0  # the same with times of impact and without forces, where shorter steps only cost more (docs/trade.md)
 
-EXACT_IMPACT = 1e-9  # relative error of an approach speed up to which an impact counts as exact
+EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact impact
 
-BOUNCES_UP_TO = 200  # bodies that bounce, of which gauss-radau15 begins all anew at each impact (docs/trade.md)
+BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
 TREES = ("tree", "fast-multipole")  # methods that sort bodies into boxes, with an error by the opening angle
 TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
 
-HELD_PART = 0.01  # of its radius that a held body may move in a step: 600 steps a revolution of two rolling ones
+HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps a revolution of two rolling ones
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
@@ -54,8 +54,8 @@ WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:
     """Decide how gravity is summed.
 
-    Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" changes
-    over at `TREE_FROM`: below, a tree saves milliseconds at most, and the direct sum keeps momentum to round-off.
+    Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" switches at
+    `TREE_FROM`: below it, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
     """
     method = scene.gravity.method
     if method == "none" or not (pulls.gravity(scene).modelled or "gravity" in forced_parts(scene)):
@@ -80,7 +80,7 @@ def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
 
 
 def why_late(scene: Scene) -> str:
-    """Return the reason why impacts are resolved at the end of the step; empty if they are not."""
+    """Return why impacts are resolved at the end of the step; empty if they are not."""
     asked, chosen = scene.contact.timing, integrator(scene)
     if asked != "auto":
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
@@ -92,11 +92,11 @@ def why_late(scene: Scene) -> str:
 
 
 def inexact_impacts(scene: Scene) -> str:
-    """Return how far an impact of two bodies that touch nothing else is from the exact one; empty if it is not.
+    """Describe the error of an impact of two bodies that touch nothing else; empty if it is exact.
 
-    A force that changes along a step with the place gives the bodies another approach than on their true paths.
-    Self-gravity does so by about a dt²/r; that of bodies which are small and fast enough is rounding. The impulse
-    follows exactly from the approach.
+    A force that varies along a step changes the approach of the bodies relative to their true paths. The relative error
+    by self-gravity is about a dt²/r, below rounding for small and fast bodies. The impulse follows exactly from the
+    approach.
     """
     chosen = integrator(scene)
     if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
@@ -124,7 +124,7 @@ def inexact_impacts(scene: Scene) -> str:
 
 
 def ended_bounces(scene: Scene) -> str:
-    """Return which bounces end at rest, as a sentence; empty if none does, or nothing bounces."""
+    """Return a sentence about bounces that end at rest; empty if there are none."""
     contact = contact_parts.contact(scene)
     bounces = contact_parts.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and contact_parts.resting(scene, contact).modelled):
@@ -137,8 +137,8 @@ def ended_bounces(scene: Scene) -> str:
 def _error_by_gravity(scene: Scene) -> float:
     """Estimate the relative error of an approach speed by self-gravity in a step.
 
-    The pull a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. The step is at most
-    κ r/v by the velocity limit, and lets a body fall by Δx from rest.
+    The acceleration a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. The step is at
+    most κ r/v by the velocity limit, and lets a body fall by Δx from rest.
     """
     r, slowest = smallest_radius(scene), _relative_speed(scene)
     a = 2.0 * scene.gravity.constant * _largest_mass(scene) / (r * r)
@@ -149,7 +149,7 @@ def _error_by_gravity(scene: Scene) -> float:
 
 
 def _relative_speed(scene: Scene) -> float:
-    """Return the largest relative speed of two bodies at the start, roughly, in m/s; 0 if all start alike."""
+    """Estimate the largest relative speed (m/s) of two bodies at the start; 0 if all velocities are equal."""
     velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
     for columns in scene.data:
         velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
@@ -158,7 +158,7 @@ def _relative_speed(scene: Scene) -> float:
 
 
 def _largest_mass(scene: Scene) -> float:
-    """Return the largest mass of a body, or of the bodies of a group on average, in kg."""
+    """Return the largest mass (kg) of a body, or mean mass of a group's bodies."""
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
     return max(masses + [float(columns.mass.max()) for columns in scene.data])
@@ -179,20 +179,20 @@ def integrator(scene: Scene) -> Integrator:
 
 
 def _meets_seldom(scene: Scene) -> bool:
-    """Return whether bodies that may meet are on their own almost always: planets, moons and comets.
+    """Return whether encounters are rare, as for planets, moons and comets.
 
-    In steps of leapfrog, a second at most, eighty years of a comet took hours; Gauss–Radau takes a second.
+    With leapfrog's steps of at most a second, eighty years of a comet took hours; Gauss–Radau takes a second.
     """
     if not (contact_parts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
         return False
     alone = scene.domain.boundary == "open" and not scene.plane and not pulls.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
-    drifts = contact_parts.moves_relatively(scene)  # what begins at rest falls together
+    drifts = contact_parts.moves_relatively(scene)  # bodies that begin at rest fall together
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
 
 
 def _accurate(scene: Scene) -> str:
-    """Name the integrator that reaches an accuracy at the lowest cost, if no run ahead finds a cheaper one."""
+    """Return the integrator with the lowest cost for an accuracy, unless a look-ahead finds a cheaper one."""
     if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.boundary == "periodic":
@@ -202,21 +202,21 @@ def _accurate(scene: Scene) -> str:
 
 
 def _bounces_on_curves(scene: Scene) -> bool:
-    """Return whether few bodies that meet are bent on their way, so that a high order from impact to impact pays."""
+    """Return whether a few colliding bodies move on curves, so that a high order between impacts is worthwhile."""
     bent = contact_parts.load(scene) != "" and not pulls.damping(scene)
     open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
 
 def holding(scene: Scene) -> Scene:
-    """Return the scene with the integrator that holds contacts at rest, where its own resolves impacts only."""
+    """Return the scene with an integrator that holds resting contacts, if its own only resolves impacts."""
     time = scene.time.model_copy(update={"integrator": "leapfrog"})
     contact = scene.contact.model_copy(update={"timing": "time-of-impact"})
     return scene.model_copy(update={"time": time, "contact": contact})
 
 
 def _leaves_step_free(scene: Scene) -> bool:
-    """Return whether an integrator may choose the steps by their error: in open space, where no key sets a step."""
+    """Return whether an integrator may choose the steps by their error: in open space, if no key sets a step."""
     rule = scene.time
     if scene.domain.boundary == "periodic":
         return False
@@ -227,14 +227,14 @@ def _leaves_step_free(scene: Scene) -> bool:
 def _is_smooth(scene: Scene) -> bool:
     if not pulls.differing(scene) or contact_parts.contact(scene).modelled or pulls.damping(scene):
         return False
-    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # every encounter, by its own step
+    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step for every encounter
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
 
 
 def largest_step(scene: Scene) -> float:
-    """Return the largest step in s; infinite where the integrator chooses its steps by their error or by the orbits.
+    """Return the largest step (s); infinite if the integrator chooses its steps by their error or by the orbits.
 
-    With a limit of 1 s, two years of the Earth in steps of Gauss–Radau would be 63 million steps in place of 79.
+    With a limit of 1 s, two years of the Earth would take 63 million steps of Gauss–Radau instead of 79.
     """
     if scene.time.max_dt != "auto":
         return scene.time.max_dt
@@ -245,7 +245,7 @@ def target_dx(scene: Scene) -> float | None:
     """Return the largest distance that an acceleration may move a body from rest in a step, in m; None for no limit.
 
     A fall from rest through the smallest radius r takes √(2 r/a), and in a fraction s of that time a body falls s² r.
-    Where nothing can touch, radii do not matter, and the shortest time of a pair limits the step if gravity acts.
+    Without contacts, radii do not matter; under gravity, the shortest time of a pair then limits the step.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
@@ -255,10 +255,10 @@ def target_dx(scene: Scene) -> float | None:
 
 
 def held_dx(scene: Scene) -> float | None:
-    """Return ``target_dx`` in metres for bodies that lasting contacts hold; None if it is the same as for others.
+    """Return ``target_dx`` (m) for bodies held by lasting contacts; None if it is the same as for others.
 
-    A short step makes the flights between bounces exact. A held body does not fly, because the pull on it is balanced.
-    The step of many bodies, a tenth of a fall, is short enough to hold it.
+    Short steps make flights between bounces accurate. Forces on a held body are balanced, so it does not fly. The step
+    for many bodies, a tenth of a fall, is short enough to hold it.
     """
     if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
@@ -278,9 +278,9 @@ def cfl(scene: Scene) -> float | None:
 
 
 def pull_fraction(scene: Scene) -> float | None:
-    """Return the step as a fraction of the shortest time in which pulls change the motion; None for no limit.
+    """Return the step as a fraction of the shortest time in which forces change the motion; None for no limit.
 
-    By default it replaces the limits by radius where nothing can touch, unless the scene sets ``target_dx``.
+    By default it replaces the limits by radius in scenes without contacts, unless the scene sets ``target_dx``.
     """
     if not pulls.gravity(scene).modelled:
         return None
@@ -294,8 +294,8 @@ def pull_fraction(scene: Scene) -> float | None:
 def smoothing(scene: Scene) -> float:
     """Return the weight of the new step in the moving average.
 
-    Contacts come and go, and the step that they allow jumps. The step that pulls alone allow is smooth. An average
-    would lag behind it, so an orbit would be stepped differently on its way in and out, and drift.
+    The step allowed by contacts jumps, and is averaged. The step allowed by forces alone is smooth. An average would
+    lag behind it: an orbit would then have different steps on its way in and out, and drift.
     """
     if scene.time.smoothing != "auto":
         return scene.time.smoothing
@@ -322,7 +322,7 @@ def frame_interval(scene: Scene) -> float:
 
 
 def auto_interval(scene: Scene, duration: float) -> float:
-    """Return the time between the frames of a recording that chooses them itself, for a duration; both in s."""
+    """Return the automatic time (s) between the frames of a recording of some duration (s)."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
     return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
 
@@ -334,14 +334,14 @@ class StepLimits:
     max_dt: float  # s, infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None  # m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not
-    held_part: float  # of its own radius that such a body may move in a step
+    held_dx: float | None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None: the same
+    held_part: float  # largest motion of such a body in a step over its radius
     pull_fraction: float | None
     smoothing: float
 
 
 def step_limits(scene: Scene) -> StepLimits:
-    """Return the limits that a scene asks for."""
+    """Return the limits of a scene."""
     if scene.promise is not None:
         return accurate_limits(scene, scene.promise.refinement, scene.promise.until)
     return StepLimits(
@@ -356,11 +356,11 @@ def step_limits(scene: Scene) -> StepLimits:
 
 
 def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
-    """Return limits for steps so many times shorter than the longest useful ones, with impacts at their own times.
+    """Return limits for steps shorter than the longest useful ones by a factor, with impacts at their own times.
 
-    Every limit shrinks alike, so that runs with different refinements differ wherever the step matters. No step is
-    longer than the interval between the frames of an automatic recording of ``until`` seconds, the part that was
-    looked ahead. A resumed run may be longer, and keeps its step.
+    All limits shrink by the same factor, so that runs with different refinements differ wherever the step matters. No
+    step is longer than the frame interval of an automatic recording of ``until`` seconds, the part covered by the
+    look-ahead. A longer, resumed run keeps that step.
     """
     touches = cfl(scene) is not None
     return StepLimits(

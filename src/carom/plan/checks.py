@@ -1,4 +1,4 @@
-"""Checks before a run: scenes that are refused, and doubts about scenes that run."""
+"""Checks before a run: refused scenes, and doubts about valid ones."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from carom.scene.wording import body_key, counted
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
 ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
-ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: 2400 abort at 4 × 10⁵ bodies
+ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with 2400, 4 × 10⁵ bodies abort
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
 EARTH = 9.81  # m/s², written as 9.8 to 9.82
@@ -58,7 +58,7 @@ def refuse_impossible(scene: Scene) -> None:
     Raises
     ------
     SceneError
-        With the key and what would be right.
+        With the key and a valid value.
     """
     with naming_places(scene):
         _refuse_missing_parts(scene)
@@ -81,7 +81,7 @@ def _refuse_missing_parts(scene: Scene) -> None:
     needed: list[tuple[str, str, KeyPath, str]] = []
     if chosen.controls_error:
         needed.append(("integrators", chosen.name, INTEGRATOR, without_radau))
-    if chosen.hierarchical:  # close encounters are left to it
+    if chosen.hierarchical:  # it takes over close encounters
         needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, without_radau))
     if method != "none":
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
@@ -104,7 +104,7 @@ def _refuse_missing_parts(scene: Scene) -> None:
 
 
 def _refuse_test_particles(scene: Scene) -> None:
-    """Refuse bodies of mass 0 where there are contacts, in which they have no impulse, or no bodies with a mass."""
+    """Refuse bodies of mass 0 in scenes with contacts, where they exert no impulse, or without any massive body."""
     count = scene.test_particles
     touches = count > 0 and require(scene).contact.modelled
     if not touches and (count == 0 or count < scene.count):
@@ -128,7 +128,7 @@ def _refuse_test_particles(scene: Scene) -> None:
 
 
 def _refuse_coarse_tree(scene: Scene) -> None:
-    """Refuse a tree whose error is larger than the requested one; name an opening angle that is small enough."""
+    """Refuse a tree whose error exceeds the requested one; the message has a small enough opening angle."""
     accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
     if accuracy is None or method not in TREE_ERRORS:
         return
@@ -159,7 +159,7 @@ def _refuse_times_of_impact(scene: Scene) -> None:
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
-    """Refuse drift-kick-drift where bodies may rest: holding them needs the forces at the end of the step."""
+    """Refuse drift-kick-drift where bodies may rest, which requires the forces at the end of the step."""
     chosen = integrator(scene)
     if chosen.controls_error:
         return
@@ -187,7 +187,7 @@ def _refuse_damping(scene: Scene) -> None:
 
 
 def _refuse_further_forces(scene: Scene) -> None:
-    """Refuse forces of installed packages where they have no meaning."""
+    """Refuse forces of installed packages where they are not defined."""
     for name in scene.forces.given:
         force = force_called(name)
         if isinstance(force, BodyForce) and not force.periodic and scene.domain.boundary == "periodic":
@@ -205,7 +205,7 @@ def _refuse_further_forces(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse what would cause errors beyond the estimate by which the integrator chooses its step."""
+    """Refuse parts with errors outside of the estimate by which the integrator chooses its step."""
     chosen, contact = integrator(scene), scene.contact
     if not chosen.ends_steps_at_impacts:
         return
@@ -234,7 +234,7 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
 
 
 def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
-    """Refuse scenes in which bodies do not orbit a dominant one, where the integrator needs that."""
+    """Refuse scenes without orbits about a dominant body, if the integrator requires them."""
     chosen = integrator(scene)
     if not chosen.hierarchical:
         if scene.time.encounters != "resolve":
@@ -277,7 +277,7 @@ def _limit_of_steps(scene: Scene) -> str:
 
 
 def _refuse_narrow_box(scene: Scene) -> None:
-    """Refuse periodic boxes in which a body could meet another body and its image, or itself."""
+    """Refuse periodic boxes in which a body could touch another body and its image, or its own image."""
     if scene.domain.boundary != "periodic" or scene.domain.size is None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
@@ -298,7 +298,7 @@ def _refuse_small_memory(scene: Scene) -> None:
     try:
         memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
-        memory = 2**47  # not known: the whole address space
+        memory = 2**47  # unknown: the whole address space
     needed, counts = memory_estimate(scene), [group.count for group in scene.group]
     if needed > memory:
         raise SceneError(
@@ -316,7 +316,7 @@ def _refuse_small_memory(scene: Scene) -> None:
 
 
 def doubts(scene: Scene) -> list[str]:
-    """Return what may be a mistake in a scene, a sentence each."""
+    """Return a sentence for each probable mistake in a scene."""
     return [*_nothing_moves(scene), *_field_of_the_earth(scene), *_default_radius(scene)]
 
 
@@ -334,7 +334,7 @@ def _nothing_moves(scene: Scene) -> list[str]:
 
 
 def _field_of_the_earth(scene: Scene) -> list[str]:
-    """Ask for the unit of a uniform field that has the Earth's number, but not its size."""
+    """Return a question about the unit of a uniform field with the Earth's number, but another size."""
     size = math.hypot(*scene.gravity.uniform)
     number = scene.unit_system.shown(size, ACCELERATION)
     if round(number, 1) != round(EARTH, 1) or math.isclose(size, EARTH, rel_tol=0.01):
@@ -344,11 +344,11 @@ def _field_of_the_earth(scene: Scene) -> list[str]:
 
 
 def _default_radius(scene: Scene) -> list[str]:
-    """Name the first body whose mass is given, but whose radius is the default and makes it lighter than any solid."""
+    """Return a sentence about the first body with a given mass whose default radius makes it lighter than any solid."""
     light = [
         (number, density)
         for number, body in enumerate(scene.body)
-        if "radius" not in body.model_fields_set and body.mass  # test particles have none
+        if "radius" not in body.model_fields_set and body.mass  # test particles have no mass
         if (density := body.mass / (4.0 / 3.0 * math.pi * body.radius**3)) < LIGHTEST
     ]
     if not light:

@@ -32,7 +32,7 @@ def moves_relatively(scene: Scene) -> bool:
     """
     velocities: set[tuple[float, ...] | None] = {body.velocity for body in scene.body}
     velocities |= {columns.common_velocity for columns in scene.data} | {group.velocity.mean for group in scene.group}
-    if None in velocities:  # those of one file differ
+    if None in velocities:  # velocities in a file differ
         return True
     if scene.anchored:
         velocities.add((0.0, 0.0, 0.0))
@@ -43,12 +43,12 @@ def moves_relatively(scene: Scene) -> bool:
 
 
 def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
-    """Decide that a part is modelled if contacts are."""
+    """Decide on a part that is modelled if contacts are."""
     return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
 
 
 def broad_phase(scene: Scene, contact: Part) -> Part:
-    """Decide whether pairs that may touch are searched for."""
+    """Decide whether to search for pairs that may touch."""
     how = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
     return where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
 
@@ -73,7 +73,7 @@ def stabilisation(scene: Scene, contact: Part) -> Part:
 
 
 def load(scene: Scene) -> str:
-    """Name the force that presses contacts together; empty if none does, and every contact is an impact."""
+    """Return the force that presses contacts together; empty without one, when every contact is an impact."""
     if force := differing(scene):
         return force
     return f"the {pushing(scene)}" if field_presses(scene) else ""
@@ -113,7 +113,7 @@ def friction(scene: Scene, contact: Part) -> Part:
 
 
 def _range(kinds: list[KindOfContact], coefficient: str) -> str:
-    """Return the value that a coefficient has in all kinds of contacts, or its range."""
+    """Return the common value of a coefficient in all kinds of contacts, or its range, as text."""
     values = [getattr(kind.coefficients, coefficient) for kind in kinds]
     return f"{min(values):g}" if min(values) == max(values) else f"{min(values):g} to {max(values):g}"
 
@@ -143,7 +143,7 @@ _NEEDS = {
 
 
 def forced_parts(scene: Scene) -> dict[str, str]:
-    """Return the parts that are forced on, each with the part in ``model.force`` that needs it."""
+    """Return the forced parts, each with the part in ``model.force`` that needs it."""
     forced = {name: name for name in scene.model.force}
     for name in scene.model.force:
         for needed in _NEEDS.get(name, ()):

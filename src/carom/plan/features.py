@@ -71,17 +71,17 @@ class Requirements:
 
     @property
     def gravity(self) -> Part:
-        """Whether bodies pull each other."""
+        """Whether bodies attract each other."""
         return self.forces[GRAVITY.name]
 
     @property
     def field(self) -> Part:
-        """Whether a uniform field pulls."""
+        """Whether there is a uniform field."""
         return self.forces[UNIFORM_FIELD.name]
 
     @property
     def pulls(self) -> bool:
-        """Whether anything is accelerated between contacts."""
+        """Whether a force accelerates bodies between contacts."""
         return any(part.modelled for part in self.forces.values())
 
 
@@ -117,7 +117,7 @@ def _by_name(needs: Requirements) -> dict[str, Part]:
 
 
 def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
-    """Decide on each part; consequences of a forced part are decided as if it were required."""
+    """Decide on each part; a forced part has the same consequences as a required one."""
 
     def decide(part: Part) -> Part:
         if part.modelled or part.name not in forced:
@@ -156,7 +156,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
 
 
 def _contradiction(scene: Scene, name: str) -> str:
-    """Return the reason why a part cannot be forced on, and what to do instead; empty if it can."""
+    """Return why a part cannot be forced on, and what to do instead; empty if it can."""
     match name:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
@@ -200,7 +200,7 @@ def _energy(scene: Scene) -> Part:
 
 
 def _times(scene: Scene) -> str:
-    """Describe how often a run is checked by its time."""
+    """Describe the interval between checks at times of the run."""
     duration = scene.time.duration
     return f"{round(duration / auto_interval(scene, duration))} times a run"
 
@@ -287,14 +287,14 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
 
 
 def _not_by_pairs(scene: Scene) -> str:
-    """Return the reason why bodies that pull each other and never touch are too much for Gauss–Radau integration."""
+    """Return why Gauss–Radau integration is too expensive for bodies that attract each other and never touch."""
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
     return f"{scene.count} bodies, of which gauss-radau15 would sum all pairs several times a step"
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:
-    """Name the first part of a scene that Gauss–Radau integration with impacts does not support."""
+    """Return the first part of a scene that Gauss–Radau integration with impacts does not support."""
     return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 
@@ -333,12 +333,12 @@ def _adaptive_step(scene: Scene) -> Part:
 
 
 def _capped(scene: Scene) -> str:
-    """Name the largest step of an integrator that chooses its steps, if there is one."""
+    """Describe the largest step of an integrator that chooses its steps, if there is one."""
     return "" if math.isinf(largest_step(scene)) else ", and max_dt"
 
 
 def _limits(scene: Scene) -> list[str]:
-    """Describe what limits the step besides ``max_dt``."""
+    """Describe the limits of the step besides ``max_dt``."""
     texts = []
     if (part := cfl(scene)) is not None:
         texts.append(f"cfl = {part:g}")

@@ -15,12 +15,12 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
-DOMINANT = 0.99  # fraction of the mass from which a body dominates
-FEWEST_ORBITS = 1000  # for "auto", of the innermost body: up to there Gauss–Radau integration, to rounding, is cheap
-MOST_BODIES = 100  # for "auto"; more may meet often, and each close encounter is integrated with all bodies
+DOMINANT = 0.99  # smallest fraction of the mass of a dominant body
+FEWEST_ORBITS = 1000  # for "auto", of the innermost body: for fewer, Gauss–Radau integration to rounding is cheap
+MOST_BODIES = 100  # for "auto"; more may meet often, and all bodies are integrated in each close encounter
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
 LEAST_DISTANCE = 8.0  # sums of radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more that draw together soon meet often
+MOST_APART = 32  # bodies; more soon meet often when they contract
 
 
 class Heaviest(NamedTuple):
@@ -48,7 +48,7 @@ class Orbit(NamedTuple):
 
 
 def heaviest(scene: Scene) -> Heaviest:
-    """Find the heaviest body, and its share of the expected mass of all."""
+    """Return the heaviest body, and its fraction of the expected total mass."""
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     groups = [mean_mass(made_of(scene, group)) for group in scene.group]
     total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
@@ -68,7 +68,7 @@ def heaviest(scene: Scene) -> Heaviest:
 
 
 def why_no_hierarchy(scene: Scene) -> str:
-    """Return the reason why bodies do not simply orbit a dominant one, and what would be right; empty if they do."""
+    """Return why bodies do not simply orbit a dominant one, and the remedy; empty if they do."""
     gravity = scene.gravity
     if not pulls.gravity(scene).modelled:
         return 'without gravity between bodies; take "auto"'
@@ -91,7 +91,7 @@ def why_no_hierarchy(scene: Scene) -> str:
 
 
 def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
-    """Return how often the innermost body goes around a dominant one, if all stay on orbits so far apart; 0 if not."""
+    """Return the number of revolutions of the innermost body about a dominant one; 0 if orbits are too close."""
     if scene.group or not 3 <= scene.count <= MOST_BODIES:
         return 0.0
     if contact_parts.contact(scene).modelled or pulls.damping(scene) or why_no_hierarchy(scene):
@@ -140,7 +140,7 @@ def _orbit(body: _Point, centre: _Point, constant: float) -> Orbit | None:
 
 
 def far_apart(scene: Scene) -> bool:
-    """Return whether there are few bodies, no groups, and large distances at the start, as of planets and comets."""
+    """Return whether there are few bodies at large initial distances and no groups, as for planets and comets."""
     if scene.group or not 2 <= scene.count <= MOST_APART:
         return False
     position = np.array([body.position for body in scene.body]).reshape(-1, 3)

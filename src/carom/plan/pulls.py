@@ -13,18 +13,18 @@ def part(kind: ForceKind, scene: Scene) -> Part:
 
 
 def gravity(scene: Scene) -> Part:
-    """Decide whether bodies pull each other."""
+    """Decide whether bodies attract each other."""
     return part(GRAVITY, scene)
 
 
 def differing(scene: Scene) -> str:
-    """Name the first force that accelerates bodies at rest differently, so they may meet; empty if none does."""
+    """Return the first force that accelerates bodies at rest differently, so that they may meet; empty without one."""
     found = (kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled)
     return next(found, "")
 
 
 def pushing(scene: Scene) -> str:
-    """Name the first force that accelerates all bodies at rest alike; empty if none does."""
+    """Return the first force that accelerates all bodies at rest equally; empty without one."""
     return next((kind.short_name for kind in kinds_of(scene) if kind.pushes(scene)), "")
 
 
@@ -40,5 +40,5 @@ def dampings(scene: Scene) -> list[Part]:
 
 
 def further(scene: Scene) -> str:
-    """Name the first force of an installed package; empty if there is none. Other engines do not know them."""
+    """Return the first force of an installed package, which other engines do not know; empty without one."""
     return next(iter(scene.forces.given), "")

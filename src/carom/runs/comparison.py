@@ -1,4 +1,4 @@
-"""Compares recorded values with replayed ones: single values, and what a recording states once outside of frames."""
+"""Compares recorded values with replayed ones: single values, and the static data of a recording."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _UNITS = {  # of the components of checkpoints and of impacts
     "orbit_velocity": "m/s",
     "sleep_reference": "m/s²",
 }
-_ENERGIES = ("energy_", "ledger_")  # how those of a checkpoint begin
+_ENERGIES = ("energy_", "ledger_")  # beginnings of the names in a checkpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ class Mismatch:
     recorded: Value
     replayed: Value
     body: int | None = None
-    unit: str = ""  # of both values, in SI; empty: none is known
+    unit: str = ""  # SI unit of both values; empty: unknown
 
 
 def same(recorded: pa.Array, replayed: pa.Array) -> bool:
@@ -78,7 +78,7 @@ def same(recorded: pa.Array, replayed: pa.Array) -> bool:
 
 
 def different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.Array) -> Mismatch | None:
-    """Compare the values of a row; name the first that differs."""
+    """Compare the values of a row; return the first that differs."""
     one, other = _flat(recorded), _flat(replayed)
     quantity = f"/{path}" if name == "Scalars:scalars" else f"{name} of /{path}"
     if len(one) != len(other):
@@ -95,7 +95,7 @@ def different(step: int, path: str, name: str, recorded: pa.Array, replayed: pa.
 
 
 def _unit(path: str, name: str) -> str:
-    """Name the SI unit of the numbers of a component; empty if they have none, or several."""
+    """Return the SI unit of the numbers of a component; empty if they have none, or several."""
     if name in paths.CENTRES:
         return "m"
     if path == paths.CHECKPOINT and name.startswith(_ENERGIES):
@@ -115,9 +115,9 @@ def _flat(row: pa.Array) -> NDArray[np.generic]:
 
 Rows = dict[str, dict[str, pa.Array]]  # the one row of each component, by entity
 
-_START_TIME = "RecordingInfo:start_time"  # of the clock on the wall
-_STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # what a run begins with
-_SHAPES = frozenset(  # where bodies, planes and walls are drawn, and how large; the rest is taste
+_START_TIME = "RecordingInfo:start_time"  # wall-clock time
+_STATES = (paths.STATIC_STATE, paths.GIVEN_STATE, paths.SCENE_TOML)  # the initial data of a run
+_SHAPES = frozenset(  # positions and sizes of drawn bodies, planes and walls; the remaining components are style
     {
         "Ellipsoids3D:half_sizes",
         "Points3D:radii",
@@ -135,13 +135,13 @@ _SINCE_SCHEMA_3 = ("records_contacts", "states_at_impacts", "arrow_length.world/
 class StaticCheck:
     """Compares the properties and the static data of a recording with those that the replayed space would write.
 
-    What is drawn otherwise, or is not there, is named in ``skipped``: another version may have written it so. Numbers
-    that differ are a difference.
+    Different styles and missing data are listed in ``skipped``, since another version may have written them. Different
+    numbers are a difference.
 
     Parameters
     ----------
     recording
-        What was recorded.
+        The recording.
     space
         Of the replay.
     """
@@ -153,7 +153,7 @@ class StaticCheck:
         self._header = replace(header_of(space), record_impacts=scene.record.impacts, group=groups_of(scene))
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
-            # a program chose it, and the replay judges errors at it
+            # the program of the run chose it, and the replay checks errors at it
             self._skip(IDENTITY, "check_interval", "is not the scene's")
         self._first = int(recording.fingerprints()["step"][0].as_py())
 
@@ -191,7 +191,7 @@ class StaticCheck:
         self.skipped[f"{what}, which {why}"] = None
 
     def _recorded(self) -> Rows:
-        """Read everything that is static."""
+        """Read all static data."""
         found: Rows = {}
         with reading(self._recording.path):
             for chunk in self._recording.chunks(e for e in self._recording.store.entries if e.is_static):
@@ -203,7 +203,7 @@ class StaticCheck:
         return found
 
     def _expected(self, reach: float) -> Rows:
-        """Return what the recorder would write, of the bodies that the recording shows."""
+        """Return the static data that the recorder would write, for the bodies that the recording shows."""
         recording, header = self._recording, self._header
         clock = TimeScale(float(recording.info["time_scale"]))
         title = str(recording.parameters.get("name", header.title))
@@ -216,7 +216,7 @@ class StaticCheck:
         return found
 
     def _reach(self) -> float | None:
-        """Return how far from the origin the bodies were when the recording began, in m; None if that is not in it."""
+        """Return the largest distance (m) of bodies from the origin when the recording began; None if unknown."""
         if self._recording.clip or self._first not in self._recording.checkpoint_steps:
             return None
         position = self._recording.checkpoint(self._first).position - self._recording.origin
@@ -224,14 +224,14 @@ class StaticCheck:
 
 
 def groups_of(scene: Scene) -> IntArray:
-    """Return the groups of all bodies, (n,), as they are placed: explicit ones, those from data, those of groups."""
+    """Return the groups of all bodies, (n,), in the order of placement: explicit bodies, data, groups."""
     given = [(-1, len(scene.body)), *((-2 - k, len(columns.mass)) for k, columns in enumerate(scene.data))]
     numbers, counts = zip(*given, *((k, group.count) for k, group in enumerate(scene.group)), strict=True)
     return np.repeat(np.array(numbers, np.int64), counts)
 
 
 def reach_of(position: FloatArray, radius: FloatArray) -> float:
-    """Return how far from the origin bodies reach along an axis, in m."""
+    """Return the extent (m) of bodies from the origin along an axis."""
     return float(np.max(np.abs(position).max(axis=1) + radius))
 
 
@@ -240,7 +240,7 @@ def _few(recording: Recording, header: Header) -> Selection:
 
 
 def _is_data(path: str, name: str) -> bool:
-    """Return whether a component is about the run, and not about how it is shown."""
+    """Return whether a component describes the run, rather than its display."""
     if path == IDENTITY:
         return not name.startswith(_DRAWING)
     return path in _STATES or name in _SHAPES

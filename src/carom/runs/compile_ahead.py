@@ -1,8 +1,8 @@
-"""What the second process compiles, beside the first run on a machine (see `carom.cli.compiling`).
+"""Compiles kernels in a second process, beside the first run on a machine (see `carom.cli.compiling`).
 
 Numba compiles under a global lock, so a thread would gain nothing. Both processes share the cache of compiled kernels,
-and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with what a run
-needs last. It only fills the cache; if it fails, the run compiles everything itself.
+and neither compiles a kernel that the other has begun (see `jit.cache`). The second process begins with the kernels
+that a run needs last. It only fills the cache; if it fails, the run compiles everything itself.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ POINTS: dict[str, Any] = {
 
 
 def compile_ahead() -> None:
-    """Compile the kernels that most runs need, the last first: the two processes meet once, and neither waits."""
+    """Compile the kernels of most runs in reverse order, so that the two processes meet only once and neither waits."""
     scene = Scene.from_dict(POINTS)
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
     _compile_encoding()
@@ -74,7 +74,7 @@ def compile_ahead() -> None:
 
 
 def _compile_encoding() -> None:
-    """Compile what writes a batch of frames, for a batch without any."""
+    """Compile the kernels that write a batch of frames, with an empty batch."""
     position, single, points = np.empty((0, 0, 3)), np.empty((0, 3), np.float32), np.empty((0, 0, 3), np.float32)
     values, each = np.empty(0), np.empty(0, np.int64)
     numbers, bytes_, scale = np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.float32)
@@ -93,7 +93,7 @@ def _compile_encoding() -> None:
 
 
 def _compile_second_steps(bodies: Bodies) -> None:
-    """Compile what a run with contacts needs from its second step on, for two bodies in contact."""
+    """Compile the kernels that a run with contacts needs from its second step on, with two bodies in contact."""
     pairs, place, ends, none = np.array([[0, 1]]), np.zeros(1, np.int64), len(bodies.ends.velocity), np.zeros(3)
     contacts, states = np.zeros(1, CONTACT), np.zeros(1, CONTACT_STATE)
     cache = ImpulseCache(pairs, place, contacts, 1.0)

@@ -49,13 +49,13 @@ from carom.scene.units.unit import UnitError
 # `SnapshotWriter`: the thread that records the snapshots of another engine's run.
 WAITING_BYTES = 32_000_000  # of states that wait for the writer
 MOST_WAITING = 256
-STOCK_BYTES = 8_000_000  # of memory that the writer's thread makes ready at the start
-BATCH = 8  # states that are handed over at once: waking a thread costs as much as copying a state of 1000 bodies
-PATIENCE = 0.02  # s, after which fewer are
+STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
+BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
+PATIENCE = 0.02  # s, after which a smaller batch is sent
 
 
 class SnapshotWriter:
-    """Makes frames of snapshots and records them, in a thread of its own.
+    """Makes and records frames of snapshots in its own thread.
 
     Parameters
     ----------
@@ -81,14 +81,14 @@ class SnapshotWriter:
         self._store = self._recorder.store_for(observer.bodies)
         size = 104 * header.bodies
         room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
-        self._stock = min(room, STOCK_BYTES // size)  # of them, by this thread
+        self._stock = min(room, STOCK_BYTES // size)  # allocated in advance, by this thread
         self._room = room - self._stock
-        self._batch: list[tuple[int, StateMemory]] = []  # not handed over yet
+        self._batch: list[tuple[int, StateMemory]] = []  # waiting to be sent
         self._due = 0.0
         self._queue: queue.SimpleQueue[list[tuple[int, StateMemory]] | None] = queue.SimpleQueue()
-        self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # whose memory can be used again
+        self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
         self._error: Exception | None = None
-        self._whole = True  # whether the file can be closed: what is wrong is a state, and not the disk
+        self._whole = True  # whether the file can be closed: errors concern a state and not the disk
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
@@ -105,7 +105,7 @@ class SnapshotWriter:
         return self._spare.get()
 
     def put(self, step: int, snapshot: StateMemory) -> None:
-        """Hand over a snapshot, which belongs to the thread from then on."""
+        """Pass a snapshot to the thread, which then owns it."""
         if self._error is not None:
             raise self._error
         self._batch.append((step, snapshot))
@@ -117,7 +117,7 @@ class SnapshotWriter:
         self._batch, self._due = [], time.monotonic() + PATIENCE
 
     def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
-        """Write what is left, close the file, and return the first fault of each law."""
+        """Write the remaining snapshots, close the file, and return the first fault of each law."""
         self._queue.put(self._batch)
         self._queue.put(None)
         self._thread.join()
@@ -146,7 +146,7 @@ class SnapshotWriter:
             for step, snapshot in batch:
                 if self._error is None:
                     self._record(step, snapshot.state)
-                self._spare.put(snapshot)  # in any case, or `spare` would wait for ever
+                self._spare.put(snapshot)  # always, or `spare` would wait for ever
 
     def _record(self, step: int, state: State) -> None:
         try:
@@ -165,11 +165,11 @@ COMPLETED = "completed"
 
 
 class Recorder:
-    """Records the states that a source shows; use it as a context, and call `frame` after every step.
+    """Records the states of a source; use it as a context, and call `frame` after every step.
 
-    Encoding, the audit and the disk are another thread's work; `frame` copies the state. It waits while that thread is
-    behind: no frame is dropped. A state that is not finite ends the recording with the frame before it. A fault is
-    a line in the recording's log, and an entry in `faults`.
+    `frame` only copies the state; another thread encodes, audits and writes it. `frame` waits while that thread is
+    behind, so no frame is dropped. A state that is not finite ends the recording with the frame before it. A fault is a
+    line in the recording's log, and an entry in `faults`.
 
     Parameters
     ----------
@@ -186,22 +186,22 @@ class Recorder:
     title
         Of the recording; by default the name of the engine.
     duration
-        s, the time that the run will reach, where that is more than 292 years.
+        s, the duration of the run, needed only above 292 years.
     exact
-        Whether every frame has the exact state in float64, which cannot be computed again. Without, about one frame in
-        ten has it, and the others have positions in float32.
+        Whether every frame has the exact state in float64, which cannot be recomputed. Otherwise about one frame in ten
+        has it, and the others have positions in float32.
     tolerances
-        How much may be wrong before the audit reports it.
+        Errors above which the audit reports a fault.
     units
         Of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``. By
-        default those that the source names, and SI if it names none.
+        default those of the source, or SI.
     force
         Whether to replace a file that exists.
 
     Raises
     ------
     RecordingError
-        If these are no units, the path cannot be written, or the source shows something that is not a run of bodies.
+        If the units are invalid, the path cannot be written, or the source is no valid run of bodies.
     """
 
     def __init__(
@@ -244,27 +244,27 @@ class Recorder:
         self._tolerances = tolerances or Tolerances()
         self._calls = 0
         self._time = -np.inf
-        self._ended = ""  # why no more frames are taken
+        self._ended = ""  # why no more frames are accepted
         self._setup: Setup | None = None
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
-        self._free: StateMemory | None = None  # whose memory can be used again
-        self._new: Callable[[], StateMemory]  # makes memory; known once a state was seen
+        self._free: StateMemory | None = None  # reusable memory
+        self._new: Callable[[], StateMemory]  # allocates memory; known after the first state
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
         self.faults: list[Fault] = []
 
     @property
     def frames(self) -> int:
-        """How many frames were recorded, or are in memory."""
+        """Number of frames that were recorded or are in memory."""
         return self._taken if self._ring is None else len(self._ring)
 
     def frame(self) -> bool:
-        """Record the present state; return whether the recording goes on.
+        """Record the present state; return whether the recording continues.
 
         Raises
         ------
         RecordingError
-            If the file can no longer be written, or the time has gone back.
+            If the file can no longer be written, or the time has decreased.
         """
         call, self._calls = self._calls, self._calls + 1
         if call and self._stepped is not None:
@@ -302,14 +302,14 @@ class Recorder:
         return True
 
     def _memory(self) -> StateMemory:
-        """Return memory for a copy of a state; wait for the writer if all of it is in use."""
+        """Return memory for a copy of a state; wait for the writer if all memory is in use."""
         if self._sink is not None:
             return self._sink.spare()
         free, self._free = self._free, None
         return free or self._new()
 
     def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
-        """Write the frames in memory; later frames go on filling it.
+        """Write the frames in memory; recording into memory continues.
 
         Raises
         ------
@@ -342,13 +342,13 @@ class Recorder:
         if error is None:
             self.finish()
             return
-        with contextlib.suppress(RecordingError):  # the exception that leaves the context says more
+        with contextlib.suppress(RecordingError):  # the exception that leaves the context is more informative
             if self._ring and not self._ended:
                 self._dump(self._next_path(), outcome, ())
             self.finish(outcome)
 
     def _begin(self, first: State) -> Setup:
-        """Check what the source shows, before anything is allocated or written."""
+        """Check the model and the first state of the source before anything is allocated or written."""
         if not isinstance(first, State):
             raise RecordingError(
                 f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
@@ -383,7 +383,7 @@ class Recorder:
         return SnapshotWriter(path, observer, header, force, self._new)
 
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
-        """Write the frames in memory into a file of their own."""
+        """Write the frames in memory into their own file."""
         assert self._ring and self._setup, "there are frames"
         writer = self._writer(path, self._setup, self._ring[0][1].state, self._force)
         for step, snapshot in self._ring:
@@ -392,13 +392,13 @@ class Recorder:
         self._written += 1
 
     def _next_path(self) -> Path:
-        """Return the path, or with a number if it was written before."""
+        """Return the path, with a number if it was already written."""
         if not self._written:
             return self.path
         return self.path.with_stem(f"{self.path.stem}-{self._written + 1}")
 
     def _end(self, fault: Fault) -> None:
-        """End the recording with the last finite state, since nothing after it means anything."""
+        """End the recording with the last finite state, since later states are meaningless."""
         self._ended = f"failed: {fault.text}"
         if self._ring:
             self._dump(self._next_path(), self._ended, (fault,))

@@ -2,8 +2,8 @@
 
 The commit is read without running any program that the folder configures. The working folder may come from a stranger.
 Git run in it obeys its `.git/config`, which may name programs to run: monitors, hooks, filters, transports. The commit
-is therefore read from the files of the repository. To find out whether tracked files differ from it, Git runs in a
-temporary repository that uses the objects and the index of the folder.
+is therefore read from the files of the repository. To compare tracked files with it, Git runs in a temporary repository
+that uses the objects and the index of the folder.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def versions() -> dict[str, str]:
 
 
 def environment(threads: int) -> dict[str, str | int]:
-    """Return the properties of a recording about its origin."""
+    """Return the recording's properties about its origin."""
     stamped: dict[str, str | int] = {f"version.{package}": version for package, version in versions().items()}
     stamped["command"] = command_line()
     stamped["git"] = _revision()
@@ -93,7 +93,7 @@ class _Repository:
 def git_revision(folder: Path) -> str:
     """Return the commit that is checked out in a folder; empty if there is none.
 
-    "-dirty" is appended if tracked files differ from it, "-unchecked" if Git could not tell.
+    "-dirty" is appended if tracked files differ from it, "-unchecked" if Git failed to compare them.
     """
     try:
         repository = _repository_around(folder.resolve())
@@ -132,7 +132,7 @@ def _packed(path: Path, branch: str) -> str:
 
 
 def _line(path: Path) -> str:
-    if not path.is_file():  # a pipe would never end
+    if not path.is_file():  # reading a pipe would block
         return ""
     with path.open(encoding="utf-8") as file:
         return file.read(_LONGEST).strip()
@@ -152,7 +152,7 @@ def _changes(repository: _Repository, commit: str) -> str:
                 "GIT_WORK_TREE": str(repository.root),
                 "GIT_INDEX_FILE": str(repository.folder / "index"),
                 "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),
-                "GIT_OPTIONAL_LOCKS": "0",  # and the index is not written
+                "GIT_OPTIONAL_LOCKS": "0",  # so the index is not written
                 "GIT_NO_LAZY_FETCH": "1",
             }
             asked = subprocess.run(

@@ -35,11 +35,11 @@ TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps that a run takes many of in one call
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
 
-# The part of the model for each mark of a step's profile; the second counts if a scene does not have the first.
+# The part of the model for each mark of a step's profile; the second applies if the scene lacks the first.
 MARKS = {
     "timestep": ("adaptive-step", "integrator"),
     "orientation": ("orientation", "integrator"),
@@ -65,8 +65,8 @@ class PartCost:
     name: str
     modelled: bool
     why: str
-    share: float | None  # of the time of a run; None if it is not modelled or not measured separately
-    within: str | None  # the part whose share includes this one
+    share: float | None  # fraction of the time of a run; None if it is not modelled or not measured separately
+    within: str | None  # the part whose time includes this one
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +76,7 @@ class EntityCost:
     path: str
     recorded: bool
     why: str
-    share: float | None  # of the bytes of a recording; None if it is not recorded
+    share: float | None  # fraction of the bytes of a recording; None if it is not recorded
     bytes: float  # of the whole recording
     seconds: float  # of the whole run, in the recorder's thread
 
@@ -88,7 +88,7 @@ class Cost:
     steps: int
     fewest_steps: int  # lower end of the estimated range
     most_steps: int
-    limits: dict[str, float]  # share of the steps that each limit sets, the largest first
+    limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
     looked_until: float  # s; the end of the run, unless the coarse run took too long
     seconds: float
     memory: int  # bytes, without the interpreter
@@ -105,7 +105,7 @@ class Estimate:
     entities: list[EntityCost]
     cost: Cost
     accuracy: dict[str, float]  # see `kept_accuracy`
-    shortfall: str  # why the accuracy is not promised to the end; empty if it is
+    shortfall: str  # why the accuracy is not kept to the end; empty if it is
 
 
 def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
@@ -123,7 +123,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     began = time.perf_counter()
     few = _first_frames(space)
     spent = time.perf_counter() - began
-    scene = space.scene  # with the step that its accuracy takes
+    scene = space.scene  # with the step of its accuracy
     flight = flight_seconds(space)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
     outlook = estimate_steps(scene, each, flight)
@@ -156,7 +156,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 
 def _load_kernels(space: Space) -> None:
-    """Take a few steps and go back, since the first steps compile or load kernels, which is no part of a run's cost."""
+    """Take a few steps and restore the state, so that compiling and loading kernels is not measured."""
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
         if space.time < space.scene.time.duration:
@@ -185,7 +185,7 @@ def _first_frames(space: Space) -> list[Frame]:
 def flight_seconds(space: Space) -> float:
     """Return the time of a step where nothing touches, with its part of a check and a frame.
 
-    A run takes many of these steps in one call. It is infinite for many bodies, whose steps are taken one by one.
+    A run takes many of these steps in one call. The time is infinite for many bodies, whose steps are single calls.
     """
     if len(space.state) > MAX_IN_ONE_BLOCK:
         return math.inf
@@ -222,7 +222,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
 
 
 def _more_for_the_potential(space: Space) -> float:
-    """Measure how much longer gravity takes with the potential, in s, by medians of interleaved calls."""
+    """Return the additional time (s) of gravity with the potential, from medians of interleaved calls."""
     gravity = gravity_of(space.scene, space.state.mass, Team(space.threads))
     if gravity is None:
         return 0.0
@@ -240,7 +240,7 @@ def _more_for_the_potential(space: Space) -> float:
 
 
 def _within(name: str, needs: Requirements) -> str | None:
-    """Name the part that is computed together with this one, so that their times cannot be separated."""
+    """Return the part that is computed together with this one, so that their times cannot be separated."""
     match name:
         case "narrow-phase":
             return "broad-phase"
@@ -269,10 +269,10 @@ def _with_share(entity: EntityCost, whole: float) -> EntityCost:
     return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)
 
 
-STRIDES = 8.0, 64.0  # times the steps of the scene; the longer if the shorter would take too long
+STRIDES = 8.0, 64.0  # times the steps of the scene; the longer one if the shorter would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
-MANY_STEPS = 100  # from this number on, the coarse run gives the time of a step better than the first steps
-LIKELY = 2.0  # factor to which a complete estimate is right for the bundled scenes and extremes (test_estimate.py)
+MANY_STEPS = 100  # at least so many coarse steps give a better time of a step than the first steps
+LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,8 +283,8 @@ class Outlook:
     fewest: int
     most: int
     seconds: float
-    seen: float  # part of the duration that the coarse run covered; 1 if it reached the end
-    limits: dict[str, float]  # share of the steps that each limit sets, the largest first
+    seen: float  # fraction of the duration covered by the coarse run; 1 if it reached the end
+    limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
 
 
 def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = math.inf) -> Outlook:
@@ -295,7 +295,7 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
     step_seconds
         Time that a step takes at the start.
     flight_seconds
-        Time of a step where nothing touches, if a run takes many of these in one call, which the look does not.
+        Time of a step without contacts, if a run takes many of these in one call, unlike the coarse run.
 
     Raises
     ------
@@ -316,7 +316,7 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
 
 
 def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: float) -> Outlook:
-    """Run the whole scene with longer steps, and count those that it would have taken."""
+    """Run the whole scene with longer steps, and count the steps of an actual run."""
     space, duration = Space(scene, stride=stride), scene.time.duration
     last = time.perf_counter()
     deadline = last + LOOK_SECONDS
@@ -328,7 +328,7 @@ def _look(scene: Scene, stride: float, step_seconds: float, flight_seconds: floa
         except PhysicsError:
             if not rates:
                 raise
-            break  # the step is too long for this scene: use the part so far
+            break  # the step is too long for this scene: use the results so far
         now, foreseen = time.perf_counter(), sum(space.foreseen.values())
         rates.append((foreseen - total) / space.dt)
         within = rates[-1] * (min(space.time, duration) - before)

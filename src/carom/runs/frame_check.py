@@ -1,4 +1,4 @@
-"""Compares a replayed frame with everything recorded of it, row by row and bit for bit."""
+"""Compares a replayed frame with its recorded data, row by row and bit for bit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind a
 # compared together: encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
-REPAIRED = "; repaired, "  # in the outcome of a repaired recording, of which pieces may be lost
+REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
 
 _LED = "what led to the first frame (contacts, torques, dt, events)"
 _LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events, checkpoints)"
@@ -44,7 +44,7 @@ WORDS_OF_EXTREMES = "the words of the extremes in /events, which are others"
 # a checkpoint does not contain the step that led to it
 _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
 _DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
-_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows of as many contacts as there was room for
+_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows, whose number the plan limits
 _ARROWS = "Arrows3D:vectors"
 _BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # a row where it changes
 
@@ -56,18 +56,18 @@ _RELATIVE = {
 
 
 class FrameCheck:
-    """Compares the rows of frames, from the one that a replay begins with.
+    """Compares the rows of frames, from the first frame of a replay.
 
     Parameters
     ----------
     recording
-        What was recorded.
+        The recording.
     header
         Of the replayed space; it determines which entities must exist.
     steps
-        Those of the recorded frames that will be compared, rising.
+        Steps of the recorded frames that will be compared, rising.
     begin
-        The step of the checkpoint that the replay begins with.
+        The step of the replay's first checkpoint.
     all_frames
         Whether the replay makes exactly the same frames as the run from ``begin`` on.
     """
@@ -77,7 +77,7 @@ class FrameCheck:
         self._path = recording.path
         self._rows = RecordedRows(recording)
         known = {each.path: each.past for each in all_series(header.extensions)}
-        self._series = set(known)  # some of which a recording of an earlier version may lack
+        self._series = set(known)  # recordings of earlier versions may lack some
         self._led_there = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = TimeScale(float(recording.info["time_scale"]))
@@ -93,7 +93,7 @@ class FrameCheck:
         self._same_words = recording.versions == versions()
         self._whole = all_frames and begin == 0 and is_whole(recording) and not recording.clip  # so far
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
-        # a series has a style from the start; those that were added later have none in an older recording
+        # every recorded series has a style; an older recording has none for series added later
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
         self._is_clip = bool(recording.clip)
         if header.records_contacts:
@@ -115,16 +115,16 @@ class FrameCheck:
         self._events = [event for event in logged if event[3] not in CLOSING]
         self.closing = sorted(event for event in logged if event[3] in CLOSING)
         self._plan = CheckpointPlan() if self._whole else None
-        self._planned = set[int]()  # steps of the frames that have a checkpoint by this plan
+        self._planned = set[int]()  # steps of the frames that get a checkpoint by this plan
         self._colours_bodies = header.coloured_by in ("graph", "island")
         self._checkpoints = set(recording.checkpoint_steps)
         self._waiting: list[Frame] = []
         self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
 
     def strays(self, is_end: bool) -> Mismatch | None:
-        """Find a row of a step without a recorded frame, which the viewer would nevertheless show.
+        """Return a row of a step without a recorded frame, which the viewer would nevertheless show.
 
-        ``is_end``: nothing may come after the compared frames.
+        ``is_end``: there may be no rows after the compared frames.
         """
         last = int(self._steps[-1]) if len(self._steps) else self._begin
         for path in [*self._rows.entities, *_BY_CHANGE]:
@@ -137,12 +137,12 @@ class FrameCheck:
         return Mismatch(last, "/events after the last frame", text_of(late, []), "nothing else") if late else None
 
     def missing(self, is_end: bool) -> Mismatch | None:
-        """Find a checkpoint or a reference that is missing, once all frames are found to be the same."""
+        """Return a missing checkpoint or reference, after all frames were found equal."""
         last = int(self._steps[-1])
         chosen = self._encoder.arrow_references.chosen
         unknown = sorted(chosen.keys() - self._arrows.keys())
         self.skipped |= {f"{name} of the property arrows, which is not there": None for name in unknown}
-        # only the whole run has the frames that chose them; a part of it uses those that are recorded
+        # only the whole run has the frames that chose the references; a part of it uses the recorded ones
         for name in sorted(chosen.keys() & self._arrows.keys()) if self._whole else ():
             if self._arrows[name] != chosen[name]:
                 if self._same_words:
@@ -162,7 +162,7 @@ class FrameCheck:
         return None
 
     def gather(self, frame: Frame) -> None:
-        """Take the impacts and events up to a frame into account, whether it was recorded or not."""
+        """Add the impacts and events up to a frame, whether it was recorded or not."""
         if self._impacts:
             self._impacts.gather(frame)
 
@@ -208,7 +208,7 @@ class FrameCheck:
         return min(found, key=lambda mismatch: mismatch.step, default=None)
 
     def _few(self) -> Selection | None:
-        """Return what reduces rows to the bodies of a clip; None if it shows all."""
+        """Return the selection that reduces rows to the bodies of a clip; None if it shows all."""
         return None if len(self._shown) == self._n else Selection(self._shown, range(self._n), self._box, self._n)
 
     def _rows_differ(self, replayed: Chunk, first: bool) -> list[Mismatch]:
@@ -227,8 +227,8 @@ class FrameCheck:
         return []
 
     def _skips(self, path: str, name: str, first: bool) -> bool:
-        """Return whether a component cannot be compared, and remember that it was not."""
-        if name == "impact_count":  # `ImpactCheck` looks at it
+        """Return whether a component cannot be compared, and list it as skipped."""
+        if name == "impact_count":  # `ImpactCheck` compares it
             return True
         if path in self._relative and not self.all_frames and name in (self._relative[path] or (name,)):
             self.skipped[_LARGEST] = None
@@ -263,12 +263,12 @@ class FrameCheck:
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is not there"] = None
             elif off := different(step, path, name, recorded.batch[name], replayed[name]):
-                # rows of a clip have the bodies that it shows only
+                # rows of a clip have only its own bodies
                 return off if off.body is None else replace(off, body=self._shown[off.body])
         return None
 
     def _state(self, frame: Frame, first: bool) -> list[Mismatch]:
-        """Compare the phase and what limits dt, which have a row where they change, and at the first frame."""
+        """Compare the phase and the limit of dt, which have a row at each change and at the first frame."""
         found = list[Mismatch]()
         time = int(self._clock.nanoseconds([frame.time])[0])
         for path, state in ((paths.PHASE, frame.phase), (paths.DT_LIMIT, frame.dt_limit)):
@@ -276,7 +276,7 @@ class FrameCheck:
             before = self._before.get(path)
             self._before[path] = (recorded or state) if first else state
             changes = int(before != state)
-            known = before is not None or frame.step == self._first_step  # whether it has a row here
+            known = before is not None or frame.step == self._first_step  # whether there is a row for this frame
             if (first and path == paths.DT_LIMIT) or (recorded is None and (self._is_clip or not self._complete)):
                 self.skipped[_LED] = None
             elif recorded != state:
@@ -288,7 +288,7 @@ class FrameCheck:
         return found
 
     def _logged(self, frame: Frame, first: bool) -> list[Mismatch]:
-        """Compare the events since the previous frame. Another version may have other words for them."""
+        """Compare the events since the previous frame. Another version may word them differently."""
         if first or not self.all_frames:
             self.skipped[_LED if first else _LARGEST] = None
             return []
@@ -310,19 +310,19 @@ def told_of(events: Sequence[Event], clock: TimeScale) -> list[Told]:
 
 
 def _same_but_words(recorded: list[Told], replayed: list[Told]) -> bool:
-    """Return whether events are the same but for their words; older recordings lack kinds."""
+    """Return whether events differ at most in their words; older recordings lack kinds."""
     pairs = zip(recorded, replayed, strict=False)
     alike = all(one[:3] == other[:3] and one[3] in ("", other[3]) for one, other in pairs)
     return len(recorded) == len(replayed) and alike
 
 
 def is_whole(recording: Recording) -> bool:
-    """Return whether a recording has all frames of one run: not resumed, which counts anew, and not repaired."""
+    """Return whether a recording has all frames of one run: neither resumed, which restarts counts, nor repaired."""
     return "resumed.step" not in recording.properties and REPAIRED not in recording.outcome
 
 
 def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:
-    """Keep as many values of each list as were recorded: those of the largest impulses, which come first."""
+    """Keep as many values of each list as were recorded: the first, which have the largest impulses."""
     columns = {}
     for name in replayed.schema.names:
         column = replayed[name]
@@ -352,7 +352,7 @@ class _States:
 
 
 def text_of(events: list[Told], others: list[Told]) -> str:
-    """Describe the event that the others lack."""
+    """Describe the event that the other list lacks."""
     only = [event for event in events if event not in others]
     if not only:
         return "nothing else"

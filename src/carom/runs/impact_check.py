@@ -37,15 +37,15 @@ OF_OTHERS = "impacts of bodies that the clip does not show"
 
 
 class _Interval(NamedTuple):
-    """The impacts between two recorded frames, as a replay finds them."""
+    """The impacts of a replay between two recorded frames."""
 
     frame: Frame  # at its end
     before: Frame | None  # at its beginning
     impacts: Records  # (k,) CONTACT_ROW, in order of time
-    kept: Kept | None  # how many of them should be recorded; None if that cannot be told
+    kept: Kept | None  # numbers of impacts that should be recorded; None if unknown
     numbers: IntArray  # (k,)
-    begin: int  # the impacts of the run before it
-    end: int  # and up to its end
+    begin: int  # number of the run's impacts before it
+    end: int  # number up to its end
 
 
 class ImpactCheck:
@@ -54,16 +54,16 @@ class ImpactCheck:
     Parameters
     ----------
     recording
-        What was recorded.
+        The recording.
     encoder
-        Of the replayed frames.
+        Encoder of the replayed frames.
     rows
         The rows of the recording.
     few
         The bodies of a clip that does not show all.
     whole
-        Whether this version recorded it, and all its frames since the start of the run are replayed, which tells how
-        much there was room for.
+        Whether this version recorded it, and all frames since the start of the run are replayed, so that the recorder's
+        plan is known.
     """
 
     def __init__(
@@ -85,22 +85,22 @@ class ImpactCheck:
         self._clock = TimeScale(float(recording.info["time_scale"]))
         self._references = {name: float(value) for name, value in recording.arrow_references.items()}
         steps = recording.fingerprints()[STEP]
-        self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before it
+        self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before this step
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
-        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # a clip has that of the run
+        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # clips have the run's
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
-        self.arrows: dict[int, int] = {}  # how many a frame should have, by step, where that can be told
+        self.arrows: dict[int, int] = {}  # number of arrows that a frame should have, by step, where known
         if self._plan is None:
             self.skipped |= {ROOM: None, **({LEFT_OUT: None} if self._leaves_out else {})}
         if few:
             self.skipped[OF_OTHERS] = None
         self._since: list[Records] = []
-        self._missed = 0  # that the replay left out itself
+        self._missed = 0  # impacts that the replay left out
         self._before: tuple[Frame, int | None] | None = None  # the recorded frame before, and the impacts up to it
 
     def gather(self, frame: Frame) -> None:
-        """Take the impacts that led to a frame, recorded or not."""
+        """Add the impacts before a frame, recorded or not."""
         if frame.impacts is not None and len(frame.impacts):
             self._since.append(frame.impacts)
         self._missed += frame.impacts_left_out
@@ -111,7 +111,7 @@ class ImpactCheck:
         found = len(impacts) + self._missed
         before, counted = self._before or (None, None)
         count = self._count_at(frame.step)
-        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as few as the recorded run kept between two frames
+        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # the number that a recorded run keeps between two frames
         kept = None if self._plan is None else _room(self._plan, frame, len(impacts))
         if kept is not None:
             self.arrows[frame.step] = int(kept.arrows[0])
@@ -208,7 +208,7 @@ class ImpactCheck:
         return None
 
     def _stray(self, step: int, count: int) -> Mismatch | None:
-        """Find rows of impacts after the last frame."""
+        """Return rows of impacts after the last frame."""
         if step == self._last_step:
             drawn = ((f"{path} at impacts", numbers) for path, (numbers, _) in self._states.items())
             for path, numbers in ((paths.IMPACTS, self._numbers), *drawn):
@@ -229,7 +229,7 @@ class ImpactCheck:
         return None
 
     def _count_at(self, step: int) -> int | None:
-        """Return how many impacts the recording has counted up to a frame; None if it does not say."""
+        """Return the recorded number of impacts up to a frame; None if it is missing."""
         with reading(self._path):
             for chunk in self._rows.at(paths.CONTACTS, step):
                 if "impact_count" in chunk.components:
@@ -238,14 +238,14 @@ class ImpactCheck:
 
 
 def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> Kept:
-    """Return how many of the impacts since the frame before a plan records, and what else of contacts."""
+    """Return the numbers of impacts and contacts since the frame before that a plan records."""
     contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
     counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
     return plan.choose(frame.position[None], *counts)
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:
-    """Return which of rising numbers are those of impacts in an interval."""
+    """Return a mask of the rising numbers that belong to impacts of an interval."""
     first, last = np.searchsorted(numbers, [interval.begin, interval.end], side="right")
     return slice(int(first), int(last))
 

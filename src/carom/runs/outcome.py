@@ -1,4 +1,4 @@
-"""What a run achieved: its extremes as closing properties, and the verdicts on the promises in [expect]."""
+"""The results of a run: its extremes as closing properties, and the verdicts on the promises in [expect]."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carom.scene.units.system import SI, UnitSystem
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """One promise: its limit, the measured value, and when it was worst.
+    """A promise: its limit, the measured value, and the worst time.
 
     A promise about the end is not judged in a run of another length, and counts as met.
     """
@@ -24,7 +24,7 @@ class Verdict:
     worst: Extreme | None = None  # None if no extreme belongs to it
     at_least: bool = False  # whether the limit is a lower bound
     note: str = ""  # explains the measured quantity if the name does not
-    promised_at: float | None = None  # s, the end that the promise refers to, if the run ended elsewhere
+    promised_at: float | None = None  # s, the promised end, if the run ended at another time
 
     @property
     def judged(self) -> bool:
@@ -47,7 +47,7 @@ class Verdict:
         return self.text(SI)
 
     def text(self, units: UnitSystem) -> str:
-        """Say what was promised and measured, with times in the units of the scene."""
+        """Describe the promise and the measurement, with times in the units of the scene."""
         missed = "" if self.met else "; missed"
         if self.promised_at is not None:
             missed = f" at t = {units.text(self.promised_at, TIME)}; not judged"
@@ -104,7 +104,7 @@ def _value(extreme: Extreme | None) -> float:
 
 
 def closing_of(extremes: Extremes) -> dict[str, Scalar]:
-    """Return the extremes of a run, with bodies and planes by their names, under the dotted keys of `outcome`."""
+    """Return the extremes of a run, with the names of bodies and planes, under the dotted keys of `outcome`."""
     summary: dict[str, Scalar] = {
         "contacts.total": extremes.total_contacts,
         "contacts.impacts": extremes.impacts,
@@ -115,7 +115,7 @@ def closing_of(extremes: Extremes) -> dict[str, Scalar]:
         summary["angular_momentum.max_error"] = extremes.angular_momentum_error.value
     if extremes.energy_error is not None:
         summary["energy.max_error"] = extremes.energy_error.value
-    summary["energy.reference"] = extremes.energy_scale  # J; the viewer loads no recording with "energy.scale" here
+    summary["energy.reference"] = extremes.energy_scale  # J; the viewer cannot load the key "energy.scale"
     summary["energy.contact_gain"] = extremes.contact_gain.value
     if extremes.overlap is not None:
         summary["contacts.max_overlap"] = extremes.overlap.value

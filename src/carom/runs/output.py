@@ -26,12 +26,12 @@ def default_output(name: str) -> Path:
 
 
 def refuse_name(path: Path) -> None:
-    """Refuse a name that the viewer would not take for a recording.
+    """Refuse a name that the viewer would not recognise as a recording.
 
     Raises
     ------
     RecordingError
-        Naming the path and what would be right.
+        With the path and a valid one.
     """
     if path.suffix == ".rrd":
         return
@@ -42,12 +42,12 @@ def refuse_name(path: Path) -> None:
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
-    """Refuse to replace what an output is made from, even where files may be replaced.
+    """Refuse to replace the source of an output, even where files may be replaced.
 
     Parameters
     ----------
     path, source
-        The output, and what it is made from.
+        The output and its source.
     what
         The source, in a word.
 
@@ -61,12 +61,12 @@ def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
 
 
 def refuse_scene_output(path: Path, source: str, force: bool) -> None:
-    """Refuse an unsuitable path of a scene that is made from another.
+    """Refuse an unsuitable path for a scene that is made from another.
 
     Raises
     ------
     RecordingError
-        Naming the path and what would be right.
+        With the path and a valid one.
     """
     if path.suffix != ".toml" and not path.is_dir():
         raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml")
@@ -80,7 +80,7 @@ def refuse_output(path: Path, force: bool) -> None:
     Raises
     ------
     RecordingError
-        Naming the path and what would be right.
+        With the path and a valid one.
     """
     try:
         if is_link_of_another(path):
@@ -98,7 +98,7 @@ def refuse_output(path: Path, force: bool) -> None:
 
 
 def is_link_of_another(path: Path) -> bool:
-    """Return whether a path is a link that neither this user nor the system made."""
+    """Return whether a path is a link made by another user."""
     return path.is_symlink() and path.lstat().st_uid not in (0, os.getuid())
 
 
@@ -109,11 +109,11 @@ def claimed_output(path: Path, force: bool) -> Iterator[Claim]:
     Raises
     ------
     RecordingError
-        Naming the path and what would be right; also if another process writes it.
+        With the path and a valid one; also if another process writes it.
     """
     refuse_output(path, force)
     with Claim(path) as claim:
-        refuse_output(path, force)  # another process may just have written it
+        refuse_output(path, force)  # another process may have written it meanwhile
         yield claim
 
 
@@ -134,6 +134,6 @@ def output_folder(path: Path) -> None:
 
 
 def _short(path: Path) -> str:
-    """Shorten a path to its beginning where that is enough."""
+    """Shorten a path to its beginning where that suffices."""
     text = str(path)
     return text if len(text) <= 200 else f"{text[:200]}…"

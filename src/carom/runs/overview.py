@@ -1,4 +1,4 @@
-"""A run or a recording in words: its end, errors, counts and moments, and an overview in rows of text."""
+"""Describes a run or a recording in words: its end, errors, counts and moments, and an overview in rows of text."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None, summe
     each
         How impacts were counted: `EACH`, `ONCE_A_STEP`, or None if unknown.
     summed_over
-        "steps", or "frames" where nothing but the frames is known, as in a clip.
+        "steps", or "frames" if only the frames are known, as in a clip.
     """
     if summed_over == "frames":
         return (
@@ -51,7 +51,7 @@ def counts_text(contact_steps: int, impacts: int | None, each: str | None, summe
 
 
 def overlap_text(deepest: float) -> str:
-    """Describe the deepest overlap over the smaller radius; empty where nothing overlapped but by rounding."""
+    """Describe the deepest overlap over the smaller radius; empty for overlaps by rounding."""
     return f"deepest overlap {100.0 * deepest:.3g}% of the smaller radius" if deepest > ROUNDED_OVERLAP else ""
 
 
@@ -66,7 +66,7 @@ def error_text(error: float) -> str:
 
 
 def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
-    """Say whether a run kept its accuracy; for the keys see `carom.runs.run.kept_accuracy`."""
+    """Describe whether a run kept its accuracy; for the keys see `carom.runs.run.kept_accuracy`."""
     until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
     if "looked" in accuracy:
         until += f" (the budget of the look ahead ended at t = {units.text(accuracy['looked'], TIME)})"
@@ -77,7 +77,7 @@ def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A time at which something was largest."""
+    """A time at which a quantity was largest."""
 
     name: str  # of `MOMENTS`; empty for another moment
     text: str  # the quantity, and the bodies
@@ -86,7 +86,7 @@ class Moment:
 
 
 def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
-    """Put the moments of a recording's summary into words."""
+    """Describe the moments of a recording's summary."""
     found = []
     for name, wording in (MOMENTS | (OF_ENGINES if summary["scene"].get("engine") else {})).items():
         moment = summary["moments"].get(name)
@@ -98,9 +98,9 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
 
 
 def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
-    """Return whether a moment of a recording's summary shows anything.
+    """Return whether a moment of a recording's summary is of interest.
 
-    An overlap by rounding, an error of 0 and the fastest approach of contacts at rest, which are no impacts, do not.
+    An overlap by rounding, an error of 0 and the fastest approach of resting contacts, which are no impacts, are not.
     """
     if name == "impact":
         return bool(summary["contacts"].get("impacts") != 0)
@@ -109,17 +109,17 @@ def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
 
 
 def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
-    """Return the value of a moment as it is printed: an impact with its unit, an overlap in per cent."""
+    """Return the printed value of a moment: an impact with its unit, an overlap in per cent."""
     if name == "impact":
         return units.text(value, ENERGY, ".4g")
     return 100.0 * value if name == "overlap" else value
 
 
 def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
-    """Say how the energy changed, and what is known of the reasons.
+    """Describe the change of the energy and its known reasons.
 
-    Of another engine's run only states are known. Without its impulses, nothing tells what its contacts took from what
-    it got wrong meanwhile.
+    Of another engine's run only states are known. Without impulses, the work of contacts cannot be separated from
+    errors.
     """
     energy = summary["energy"]
     first, last = (units.text(energy[when], ENERGY) for when in ("initial", "final"))
@@ -159,7 +159,7 @@ def overview(recording: Recording) -> list[tuple[str, str]]:
 
 
 def promise_text(verdict: dict[str, Any]) -> str:
-    """Say what was measured and promised."""
+    """Describe the measurement and the promise."""
     return f"{verdict['measured']:.3g}, {verdict.get('bound', 'at most')} {verdict['limit']:.3g}"
 
 

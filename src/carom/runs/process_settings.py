@@ -1,10 +1,8 @@
 """Settings of the process of a run: signals that request its end, the memory allocator, and garbage collection.
 
-Signals come from Ctrl-C, from job schedulers and from closed terminals.
-
-A run passes thousands of arrays between threads. By default glibc returns such memory to the system as soon as it is
-free and requests it again: 40 page faults per frame of 1000 bodies, a twentieth of the run. Keeping it makes the
-process no larger, because the number of queued frames is bounded.
+Signals come from Ctrl-C, from job schedulers and from closed terminals. A run passes thousands of arrays between
+threads. By default glibc returns freed memory to the system and requests it again: 40 page faults per frame of 1000
+bodies, a twentieth of the run. Keeping it does not enlarge the process, because the number of queued frames is bounded.
 """
 
 from __future__ import annotations
@@ -20,20 +18,20 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any, Self
 
-ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a terminal that is closed
-AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks, which are told of each kernel, take microseconds
+ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
+AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
 SAME_PRESS = 0.3  # s; wrappers such as `uv run` forward an interrupt that the terminal has already sent
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep
 _LARGE = 64 << 20  # bytes; larger arrays get pages of their own
-_NEW_OBJECTS = 100_000  # the first batches need 60 000, of which the modules that they load remain
+_NEW_OBJECTS = 100_000  # the first batches create 60 000, mostly modules, which remain
 
 _received: list[int] = []  # signals that were raised as KeyboardInterrupt
 
 
 def raise_signals() -> None:
-    """Make every signal that would end this process raise KeyboardInterrupt in the main thread, as Ctrl-C does."""
+    """Make every signal that would end this process raise KeyboardInterrupt in the main thread, like Ctrl-C."""
     for number in (signal.SIGINT, *ENDING):
         if signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler):  # nohup ignores SIGHUP
             signal.signal(number, _raise)
@@ -51,7 +49,7 @@ def _raise(number: int, frame: FrameType | None) -> None:
 
 
 def _raise_later(lost: sys.UnraisableHookArgs) -> None:
-    """Raise an interrupt again that C code dropped, since it arrived within a callback from there."""
+    """Raise an interrupt again that C code dropped because it arrived within a callback."""
     if lost.exc_type is not KeyboardInterrupt or not received():
         sys.__unraisablehook__(lost)
         return
@@ -63,8 +61,8 @@ def _raise_later(lost: sys.UnraisableHookArgs) -> None:
 class Interrupts:
     """Counts requests to end while its context lasts; outside the main thread it counts none.
 
-    It raises nothing, so work is not interrupted, until the interrupt key has been pressed more often than
-    ``patience``. Other signals count once, because their senders repeat them.
+    It raises nothing until the interrupt key has been pressed more often than ``patience``, so that work is not
+    interrupted. Other signals count once, because their senders repeat them.
 
     Parameters
     ----------
@@ -81,7 +79,7 @@ class Interrupts:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
-            if received():  # a library that was being imported caught the exception
+            if received():  # a library caught the exception during its import
                 raise KeyboardInterrupt
             known = (signal.SIG_DFL, signal.default_int_handler, _raise)
             for number in (signal.SIGINT, *ENDING):
@@ -105,9 +103,9 @@ class Interrupts:
             self.count += 1
         self._last = now
         if self.count > self._patience:
-            if self._before.get(number) is _raise:  # of a command, whose exit code names the signal
+            if self._before.get(number) is _raise:  # in a command, whose exit code names the signal
                 _raise(number, frame)
-            raise KeyboardInterrupt  # of a program, which may catch it and start another run
+            raise KeyboardInterrupt  # in a program, which may catch it and start another run
 
 
 def keep_freed_memory() -> None:
@@ -127,13 +125,13 @@ def keep_freed_memory() -> None:
 
 @contextmanager
 def garbage_sought_seldom() -> Iterator[None]:
-    """Let Python look for cycles of garbage after 100 000 new objects in place of 700.
+    """Let Python collect cyclic garbage after 100 000 new objects instead of 700.
 
-    It finds none, because frames and rows have no cycles. A look at all objects takes 0.1 s, in which the physics waits
-    for the interpreter's lock, and the small looks took 50 µs of each frame of 1000 bodies (both on a busy machine).
+    There is none, because frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits for
+    the interpreter lock, and the small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
     """
     before = gc.get_threshold()
-    if before[0]:  # or else somebody has switched it off
+    if before[0]:  # otherwise the program has switched it off
         gc.set_threshold(max(_NEW_OBJECTS, before[0]), *before[1:])
     try:
         yield

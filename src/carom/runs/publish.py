@@ -26,7 +26,7 @@ from carom.show.request import Request
 from carom.show.web import site
 from carom.show.web.site import Figure
 
-LIST = "carom-page.json"  # of the files that a publication wrote, with their digests
+LIST = "carom-page.json"  # the list of a publication's files, with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
 _PART = re.compile(r"\.[0-9a-f]{8}\.part")
 _SIZE = (1600, 1000)  # pixels of a picture
@@ -39,7 +39,7 @@ class Published:
     path: Path
     size: int  # bytes
     moments: int
-    picture: str  # empty, or why there are no pictures
+    picture: str  # empty, or the reason for missing pictures
 
 
 def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
@@ -87,12 +87,12 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
 
 
 def refuse_folder(folder: Path, force: bool) -> None:
-    """Refuse an unsuitable folder before anything is made for it.
+    """Refuse an unsuitable folder before anything is computed.
 
     Raises
     ------
     RecordingError
-        Naming the folder and what would be right.
+        With the folder and a valid one.
     """
     if is_link_of_another(folder):
         raise RecordingError(f"{folder}: a link of another user; name another folder")
@@ -114,9 +114,9 @@ def refuse_folder(folder: Path, force: bool) -> None:
 
 
 def _listed(folder: Path) -> dict[str, str]:
-    """Return the digests of the files that a publication wrote, by their names; none if there is no list.
+    """Return the digests of a publication's files by name; none without a list.
 
-    The digest of what may not be complete is empty.
+    The digest of a possibly incomplete file is empty.
     """
     try:
         stored = json.loads((folder / LIST).read_text(encoding="utf-8"))["files"]
@@ -130,7 +130,7 @@ def _listed(folder: Path) -> dict[str, str]:
 
 
 def _digest(path: Path) -> str:
-    """Return a digest of a file; of a link or a folder none that is listed."""
+    """Return the digest of a file; for a link or a folder, a text that no list contains."""
     if path.is_symlink() or not path.is_file():
         return "not a file"
     whole = xxhash.xxh3_128()
@@ -141,7 +141,7 @@ def _digest(path: Path) -> str:
 
 
 def _fullest(recording: Recording) -> Moment:
-    """Return the moments of a run without contacts, or of one that was killed."""
+    """Return the moments of a run that has no contacts or was killed."""
     time = recording.moment()
     table = recording.fingerprints()
     row = int(abs(table["time"].to_numpy() - time).argmin())
@@ -157,8 +157,8 @@ def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:
 def _replacing(folder: Path) -> Iterator[Path]:
     """Yield an empty folder whose files move into this one on success; on failure nothing changes.
 
-    The files are replaced one by one, since the folder may be a link, the current one or a mounted disk. What was
-    written is listed before it is there, so that the next publication knows it even if this one is killed.
+    The files are replaced one by one, since the folder may be a link, the current folder or a mounted disk. The list is
+    written first, so that the next publication recognises the files even if this one is killed.
     """
     real, fresh = folder.resolve(), not folder.exists()
     try:
@@ -195,7 +195,7 @@ def _list(folder: Path, files: dict[str, str]) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove what a list names: a file, or the folder of a publication that was killed."""
+    """Remove a listed file, or the folder of a killed publication."""
     if _PART.fullmatch(path.name):
         shutil.rmtree(path, ignore_errors=True)
     else:
@@ -203,5 +203,5 @@ def _remove(path: Path) -> None:
 
 
 def _is_folder(path: Path) -> bool:
-    """Return whether a path is a folder other than that of a publication that was killed."""
+    """Return whether a path is a folder, but not one of a killed publication."""
     return path.is_dir() and not path.is_symlink() and not _PART.fullmatch(path.name)

@@ -43,12 +43,12 @@ _NO_OUTCOME = "the outcome and its numbers, which are not there"
 _MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
-Consent = Callable[[float], bool]  # s that the rest will take → whether to continue
+Consent = Callable[[float], bool]  # remaining time in s → whether to continue
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first frame that differs from the recording, and what differs most in it."""
+    """The first frame that differs from the recording, and the largest difference in it."""
 
     step: int
     time: float  # s, recorded
@@ -70,7 +70,7 @@ class Difference:
         return self.text(SI)
 
     def text(self, units: UnitSystem) -> str:
-        """Say what differs, in the units that are printed."""
+        """Describe the difference, in printed units."""
         dimension = OF_UNIT.get(self.unit)
 
         def shown(value: Value, form: str = "") -> str:
@@ -88,21 +88,21 @@ class Difference:
 class Replay:
     """Result of a replay."""
 
-    begin: int  # the step of the checkpoint that it began at
-    frames: int  # recorded frames from there to the end of the window
+    begin: int  # the step of its first checkpoint
+    frames: int  # recorded frames from `begin` to the end of the window
     compared: int
     difference: Difference | None
-    ended: str  # why it ended before the window did; empty if it did not
+    ended: str  # the reason for an end before that of the window; otherwise empty
     seconds: float
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)
     dense: Path | None = None  # the recording of every step
     not_compared: list[str] = field(default_factory=list)  # descriptions of data that could not be compared
-    changed_files: list[str] = field(default_factory=list)  # data files that are no longer those of the recording
+    changed_files: list[str] = field(default_factory=list)  # data files that have changed since the recording
 
     @property
     def same(self) -> bool:
-        """Whether every frame was compared, and all that was recorded of it had the same bits."""
+        """Whether every frame was compared, and all its recorded data had the same bits."""
         return self.difference is None and self.compared == self.frames
 
 
@@ -134,15 +134,15 @@ def replay(
     force
         Whether ``dense`` may replace a file.
     consent
-        Called once, after a second of stepping, with the time that the rest will take; returns whether to continue.
+        Called once, after a second of stepping, with the remaining time (s); returns whether to continue.
     watch
         Called after every frame with a `StepStatus`: step, time in s, dt, contacts, energy error.
 
     Returns
     -------
     result
-        ``result.same`` is whether all recorded frames have the same bits; ``result.difference`` is the first that has
-        not. The interrupt key ends a replay early, which ``result.ended`` states.
+        ``result.same`` states whether all recorded frames have the same bits; ``result.difference`` is the first
+        difference. The interrupt key ends a replay early, as ``result.ended`` then states.
 
     Raises
     ------
@@ -194,11 +194,11 @@ def replay(
 def _run_again(
     space: Space, run: _Comparison, recorder: FrameRecorder | None, begin: float, consent: Consent, watch: Watcher
 ) -> str:
-    """Run up to the end of the window or the first difference; return why it ended before, empty if it did not.
+    """Run up to the end of the window or the first difference; return the reason for an earlier end, or an empty text.
 
-    ``recorder`` gets every step from ``begin`` on, in s.
+    ``recorder`` receives every step from the time ``begin`` (s).
     """
-    began, first, asked = math.inf, run.begin, False  # the pace is that after the first step, which may compile
+    began, first, asked = math.inf, run.begin, False  # the pace excludes the first step, which may compile
     schedule = at(run.fingerprints) if recorder is None else every(0.0)
     try:
         for frame in space.run(schedule=schedule):
@@ -218,7 +218,7 @@ def _run_again(
             if run.difference:
                 break
             if frame.step >= (run.last if recorder is None else run.last_recorded):
-                space.stop()  # which judges the run where it was stopped
+                space.stop()  # which judges the run at the time of the stop
     except KeyboardInterrupt:
         return "stopped by the user"
     return ""
@@ -262,27 +262,27 @@ class _Comparison:
         return None if found is None else self._other(found)
 
     def stray(self) -> Difference | None:
-        """Report rows that belong to no frame."""
+        """Return rows that belong to no frame."""
         found = self.check.strays(is_end=self.last == self.last_recorded)
         return None if found is None else self._other(found)
 
     def missing(self) -> Difference | None:
-        """Report what is missing, once all frames are found to be the same."""
+        """Return missing data, after all frames were found equal."""
         found = self.check.missing(is_end=self.last == self.last_recorded)
         return None if found is None else self._other(found)
 
     def statics(self, space: Space) -> Difference | None:
-        """Compare what the recording states once."""
+        """Compare the static data of the recording."""
         check = StaticCheck(self._recording, space)
         found = check.difference()
         self.check.skipped |= check.skipped
         return None if found is None else self._other(found)
 
     def outcome(self, space: Space) -> Difference | None:
-        """Compare how the run ended, if its end is recorded and was reached.
+        """Compare the outcome of the run, if its end is recorded and was reached.
 
-        Versions judge and count in other ways, and word the extremes otherwise: what differs in a recording of another
-        version is only named.
+        Versions differ in judgements, counts and words: differences from a recording of another version are only
+        listed.
         """
         recording, skipped = self._recording, self.check.skipped
         if self.last < self.last_recorded:
@@ -300,7 +300,7 @@ class _Comparison:
         extremes = space.named_extremes()
         verdicts = judge(space.scene, extremes, space.time)
         replayed: dict[str, Scalar] = {"frames": self.compared, **closing_summary(space, extremes, verdicts)}
-        if space.time >= space.scene.time.duration:  # otherwise the user or the machine ended it
+        if space.time >= space.scene.time.duration:  # otherwise the user or the system ended it
             replayed["outcome"] = outcome_text(*ending_of(verdicts, space.scene.unit_system))
         for name, value in replayed.items():
             recorded = recording.closing.get(name)
@@ -314,7 +314,7 @@ class _Comparison:
         return self._end(space, same_version)
 
     def _end(self, space: Space, same_version: bool) -> Difference | None:
-        """Compare the events that a run logs when it ends: its extremes, and how it ended."""
+        """Compare the events that a run logs at its end: its extremes and its outcome."""
         recording, step = self._recording, self.last
         level = "INFO" if recording.outcome == "completed" else "WARN"
         events = [*space.highlights(), Event(step, self._times[step], level, f"end: {recording.outcome}", "end")]
@@ -349,7 +349,7 @@ class _Comparison:
 
 
 def _alike(recorded: Any, replayed: Scalar) -> bool:
-    """Return whether two values of the outcome are the same bits; texts and lists that are empty are not recorded."""
+    """Return whether two values of the outcome have the same bits; empty texts and lists are not recorded."""
     if recorded is None:
         return replayed == ""
     if isinstance(replayed, float) and isinstance(recorded, float):
@@ -358,7 +358,7 @@ def _alike(recorded: Any, replayed: Scalar) -> bool:
 
 
 def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
-    """Find the largest difference in the first quantity that differs: time, positions, then energies."""
+    """Return the largest difference in the first differing quantity: time, positions, then energies."""
     if frame.time != time:
         return Difference(frame.step, time, "time", None, time, frame.time, unit="s")
     recorded = recording.drawn_positions(frame.step)

@@ -30,13 +30,13 @@ from carom.scene.wording import command, counted, escaped
 from carom.show.picture import try_to_render
 from carom.show.request import Request
 
-FRAMES = 120  # of the clip, half of them before the time in question
+FRAMES = 120  # largest number in the clip, half of them before the time in question
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
-ENERGY_ERROR = 1e-3  # of the scale; a larger error is the subject of the report
+ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
 MOST_WARNINGS = 50
-NOT_FINITE = "law-not-finite"  # what the audit of another engine found; a run of carom fails
-LAWS = ("energy", "law-")  # how the kinds of events about broken laws begin
+NOT_FINITE = "law-not-finite"  # found by the audit of another engine; a run of carom fails instead
+LAWS = ("energy", "law-")  # beginnings of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
     "overlap": "the deepest overlap, {value:.3g}% of the smaller radius",
@@ -51,11 +51,11 @@ class Report:
     path: Path
     size: int  # bytes
     time: float  # s, the time in question
-    why: str  # what happened at that time
+    why: str  # the event at that time
     frames: int
     replayed: str  # a sentence
-    picture: str  # empty, or why there is none
-    replays: bool  # whether `carom replay` takes it
+    picture: str  # empty, or the reason for a missing picture
+    replays: bool  # whether `carom replay` accepts it
 
 
 def report(recording: Recording, path: Path, at: float | None = None) -> Report:
@@ -105,10 +105,10 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
-    """Return the time in s that a report is about, and what happened then.
+    """Return the time (s) of a report's subject, and its description.
 
-    That is the worst that went wrong: a state that is not finite or a run that failed, then a broken law, a missed
-    promise, another warning, and at last the extremes of a run in which nothing did.
+    The subject is the worst failure: a state that is not finite or a failed run, then a violated law, a missed promise,
+    another warning, and without any of these an extreme of the run.
     """
     recording.require_frames()
     summary = recording.summary()
@@ -123,7 +123,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     for name, verdict in summary["expect"].items():
         if verdict.get("judged", True) and not verdict["met"]:
             return _missed(name, verdict, moments, last)
-    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a step that changes fast harms least
+    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a fast change is least harmful
         deepest = moments.get("overlap")
         if event.text.startswith(OVERLAPS) and deepest:
             return deepest["time"], _extreme("overlap", moments, recording.units)
@@ -140,7 +140,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
 
 
 def _missed(name: str, verdict: dict[str, Any], moments: dict[str, Any], last: float) -> tuple[float, str]:
-    """Return when a promise was broken worst, in s, and that in words."""
+    """Return the time (s) at which a promise was missed worst, and a description."""
     worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
     between = f", {worst['between']}" if worst.get("between") else ""
     return worst.get("time", last), f"the promise {name} was missed: {promise_text(verdict)}{between}"
@@ -229,10 +229,10 @@ def _ledger(clip: Recording) -> list[str]:
 
 
 def _description(recording: Recording) -> list[str]:
-    """Quote what the scene says of itself."""
+    """Quote the description of the scene."""
     try:
         description = recorded_scene(recording).description.strip()
-    except (SceneError, RecordingError):  # of another engine, or of a newer version
+    except (SceneError, RecordingError):  # a recording of another engine, or of a newer version
         return []
     return [*(f"> {_literal(line)}".rstrip() for line in description.splitlines()), ""] if description else []
 
@@ -248,13 +248,13 @@ def _warned(recording: Recording) -> list[str]:
 
 
 def _literal(text: str) -> str:
-    """Write a text of a recording as one line of Markdown that shows its characters, and obeys none of them."""
+    """Return a text of a recording as one line of Markdown in which all characters are literal."""
     line = re.sub(r"[\\`*_{}\[\]<>#|~!&]|(?<=:)/(?=/)", r"\\\g<0>", " ".join(escaped(text).split()))
     return re.sub(r"^(\d*)([-+=.)])", r"\1\\\2", line)  # lists and underlined headings
 
 
 def _code(text: str) -> str:
-    """Write a text of a recording as code within a row of a table."""
+    """Return a text of a recording as code within a row of a table."""
     line = " ".join(escaped(text).split()).replace("|", "\\|")
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
@@ -264,18 +264,18 @@ def _plain(properties: Any) -> dict[str, Any]:
     return {key: value for key, value in properties.items() if isinstance(value, str | int | float)}
 
 
-MOST_BODIES = 2000  # of a clip without exact states; so few are drawn as ellipsoids
-BYTES_OF_A_BODY = 150  # of an exact state, and of what holds for all frames; compressed a little less
+MOST_BODIES = 2000  # in a clip without exact states; so few are drawn as ellipsoids
+BYTES_OF_A_BODY = 150  # of an exact state and static data; a little less when compressed
 BYTES_DRAWN = 60  # of a body in a frame
-MOST_READ = 2_000_000_000  # bytes of frames that are read to cut some bodies out of them
-COMPRESSED = 4  # times at most, of resting bodies; more frames than could fit are not tried
+MOST_READ = 2_000_000_000  # bytes bytes of frames read for cutting out some bodies
+COMPRESSED = 4  # largest compression ratio, of resting bodies, which bounds the tried number of frames
 
 
 def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: int) -> Clip:
-    """Cut a clip of at most ``room`` bytes, if it is possible at all.
+    """Cut a clip of at most ``room`` bytes, if possible.
 
-    It has fewer and fewer frames. If one is too large, it leaves out the exact states, and has the bodies nearest to
-    what happened at the moment.
+    The number of frames is reduced as needed. If a single frame is too large, the clip holds only the bodies nearest to
+    the event, without exact states.
 
     Parameters
     ----------
@@ -286,7 +286,7 @@ def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: 
     path
         The ``.rrd`` to write.
     frames
-        The most frames, half of them before the moment.
+        Largest number of frames, half of them before the moment.
     room
         Bytes.
     """
@@ -309,7 +309,7 @@ def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: 
 def _fewer_frames(
     recording: Recording, middle: int, path: Path, frames: int, room: int, bodies: list[int] | None
 ) -> Clip:
-    """Cut as many frames as there is room for, at least one; of some bodies, without exact states."""
+    """Cut as many frames as fit, at least one, of some bodies and without exact states."""
     times, count = recording.fingerprints()["time"].to_numpy(), frames
     while True:
         first, last = max(0, middle - count // 2), min(len(times) - 1, middle + count // 2)
@@ -320,7 +320,7 @@ def _fewer_frames(
 
 
 def _nearest(recording: Recording, moment: float, step: int, count: int) -> list[int]:
-    """Return the numbers of the bodies that are drawn nearest to what happened at a moment."""
+    """Return the numbers of the bodies that are drawn nearest to the event at a moment."""
     shown, drawn = np.asarray(recording.shown), recording.drawn_positions(step)
     if drawn is None or len(drawn) != len(shown):
         return [int(body) for body in shown[:count]]
@@ -330,7 +330,7 @@ def _nearest(recording: Recording, moment: float, step: int, count: int) -> list
 
 
 def _focus(recording: Recording, moment: float, shown: IntArray, drawn: SingleArray) -> SingleArray:
-    """Return where the body is drawn that has to do with a moment; the middle of all if none has."""
+    """Return the drawn position of a body of the event at a moment; without one, the middle of all bodies."""
     for found in recording.summary()["moments"].values():
         places = np.flatnonzero(np.isin(shown, found["bodies"]))
         if found["time"] == moment and len(places):

@@ -31,16 +31,16 @@ UNDER_WAY = ".resumed.rrd"  # suffix of the new recording until it is complete
 
 @dataclass(frozen=True)
 class ResumableRun:
-    """A recording that can be resumed: its scene, and where the checkpoint is that it starts from."""
+    """A recording that can be resumed: its scene, and the checkpoint from which it continues."""
 
     recording: Recording
     scene: Scene
     step: int  # of the checkpoint
-    time: float  # s, likewise
-    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # until a space has its state
+    time: float  # s, of the checkpoint
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # released once a space has its state
 
     def space(self, threads: int | None = None) -> Space:
-        """Build the space, which compiles kernels if need be."""
+        """Build the space, which compiles kernels if necessary."""
         records = self.recording.records_contacts  # so that the whole file has the same entities
         checkpoint = self._read.pop() if self._read else self.recording.checkpoint(self.step)
         return space_of(self.recording, self.scene, checkpoint, threads, record_contacts=records)
@@ -52,14 +52,14 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     Parameters
     ----------
     recording
-        A clip cannot be continued, because the run before it is missing.
+        The recording; a clip cannot be continued, because the run before it is missing.
     until
-        s of simulated time, by default the duration of the scene. Frames keep the interval that they had.
+        s of simulated time, by default the duration of the scene. Frames keep their interval.
 
     Raises
     ------
     SceneError, RecordingError
-        If there is nothing to do, or no checkpoint to resume from.
+        If there is nothing left to run, or no checkpoint to resume from.
     """
     recording.refuse_some_bodies()
     scene, path = recorded_scene(recording), recording.path
@@ -75,7 +75,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
         scene = continued_scene(recording, scene, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
-    # the last step of a run that has got to its end was cut short, which a longer run would not have done
+    # a completed run has shortened its last step, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to resume from")
@@ -104,7 +104,7 @@ def resume(
     path
         The ``.rrd`` to write; by default the recording is replaced once the new one is complete.
     force
-        Whether to replace another file, and a file that an earlier attempt left.
+        Whether to replace another file, and the file of an earlier attempt.
     threads
         Threads for the kernels; the bits do not depend on it.
     watch
@@ -121,7 +121,7 @@ def resume(
     ------
     SceneError, RecordingError, PhysicsError
         If the run has already reached that time, the recording cannot be continued, the file cannot be written, or the
-        state stops being finite.
+        state becomes infinite.
     KeyboardInterrupt
         If the interrupt key, SIGTERM or SIGHUP stopped the run. The recording is complete up to there.
     """
@@ -189,7 +189,7 @@ def continue_run(
     force
         Whether to replace another file, and what an earlier attempt left.
     claim
-        From `claimed_target`, where the caller claimed before it opened the recording.
+        From `claimed_target`, if the caller made a claim before it opened the recording.
     live, watch
         As for `simulate`.
 
@@ -230,7 +230,7 @@ def _resume(
 
 
 def _refuse_altered(run: ResumableRun, threads: int) -> None:
-    """Refuse a recording that does not continue as it began: an older one, without a digest of its scene.
+    """Refuse an older recording, without a digest of its scene, that does not replay.
 
     The frames from the checkpoint before the last one are run again.
     """
@@ -251,7 +251,7 @@ def under_way(target: Path) -> Path:
 
 
 def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
-    """Return properties that say where both parts of the run were computed."""
+    """Return properties about the environments of both parts of the run."""
     first = {key: value for key, value in run.recording.properties.items() if isinstance(value, str | int | float)}
     now = {f"resumed.{key}": value for key, value in environment(threads).items()}
     return first | now | {"resumed.step": run.step, "resumed.time": run.time}
@@ -260,8 +260,8 @@ def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
 def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:
     """Return the ``scene`` of a recording with overrides, for a run that goes on from one of its checkpoints.
 
-    Some values of "auto" follow from the duration: the interval between frames, and the integrator of orbits. They stay
-    as they were, unless the overrides set them.
+    Some values of "auto" follow from the duration: the interval between frames, and the integrator of orbits. They do
+    not change, unless the overrides set them.
 
     Raises
     ------

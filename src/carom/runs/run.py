@@ -38,7 +38,7 @@ from carom.scene.start import planes_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 
-POLL = 0.1  # s between two looks at a run under way
+POLL = 0.1  # s between two checks of a running simulation
 
 Watcher = Callable[[StepStatus], None]
 
@@ -58,15 +58,15 @@ class Outcome:
     payload: int  # bytes of the arrays alone
     moments: Extremes = field(repr=False)
     verdicts: list[Verdict] = field(default_factory=list)
-    warnings: list[Event] = field(default_factory=list)  # of the whole run, in order of time
+    warnings: list[Event] = field(default_factory=list)  # all warnings of the run, in order of time
     impacts_counted: str = EACH  # `EACH` or `ONCE_A_STEP`
-    impacts: RecordedImpacts | None = None  # None: none were to be recorded
-    accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was asked for
-    begin: float = 0.0  # s, from which on a resumed run was simulated
+    impacts: RecordedImpacts | None = None  # None: the scene records none
+    accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was requested
+    begin: float = 0.0  # s, at which a resumed run continued
 
     @property
     def ok(self) -> bool:
-        """Whether the run went to its end and kept its promises."""
+        """Whether the run completed and kept its promises."""
         return self.status == "completed"
 
 
@@ -104,7 +104,7 @@ def run(
     Raises
     ------
     SceneError, RecordingError, PhysicsError
-        If the scene cannot run, the file cannot be written, or the state stops being finite.
+        If the scene cannot run, the file cannot be written, or the state is no longer finite.
     ValueError
         If the number of threads is not whole or less than 1.
     KeyboardInterrupt
@@ -122,12 +122,12 @@ def run(
 
 
 def recording_of(outcome: Outcome) -> Recording:
-    """Open the recording of a run that went to its end; raise what ended it otherwise."""
+    """Open the recording of a completed run; otherwise raise the error or interrupt that ended it."""
     if outcome.status == "disk":
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
-    if outcome.status == "interrupted":  # the file is complete up to there; the caller's program ends, too
+    if outcome.status == "interrupted":  # the file is complete up to there; end the caller's program, too
         raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
 
@@ -135,7 +135,7 @@ def recording_of(outcome: Outcome) -> Recording:
 def recording_space(
     scene: Scene, threads: int | None = None, watch_look_ahead: LookAheadWatcher | None = None
 ) -> Space:
-    """Build a space whose frames carry all that the scene's recording needs; for ``watch_look_ahead`` see `Space`.
+    """Build a space whose frames carry all data for the scene's recording; for ``watch_look_ahead`` see `Space`.
 
     Raises
     ------
@@ -159,8 +159,8 @@ def simulate(
 ) -> Outcome:
     """Run a space to the end of its scene and record it.
 
-    The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. The interrupt key pressed again raises
-    KeyboardInterrupt, and the file has no end.
+    The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. A second interrupt raises KeyboardInterrupt,
+    and leaves the file without an end.
 
     Parameters
     ----------
@@ -171,13 +171,13 @@ def simulate(
     force
         Whether to replace a file that exists.
     claim
-        A claim of the path, if the caller has one and has checked ``force``.
+        The caller's claim of the path, if it has one and has checked ``force``.
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
         Called about ten times a second with where the run stands.
     continued
-        The frames that a resumed run takes over; they are written first.
+        The frames that a resumed run continues; they are written first.
     properties
         Provenance for the recording; by default that of this process.
     member
@@ -220,7 +220,7 @@ def _simulate(
         with contextlib.suppress(RecordingError):
             recorder.finish(f"failed: {type(error).__name__}: {error}")
         raise
-    except KeyboardInterrupt:  # the interrupt key was pressed again: nobody waits for the step under way
+    except KeyboardInterrupt:  # second interrupt: do not wait for the current step
         physics.space.stop()
         raise
     extremes = space.named_extremes()
@@ -253,40 +253,40 @@ def _simulate(
 
 
 def ending_of(verdicts: list[Verdict], units: UnitSystem) -> tuple[str, str]:
-    """Return the status and the reason of a run that got to its end, by its promises."""
+    """Return the status and the reason of a completed run, by its promises."""
     missed = [verdict.text(units) for verdict in verdicts if not verdict.met]
     return ("expectation missed", "; ".join(missed)) if missed else ("completed", "")
 
 
 def outcome_text(status: str, reason: str) -> str:
-    """Return the outcome as it is recorded."""
+    """Return the recorded text of the outcome."""
     return f"{status}: {reason}" if reason else status
 
 
 class _Physics:
-    """The physics thread: steps a space and hands its frames to the recorder."""
+    """The physics thread: steps a space and passes its frames to the recorder."""
 
     def __init__(self, space: Space, recorder: FrameRecorder, continued: Continuation | None) -> None:
         self.space = space
         self.warnings = continued.recording.warnings(until=continued.step) if continued else []
-        self._known = continued.step if continued else -1  # the step whose frame the recorder has
+        self._known = continued.step if continued else -1  # step of the recorder's last frame
         self._recorder = recorder
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._run, name="physics", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End after the step under way, and wait until it has."""
+        """Stop after the current step, and wait for it."""
         self.space.stop()
         self._thread.join()
 
     def wait(self, seconds: float) -> bool:
-        """Wait for the end; tell whether it has come."""
+        """Wait for the end; return whether it has come."""
         self._thread.join(seconds)
         return not self._thread.is_alive()
 
     def ending(self, interrupts: Interrupts) -> tuple[str, str]:
-        """Return the status and the reason of the end."""
+        """Return the status of the end, and its reason."""
         at = f"at t = {self.space.scene.unit_system.text(self.space.time, TIME)}"
         match self._error:
             case None if interrupts.count and self.space.time < self.space.scene.time.duration:
@@ -312,7 +312,7 @@ class _Physics:
 
 
 def _wait(physics: _Physics, watch: Watcher | None, interrupts: Interrupts) -> None:
-    """Watch the run until it ends, or end it when asked to."""
+    """Watch the run until it ends, or end it on request."""
     while not physics.wait(POLL):
         if interrupts.count:
             physics.space.stop()
@@ -366,10 +366,9 @@ def header_of(space: Space) -> Header:
 
 
 def kept_accuracy(scene: Scene) -> dict[str, float]:
-    """Return what was asked for, up to when it is kept in s, and the largest Lyapunov exponent in 1/s.
+    """Return the requested accuracy, the time (s) up to which it is kept, and the largest Lyapunov exponent (1/s).
 
-    ``horizon`` is there only if the promise ends before the run, and ``looked``, in s, only if the budget of the look
-    ahead did.
+    ``horizon`` exists only if the promise ends before the run, ``looked`` (s) only if the look-ahead's budget did.
     """
     promise, requested = scene.promise, scene.time.accuracy
     if promise is None or requested is None:
@@ -380,7 +379,7 @@ def kept_accuracy(scene: Scene) -> dict[str, float]:
 
 
 def shortfall_text(scene: Scene) -> str:
-    """Say why the accuracy of a scene is not promised to the end, and what is; empty if it is."""
+    """Explain why the accuracy of a scene is not promised to the end; empty if it is."""
     promise, accuracy, units = scene.promise, scene.time.accuracy, scene.unit_system
     if promise is None or accuracy is None or promise.horizon is None:
         return ""

@@ -16,11 +16,11 @@ from carom.scene.wording import suggestion
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """One extreme and how its run went."""
+    """An extreme scene and the result of its run."""
 
     name: str
     title: str  # of the scene
-    outcome: Outcome | None  # None if the scene was refused before it ran
+    outcome: Outcome | None  # None if the scene was refused before the run
     refusal: str = ""
 
     @property
@@ -35,7 +35,7 @@ class Trial:
 
     @property
     def reason(self) -> str:
-        """Why it did not complete or missed a criterion; empty if it met all."""
+        """Why it did not complete or meet a criterion; empty if it met all."""
         return self.outcome.reason if self.outcome else self.refusal
 
     @property
@@ -45,7 +45,7 @@ class Trial:
 
     @property
     def worst(self) -> dict[str, Extreme]:
-        """The times to look at, by what is wrong; the end of a run that did not complete."""
+        """The worst times by missed criterion; for an incomplete run, its end."""
         extremes = {verdict.name: verdict.worst for verdict in self.verdicts if not verdict.met and verdict.worst}
         if self.outcome and self.status == "failed":
             extremes["the end"] = Extreme(self.outcome.sim_time, self.outcome.steps, self.outcome.sim_time)
@@ -58,7 +58,7 @@ def extremes(name: str | None = None) -> dict[str, Path]:
     Raises
     ------
     SceneError
-        If there is none of that name; it says the nearest.
+        If the name is unknown; the message has the nearest one.
     """
     known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
     if name is None:
@@ -75,9 +75,9 @@ def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = No
     Parameters
     ----------
     name
-        Short name, as in `extremes`; the recording is called after it.
+        Short name, as in `extremes`, and name of the recording.
     folder
-        Where the recording goes.
+        Folder of the recording.
     watch
         Called about ten times a second with the progress of the run.
 

@@ -19,7 +19,7 @@ from carom.registry import ExtensionError
 from carom.runs.run import run
 from carom.scene.schema import Scene
 
-# Together they need every kernel; a new one that none of them needs belongs here, too (a test looks).
+# Together they need every kernel; add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
 _CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
 SCENES: dict[str, dict[str, Any]] = {
@@ -126,8 +126,8 @@ class Warmth:
     """Result of a warm-up."""
 
     seconds: float
-    compiled: int  # kernels; the others were in the cache
-    cache: str  # the folder of compiled kernels; empty if they are not kept
+    compiled: int  # number of kernels; the others were in the cache
+    cache: str  # the folder of compiled kernels; empty without a cache
 
 
 def warm_up() -> Warmth:

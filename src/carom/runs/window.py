@@ -24,14 +24,14 @@ Watcher = Callable[[StepStatus], None]
 
 
 class Window:
-    """Steps of a recording run again, from the last checkpoint before a time on.
+    """A window of a recording that is run again, from the last checkpoint before a time.
 
     Parameters
     ----------
     recording
-        What to run again.
+        The recording to run again.
     before
-        s; the checkpoint is earlier than this, unless there is none.
+        s; the checkpoint is earlier than this if possible.
     contacts
         Whether frames carry the contact table.
     threads
@@ -60,7 +60,7 @@ class Window:
         self._fingerprints = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         checkpoint = checkpoint_before(recording, float(np.nextafter(before, -np.inf)))
         self.begin = checkpoint.step
-        self.differs: int | None = None  # the first recorded step whose bits are others
+        self.differs: int | None = None  # the first recorded step with different bits
         try:
             scene = recorded_scene(recording)
         except SceneError as error:
@@ -71,12 +71,12 @@ class Window:
 
     @property
     def source(self) -> str:
-        """Where its numbers come from, in words."""
+        """The source of its numbers, in words."""
         same = "with the same bits" if self.differs is None else f"with other bits from step {self.differs} on"
         return f"replayed from step {self.begin}, {same}"
 
     def frames(self, first: float) -> Iterator[Frame]:
-        """Yield the frame that it begins with, then the recorded frames, and from a time (s) on every step."""
+        """Yield the first frame, then the recorded frames, and from a time (s) on every step."""
         recorded = self._fingerprints
         for frame in self._space.run(schedule=lambda step, before, time: time >= first or step in recorded):
             bits = recorded.get(frame.step)
@@ -162,13 +162,13 @@ def space_of(
 ) -> Space:
     """Build a space in the state of a checkpoint.
 
-    Bodies are those recorded, not placed anew: random numbers may differ between libraries.
+    Bodies come from the recording, since random numbers may differ between libraries.
 
     Parameters
     ----------
     continued
-        Whether the run goes on as it was recorded; otherwise the bodies of the checkpoint start another run. At the
-        start of a run a space already has what a checkpoint restores, and the contacts of frame 0.
+        Whether the recorded run continues; otherwise the bodies of the checkpoint start another run. At the start of a
+        run, a space already has the state of the checkpoint, and the contacts of frame 0.
     record_contacts
         Whether frames carry the contact table.
 

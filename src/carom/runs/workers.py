@@ -1,8 +1,8 @@
 """Runs tasks in processes of this machine, one at a time in each. `sweep.cluster` runs them on a Dask cluster.
 
 A worker is a Python process that imports nothing from the folder in which the command runs (``-P``). It receives its
-tasks over a socket without a name, which no other user can open. It ignores signals that ask to end, because the
-command decides what they mean, and it ends as soon as the command has ended, however that was.
+tasks over a socket without a name, which no other user can open. It ignores signals that request its end, because the
+command handles them, and it ends as soon as the command has ended in any way.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
 from carom.runs.process_settings import ENDING, keep_freed_memory
 
-MOST_DEATHS = 4  # of workers with the same task: then the task is given up
+MOST_DEATHS = 4  # of workers with the same task, before the task is given up
 _START = "from carom.runs.workers import work; work()"
 _SIGNALS = {signal.SIGINT, *ENDING}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 class WorkerDiedError(ExperimentError):
-    """The workers that had a task died."""
+    """All workers that received a task died."""
 
 
 class TaskDroppedError(ExperimentError):
@@ -46,11 +46,11 @@ class Ended:
 
     key: Any
     value: Any = None
-    error: Exception | None = None  # what the task raised, `WorkerDiedError` or `TaskDroppedError`
+    error: Exception | None = None  # the exception of the task, `WorkerDiedError` or `TaskDroppedError`
 
     @property
     def result(self) -> Any:
-        """What the task returned; raises its error."""
+        """Return value of the task; raises its error."""
         if self.error is not None:
             raise self.error
         return self.value
@@ -100,7 +100,7 @@ class LocalWorkers:
     count
         Number of processes.
     attempts
-        A task is repeated when its worker dies, and given up when so many have died.
+        Number of attempts at a task, which is repeated when its worker dies.
     """
 
     are_there = True
@@ -161,26 +161,26 @@ class LocalWorkers:
         return keys
 
     def drop(self) -> None:
-        """Drop all tasks; workers finish those under way before they begin others, and nobody hears of these."""
+        """Drop all tasks; workers finish current ones first, whose results are ignored."""
         self._waiting.clear()
         for started in self._processes.values():
             if started.job is not None:
                 started.job.is_wanted = False
 
     def _hand_out(self) -> None:
-        """Give the next tasks to workers without one; start more workers if there are too few."""
+        """Send the next tasks to idle workers; start more workers if there are too few."""
         idle = deque(connection for connection, started in self._processes.items() if started.job is None)
         while self._waiting and (idle or len(self._processes) < self._count):
             connection = idle.popleft() if idle else self._start()
             job = self._waiting.popleft()
             self._processes[connection].job = job
-            # one that has died in the meantime is noticed by `ended`
+            # `ended` notices a worker that has died meanwhile
             with contextlib.suppress(BrokenPipeError, ConnectionResetError):
                 connection.send((job.function, job.task))
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        with theirs, _signals_held():  # an interrupt while it starts is for this process
+        with theirs, _signals_held():  # an interrupt during its start concerns this process
             process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _START, str(theirs.fileno()), str(private_folder())],
                 pass_fds=(theirs.fileno(),),
@@ -192,7 +192,7 @@ class LocalWorkers:
         return ours
 
     def _died(self, connection: Connection) -> list[Ended]:
-        """Forget a worker that has died; its task is repeated, or has ended if that has been tried often enough."""
+        """Remove a dead worker; its task is repeated, or ends after the last attempt."""
         died = self._remove(connection)
         code = died.process.returncode
         how = f"by {signal.Signals(-code).name}" if code < 0 else f"with exit code {code}"
@@ -220,7 +220,7 @@ class LocalWorkers:
 
 @contextlib.contextmanager
 def _signals_held() -> Iterator[None]:
-    """Hold signals that ask to end, in this thread and in the processes that it starts, until the context ends."""
+    """Block termination signals in this thread and its new processes until the context ends."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
     try:
         yield
@@ -229,7 +229,7 @@ def _signals_held() -> Iterator[None]:
 
 
 def work() -> None:
-    """Run tasks until the process that started this one has ended, or closes the socket."""
+    """Run tasks until the parent process has ended, or closes the socket."""
     for number in _SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
@@ -258,7 +258,7 @@ def _answer(received: bytes) -> bytes:
         try:
             answer = pickle.dumps((False, error))
             pickle.loads(answer)
-        except Exception:  # an exception that pickle cannot make again from its arguments
+        except Exception:  # an exception that pickle cannot rebuild from its arguments
             answer = pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
         return answer
 

@@ -1,7 +1,7 @@
 """Contact laws: how a contact rebounds, slides, rolls and twists.
 
-`COULOMB` is the law of scenes that choose none. A scene chooses another one by ``contact.law``; its coefficients are in
-the section ``[contact.NAME]``, and those of a material, a pair of materials or a plane in a section of that name there.
+`COULOMB` is the law of scenes that choose none. A scene chooses another law by ``contact.law``. Its coefficients are in
+the section ``[contact.NAME]``, or in a section of that name of a material, a pair of materials or a plane.
 """
 
 from __future__ import annotations
@@ -31,11 +31,13 @@ class ContactLaw:
 
     carom compiles its functions with Numba, as those of a `carom.extend.BodyForce`. Each has a record of the
     coefficients of the two materials as its first argument: those of Coulomb's law (``restitution``,
-    ``static_friction``, ``kinetic_friction``) and those of the law's section. A function that is None is Coulomb's.
+    ``static_friction``, ``kinetic_friction``) and those of the law's section. None stands for the function of Coulomb's
+    law.
 
-    An angular impulse acts on body j, and its opposite on body i. The law is given the one that would end the relative
-    rotation of the two, and returns the one that the contact exerts. It may be smaller but not larger: a contact only
-    dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m, at a plane the radius of the body.
+    An angular impulse acts on body j, and its opposite on body i. The argument of the law is the angular impulse that
+    would end the relative rotation; it returns the exerted one. That may be smaller but not larger, since a contact
+    only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m; at a plane, it is the radius of the
+    body.
     """
 
     section: type[Any] | None  # of the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it

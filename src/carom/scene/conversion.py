@@ -1,4 +1,4 @@
-"""Conversion of the quantities of a scene, such as "3 km" or numbers in the units of [units], to the simulation's."""
+"""Converts the quantities of a scene, such as "3 km" or numbers in the units of [units], to units of the simulation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _WRITTEN_BY_CAROM = "promise"  # a section in the units of the simulation
 
 @dataclass
 class Wrong:
-    """A text in the place of a quantity that is none."""
+    """A text that should be a quantity but is none."""
 
     path: KeyPath
     given: str | None  # None: nothing was given
@@ -71,12 +71,12 @@ def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
 
 
 def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, list[Wrong]]:
-    """Convert the quantities of a scene as it was read; values that need no conversion are shared with it.
+    """Convert the quantities of a scene; values that need no conversion are shared with the input.
 
     Returns
     -------
     data, units, wrong
-        The same keys with numbers of the simulation, its units, and the texts that are no quantities.
+        The same keys with numbers of the simulation, its units, and the texts that are not quantities.
     """
     wrong: list[Wrong] = []
     units = unit_system(data.get("units"), wrong)
@@ -177,7 +177,7 @@ def _place(annotation: Any, dimension: Dimension | None) -> _Place:
 
 
 def parts_of(annotation: Any) -> Iterator[Any]:
-    """Return the types and the metadata that an annotation is made of."""
+    """Return the types and the metadata in an annotation."""
     origin = typing.get_origin(annotation)
     if origin is typing.Annotated:
         yield from parts_of(annotation.__origin__)
@@ -190,7 +190,7 @@ def parts_of(annotation: Any) -> Iterator[Any]:
 
 
 def members_of_list(annotation: Any) -> tuple[Any, ...]:
-    """Return the members of the tuple in an annotation, with `...` last where there may be any number; () if none."""
+    """Return the members of the tuple in an annotation, ending with `...` for any number; () without a tuple."""
     origin, members = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is tuple:
         return members

@@ -1,4 +1,4 @@
-"""Messages about the keys of a scene: what is wrong, what would be right, and which key was probably meant."""
+"""Messages about the keys of a scene: the mistake, a valid value, and the key that was probably meant."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from carom.scene.schema import Coefficients, Scene
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
-LONGEST = 80  # characters of a key that are compared
-MOST = 4  # places that are named
-ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # similarity that is enough in the same section, and in others
+LONGEST = 80  # compared characters of a key
+MOST = 4  # places listed in a message
+ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # required similarity in the same section, and in other sections
 SHORTEST = 3  # characters of an abbreviated key
 OTHER_WORDS = {
     "sphere": "body",
@@ -101,20 +101,20 @@ def model_in(annotation: Any) -> type[BaseModel] | None:
 
 
 def is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
-    """Return whether there is a message already about a key, or about a section that contains it."""
+    """Return whether a key, or a section that contains it, already has a message."""
     wrong_units = path[0:1] == ("units",) and any(other[0] == "units" for other in messages)
     return wrong_units or any(path[:depth] in messages for depth in range(1, len(path) + 1))
 
 
 def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
-    """Return one line about a text that is no quantity: the place, the key, the mistake and what would be right."""
+    """Return a one-line message about a text that is no quantity: place, key, mistake and a valid value."""
     key = ".".join(str(part)[:80] for part in wrong.path)
     given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
     return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
 
 
 def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: UnitSystem) -> str:
-    """Return one line about a mistake that Pydantic reports: place, key, mistake and what would be right."""
+    """Return a one-line message about a mistake reported by Pydantic: place, key, mistake and a valid value."""
     place, key, given = places.of(path), ".".join(str(part)[:80] for part in path), _as_written(detail, path, data)
     if detail["type"] == "extra_forbidden":
         return f"{place}unknown key {key}{hint(path)}"
@@ -127,7 +127,7 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
 
 
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield the details of mistakes; of a key for words and numbers, only the detail as a number, with the words."""
+    """Yield the details of mistakes; for a key of words or numbers, a single detail with both."""
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
     for detail in details:
@@ -139,7 +139,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the path as it was written: a radius given as a number has no `min`, a vector no `2`."""
+    """Return the path as written: a radius given as a number has no `min`, a vector no `2`."""
     members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
     path: KeyPath = tuple(
         key
@@ -168,7 +168,7 @@ def _as_written(detail: Any, path: KeyPath, data: Any) -> Any:
     try:
         for key in path:
             node = node[key]
-    except (KeyError, IndexError, TypeError):  # a default that follows another key
+    except (KeyError, IndexError, TypeError):  # a default that depends on another key
         return given
     return node if isinstance(node, str | int | float) else given
 
@@ -186,7 +186,7 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be at most {context['le']:g}"
         case "finite_number":
             return "must be a finite number"
-        case "float_type" if type(detail["input"]) is int:  # of hundreds of digits
+        case "float_type" if type(detail["input"]) is int:  # a whole number of hundreds of digits
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
             kinds = {
@@ -241,7 +241,7 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
     text, at = field.description, place_of(path)
     if at is not None and at.dimension is not None:
         unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
-        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default, which is in SI
+        if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default in SI
             text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
-    name = next(key for key in reversed(path) if isinstance(key, str))  # of a list, if the path ends with a place in it
+    name = next(key for key in reversed(path) if isinstance(key, str))  # of a list, if the path ends with an index
     return f" ({name}: {text})"

@@ -1,4 +1,4 @@
-"""The parts of installed packages that a scene uses, and what a recording says about them."""
+"""The parts of installed packages that a scene uses, and the properties of a recording about them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ PROPERTY = "extension."  # before kind.name, of the properties of a recording th
 
 
 def extensions_of(scene: Scene) -> dict[str, str]:
-    """Return the package and version of each part that a scene uses and carom has not itself, by kind.name."""
+    """Return the package and version of each part that a scene uses from installed packages, by kind.name."""
     found = ((f"{kind}.{name}", registry.origin(kind, name)) for kind, name in _used(scene))
     return {key: f"{origin.package} {origin.version}" for key, origin in found if origin}
 
@@ -28,7 +28,7 @@ def _used(scene: Scene) -> Iterator[tuple[str, str]]:
 
 
 def stamped(properties: Mapping[str, Any]) -> dict[str, str]:
-    """Return what `extensions_of` returned for the scene of a recording with these properties."""
+    """Return `extensions_of` the scene of a recording, from its properties."""
     known = {key.removeprefix(PROPERTY): str(value) for key, value in properties.items() if key.startswith(PROPERTY)}
     return dict(sorted(known.items()))
 
@@ -39,7 +39,7 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 
 def missing(extensions: Mapping[str, str]) -> str:
-    """Name which packages to install for the parts of a recording that are not there; empty if all are there."""
+    """Return the packages to install for missing parts of a recording, in words; empty if none is missing."""
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():
         kind, _, name = key.partition(".")

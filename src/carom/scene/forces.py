@@ -1,8 +1,8 @@
 """The forces: when each is modelled, and the names of its recorded energies.
 
-`FORCES` is the table of carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts
-where a scene has the section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger
-entries of a recording, and the reports follow from its `ForceKind`.
+`FORCES` is the table of carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in
+scenes with the section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries
+of a recording, and the reports follow from its `ForceKind`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class ForceKind:
     """A force: when it is modelled, and the name of its energy."""
 
     name: str  # of the part of the model; with underscores, of the module that computes the force
-    decide: Callable[[Scene], tuple[bool, str]]  # whether it is modelled, and why
+    decide: Callable[[Scene], tuple[bool, str]]  # returns whether it is modelled, and why
     potential: str = ""  # its term of the energy, if it has a potential
     loss: str = ""  # its entry in the ledger, if it has no potential
     legend: str = ""  # of the series of its energy
@@ -32,9 +32,9 @@ class ForceKind:
     colour: str = ""  # of that series, by its name in the palette of curves
     flag: str = ""  # in the properties of a recording; by default `has_` and the short name
     pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
-    differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
+    differs: bool = False  # whether its accelerations of bodies at rest differ, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
-    part: str = ""  # without which that series is not recorded; by default the force itself
+    part: str = ""  # part without which that series is not recorded; by default the force itself
     contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
 
     @property
@@ -119,7 +119,7 @@ DRAG = ForceKind(
     damps=True,
     contradiction=lambda scene: "there is no medium; add [drag] with a relaxation_time",
 )
-MOST_RELAXATIONS = 8.0  # of drag in a step with exact impacts; e⁻⁸ of a velocity is then left, with 12 digits
+MOST_RELAXATIONS = 8.0  # of drag in a step with exact impacts; e⁻⁸ of a velocity then remains, with 12 digits
 FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerations are summed
 
 
@@ -194,10 +194,10 @@ def kind_called(name: str) -> ForceKind:
 
 
 def acts_from_outside(scene: Scene) -> bool:
-    """Return whether a force of an installed package acts on single bodies, and so changes the momentum of all."""
+    """Return whether a force of an installed package acts on single bodies, and so changes the total momentum."""
     return any(isinstance(force_called(name), BodyForce) for name in scene.forces.given)
 
 
 def kinds_of(scene: Scene) -> tuple[ForceKind, ...]:
-    """Return carom's own forces, and those of installed packages that a scene has sections for, in order of the sum."""
+    """Return carom's own forces and the scene's forces of installed packages, in the order of summation."""
     return (*FORCES, *(kind_called(name) for name in scene.forces.given))

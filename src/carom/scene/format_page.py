@@ -21,8 +21,8 @@ from carom.scene.schema.scene import know_installed_parts
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
 
-FILE = "scene.schema.json"  # beside the bundled scenes, which name it in their first line
-MARK = "#:schema"  # what the first line of a scene begins with if it names its schema
+FILE = "scene.schema.json"  # beside the bundled scenes, whose first lines refer to it
+MARK = "#:schema"  # beginning of the first line of a scene that names its schema
 
 
 def schema_text() -> str:
@@ -37,7 +37,7 @@ def schema() -> dict[str, Any]:
 
 
 def _brief(node: Any) -> Any:
-    """Leave out titles, which repeat the keys, and defaults that are not there."""
+    """Leave out titles, which repeat the keys, and empty defaults."""
     if isinstance(node, list):
         return [_brief(inner) for inner in node]
     if not isinstance(node, dict):
@@ -49,7 +49,7 @@ def _brief(node: Any) -> Any:
 
 
 def without_schema_line(text: str) -> str:
-    """Return the text of a scene without the line that names its schema, whose path is right in one folder only."""
+    """Return the text of a scene without the line that names its schema, whose path is valid in only one folder."""
     first, _, rest = text.partition("\n")
     return rest if first.startswith(MARK) else text
 

@@ -1,17 +1,17 @@
 """The table of integrators, used by the scene's key, the checks, the step and the comparisons.
 
-A step is a sequence of substeps: a kick with the old forces, a drift and a kick with the new ones, for parts of dt:
+A step is a sequence of substeps: a kick with the old forces, a drift and a kick with the new ones, for fractions of dt:
 
     v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
 
 Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges the two:
-on a Kepler orbit its energy oscillates a quarter as much, but its forces are those of the middle of the step.
-Yoshida's fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
-(Yoshida 1990, Phys. Lett. A 150, 262).
+its energy oscillates a quarter as much on a Kepler orbit, but its forces are those at the middle of the step. Yoshida's
+fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁ (Yoshida 1990, Phys.
+Lett. A 150, 262).
 
-Installed packages may add such sequences. Two integrators have none: the error of Gauss–Radau integration sets its
-step, and the shortest orbit that of Wisdom–Holman integration (`carom.physics.integrators.gauss_radau`,
-`carom.physics.integrators.wisdom_holman`).
+Installed packages may add such sequences. Two integrators have no such sequence: the step of Gauss–Radau integration
+follows from its error, that of Wisdom–Holman integration from the shortest orbit
+(`carom.physics.integrators.gauss_radau`, `carom.physics.integrators.wisdom_holman`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ AUTO = "auto"  # in time.integrator: the scene decides
 
 
 class Substep(NamedTuple):
-    """Parts of dt: a kick with the old forces, a drift, a kick with the new forces."""
+    """Fractions of dt for a kick with the old forces, a drift, and a kick with the new forces."""
 
     before: float
     drift: float
@@ -39,22 +39,22 @@ class Integrator:
     name: str  # the value of time.integrator
     title: str  # in descriptions
     order: int  # of the error over a fixed time in dt
-    substeps: tuple[Substep, ...]  # none where it chooses its own steps
+    substeps: tuple[Substep, ...]  # empty if it chooses its own steps
     hierarchical: bool = False  # whether it needs a body that dominates all others
 
     @property
     def controls_error(self) -> bool:
-        """Whether it chooses its steps itself, and not by the limits of the scene."""
+        """Whether it chooses its own steps, regardless of the limits of the scene."""
         return not self.substeps
 
     @property
     def ends_with_forces(self) -> bool:
-        """Whether a kick uses the forces at the end of a step: its own last one, or the first of the next step."""
+        """Whether a kick uses the forces at the end of a step: the last kick, or the first of the next step."""
         return self.controls_error or self.substeps[-1].after != 0.0 or self.substeps[0].before != 0.0
 
     @property
     def holds_contacts(self) -> bool:
-        """Whether contacts may rest: holding them needs the forces at the end of the step."""
+        """Whether contacts may rest, which requires the forces at the end of the step."""
         return self.ends_with_forces and not self.controls_error
 
     @property
@@ -74,12 +74,12 @@ class Integrator:
 
     @property
     def locates_impacts(self) -> bool:
-        """Whether impacts can be resolved at their own times: within the one drift, or where a step is made to end."""
+        """Whether impacts can be resolved at their own times: within the only drift, or by ending the step there."""
         return self.drifts_once or self.ends_steps_at_impacts
 
     @property
     def damps(self) -> bool:
-        """Whether drag is supported: it needs one drift between two equal kicks (docs/physics.md, 6)."""
+        """Whether drag is supported, which requires one drift between two equal kicks (docs/physics.md, 6)."""
         return self.drifts_once and self.substeps[0].before == self.substeps[0].after
 
     @property
@@ -89,7 +89,7 @@ class Integrator:
 
     @property
     def force_sums(self) -> int:
-        """How many times forces are summed in a step: at least, where iterations follow the error."""
+        """Number of force sums in a step; a lower bound for iterations that depend on the error."""
         if self.controls_error:
             return 1 if self.hierarchical else RADAU_NODES
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1

@@ -1,7 +1,7 @@
 """Places of keys in the text of a scene, for messages, and the limit on their nesting.
 
-No TOML library that we know keeps the line of a key, so this module reads the text again, line by line. Where a key is
-written in a form that is not followed, such as a multi-line inline table, the line of its section is returned.
+No known TOML library keeps the line of a key, so this module reads the text again, line by line. For keys in other
+forms, such as multi-line inline tables, it returns the line of their section.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _KEY = re.compile(r"""^\s*((?:[\w-]+|"[^"]*"|'[^']*')(?:\s*\.\s*(?:[\w-]+|"[^"]*
 
 
 def lines_of(text: str) -> dict[KeyPath, int]:
-    """Return the 1-based line on which each key and each section is written first."""
+    """Return the 1-based line of the first occurrence of each key and each section."""
     lines: dict[KeyPath, int] = {}
     section: KeyPath = ()
     seen: Counter[KeyPath] = Counter()
@@ -48,7 +48,7 @@ def lines_of(text: str) -> dict[KeyPath, int]:
 
 
 def _indexed(keys: Iterable[str | int], seen: Counter[KeyPath]) -> KeyPath:
-    """Put the index of the latest section after each key that stands for several, such as ``[[group]]``."""
+    """Insert the index of the latest section after each key of a list of sections, such as ``[[group]]``."""
     path: KeyPath = ()
     for key in keys:
         path = (*path, key)
@@ -62,7 +62,7 @@ def _split(dotted: str) -> KeyPath:
 
 
 class KeyPlaces:
-    """The place where each key was written: a line of a file, or an override."""
+    """The place of each key: a line of a file, or an override."""
 
     def __init__(self, file: str, text: str, overrides: dict[KeyPath, str]) -> None:
         self.file = file
@@ -70,7 +70,7 @@ class KeyPlaces:
         self.overrides = overrides
 
     def __eq__(self, other: object) -> bool:
-        """Scenes are equal wherever they were written."""
+        """Compare equal to any other `KeyPlaces`: places do not affect the equality of scenes."""
         return isinstance(other, KeyPlaces)
 
     __hash__ = None  # type: ignore[assignment]
@@ -80,12 +80,12 @@ class KeyPlaces:
         return lines_of(self.text)
 
     def of(self, path: KeyPath) -> str:
-        """Return the place of a key as a message begins with it; empty if it is not known."""
+        """Return the place of a key as the beginning of a message; empty if it is unknown."""
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
                 return f"the override {text}: "
         line = next((self._lines[path[:n]] for n in range(len(path), 0, -1) if path[:n] in self._lines), None)
-        if not line:  # a section that an override makes
+        if not line:  # a section created by an override
             for overridden, text in self.overrides.items():
                 if path and overridden[: len(path)] == path:
                     return f"the override {text}: "
@@ -96,7 +96,7 @@ class KeyPlaces:
 
 @contextmanager
 def naming_places(scene: Scene) -> Iterator[None]:
-    """Put the place of the key of a `SceneError` before its message, where the scene was read from a text."""
+    """Prefix the message of a `SceneError` with the place of its key, if the scene was read from a text."""
     try:
         yield
     except SceneError as error:

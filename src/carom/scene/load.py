@@ -44,9 +44,9 @@ from carom.scene.units.system import UnitSystem
 
 _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
-_COMMENTED = 200_000  # characters; overrides keep the comments of shorter texts, which takes a second
+_COMMENTED = 200_000  # characters; overrides keep the comments of texts up to this length, which takes a second
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may have a million
+_MOST_DETAILS = 1000  # examined mistakes; a hostile text may have a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -63,7 +63,7 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
     Raises
     ------
     SceneError
-        Naming file, line and key.
+        With file, line and key.
     """
     path = scene_path(source)
     text = read_text(path)
@@ -97,12 +97,12 @@ def scene_from_text(
     overrides
         As for `load_scene`.
     bodies
-        Where the bodies of [[bodies]] are; by default in files of the current folder.
+        Source of the bodies of [[bodies]]; by default files of the current folder.
 
     Raises
     ------
     SceneError
-        Naming the source, the line and the key.
+        With the source, the line and the key.
     """
     if len(text) > LARGEST_FILE:
         raise SceneError(f"{source}: {len(text)} characters are too many for a scene; at most {LARGEST_FILE}")
@@ -136,7 +136,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
         raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # not only TOMLDecodeError: Python refuses whole numbers of thousands of digits
+    except ValueError as error:  # a ValueError, not only TOMLDecodeError: Python refuses numbers of thousands of digits
         digits = re.search(r"\d{4301}", text) if "digits" in str(error) else None
         if digits:
             line = text.count("\n", 0, digits.start()) + 1
@@ -155,7 +155,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
 
 
 def _meant(error: str) -> str:
-    """Return what was probably meant, by the message of the parser; begins with a semicolon."""
+    """Return a suggestion for a message of the parser; it begins with a semicolon."""
     twice = re.match(r"Cannot declare \('(\w+)',\) twice", error)
     if twice and members_of_list(Scene.model_fields[twice[1]].annotation if twice[1] in Scene.model_fields else None):
         return f"; write each of several sections as [[{twice[1]}]]"
@@ -183,7 +183,7 @@ def scene_from_dict(data: dict[str, Any], bodies: BodySource | None = None) -> S
 
 
 def _without_arrays(value: Any) -> Any:
-    """Return a value with lists and numbers in place of NumPy's arrays and numbers."""
+    """Convert NumPy's arrays and numbers in a value to lists and numbers."""
     if isinstance(value, dict):
         return {key: _without_arrays(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
@@ -227,9 +227,9 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene with a line for each mistake; only the lines that are shown are composed.
+    """Refuse a scene with a line for each mistake; only displayed lines are composed.
 
-    ``more`` is the number of mistakes without a message.
+    ``more`` is the number of mistakes without a line.
     """
     if messages:
         more += len(messages) - MOST_MESSAGES
@@ -306,13 +306,13 @@ def _scene(
     name: str | ArrayLike | None,
     made_of: str | None,
 ) -> Scene:
-    """Build a scene of other sections, bodies that are kept, and bodies in arrays."""
-    units = unit_system(data.get("units"), [])  # mistakes in it are reported when the scene is validated
+    """Build a scene from sections, kept bodies, and bodies in arrays."""
+    units = unit_system(data.get("units"), [])  # validation of the scene reports mistakes in it
     numbers, _, _ = converted({key: data[key] for key in ("units", "material") if key in data})
     material: Material | None
     try:
         material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
-    except (KeyError, TypeError, ValueError):  # so are mistakes in materials
+    except (KeyError, TypeError, ValueError):  # validation also reports mistakes in materials
         material = None
     columns = columns_of_arrays(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}

@@ -1,7 +1,7 @@
 """Masses, materials, and the coefficients of contacts.
 
-A contact of two materials has the coefficients of their [[pair]]; those that the pair does not give follow from both
-materials, see `carom.scene.schema.contact.combined`. What a [[plane]] gives itself holds for all contacts with it.
+A contact of two materials has the coefficients of their [[pair]]; missing coefficients follow from both materials, see
+`carom.scene.schema.contact.combined`. Coefficients of a [[plane]] apply to all contacts with it.
 """
 
 from __future__ import annotations
@@ -81,17 +81,17 @@ class BodyMaterials:
 class PairCoefficients:
     """Coefficients of the contacts between n bodies, of a materials, and with p planes and walls.
 
-    Where bodies have one material, the rows are that between bodies, and that of each plane. Otherwise there are a + p
-    rows for each material: with each material, and with each plane. The contact of body i with body j > i, or with the
-    plane j - n, has the row ``places[i, 0] + places[j, 1]``.
+    If all bodies have one material, there is a row for contacts between bodies, and one for each plane. Otherwise each
+    material has a + p rows: one with each material, and one with each plane. The contact of body i with body j > i, or
+    with the plane j - n, has the row ``places[i, 0] + places[j, 1]``.
     """
 
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
     bodies: int  # n
     places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # (n + p, 2); else no rows
     law: str = DEFAULT_LAW
-    names: tuple[str, ...] = ()  # of the coefficients that the law has besides
-    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (as many, k), their values
+    names: tuple[str, ...] = ()  # of further coefficients of the law
+    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) values of these
 
     def of(self, i: int, j: int) -> Coefficients:
         """Return the coefficients of the contact of body i with body j > i, or with plane j - n."""
@@ -107,7 +107,7 @@ class KindOfContact:
     coefficients: Coefficients
 
     def other(self, name: str) -> str:
-        """Return what touches a material."""
+        """Return the other material or plane."""
         one, other = self.between
         return other if one == name else one
 
@@ -143,7 +143,7 @@ def pair_coefficients(scene: Scene) -> PairCoefficients:
 
 
 def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
-    """List the kinds of contacts that the materials and planes of a scene make possible, each once."""
+    """List the possible kinds of contacts between the materials and planes of a scene."""
     names, own = _names(scene), len(Coefficients._fields)
     table = _table(scene, names)
     planes = [_called(plane.name or f"plane {index}", plane.material) for index, plane in enumerate(scene.plane)]
@@ -188,7 +188,7 @@ def _called(name: str, material: str | None) -> str:
 
 
 def _given(scene: Scene) -> list[tuple[str, int]]:
-    """Return the material of the bodies in their order, each with how many have it."""
+    """Return the materials in the order of the bodies, each with the number of its bodies."""
     members: Iterable[tuple[Matter, int]] = [
         *((body, 1) for body in scene.body),
         *((section, len(columns)) for section, columns in zip(scene.bodies, scene.data, strict=True)),
@@ -203,9 +203,10 @@ def _names(scene: Scene) -> list[str]:
 
 
 def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
-    """Return the coefficients that the contact law has besides, of a contact of two materials.
+    """Return the further coefficients of the contact law for two materials.
 
-    ``plane`` may have some of its own. What a section of a material, a pair or a plane leaves out is as without it.
+    ``plane`` may have its own. A coefficient missing from a section of a material, a pair or a plane has the value
+    without that section.
     """
     law, default = law_of(scene), scene.contact.law_section
     if default is None:

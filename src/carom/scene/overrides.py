@@ -1,4 +1,4 @@
-"""Overrides of a scene's keys, as ``--set key=value`` gives them, and keys that have a new name."""
+"""Overrides of a scene's keys, as in ``--set key=value``, and renamed keys."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class OldNameWarning(FutureWarning):
 
 
 def other_name(path: KeyPath) -> KeyPath | None:
-    """Return the other name of a renamed key, old for new and new for old; None for any other key."""
+    """Return the new name of an old key, or the old name of a new key; None for any other key."""
     return RENAMED.get(path) or next((old for old, new in RENAMED.items() if new == path), None)
 
 
 def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
-    """Find the old names among the keys of a scene."""
+    """Return the old names among the keys of a scene."""
     for old in RENAMED:
         node: Any = scene
         for key in old:
@@ -38,11 +38,11 @@ def old_names(scene: Mapping[str, Any]) -> Iterator[KeyPath]:
 
 
 def advice(old: KeyPath) -> str:
-    """Name the new name of an old one."""
+    """Return the advice to use the new name."""
     return f"{'.'.join(map(str, old))} is now called {'.'.join(map(str, RENAMED[old]))}; the old name still works"
 
 
-TEXTS = ("title", "description", "name")  # keys that may be empty; no value for another key removes it
+TEXTS = ("title", "description", "name")  # keys that may be empty; for other keys, an empty value removes the key
 _INDEX = re.compile(r"[0-9]{1,9}")
 
 
@@ -86,14 +86,14 @@ def key_path(override: str) -> KeyPath:
 
 
 def forget_digest(document: Any, path: KeyPath) -> None:
-    """Remove what is known of the former file, if an override names another file of bodies."""
+    """Remove the digest and count of the former file, if an override names another file of bodies."""
     if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot"):
         for key in ("count", *(("sha256",) if path[2] == "file" else ())):
             document["bodies"][path[1]].pop(key, None)
 
 
 def keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
-    """Store the duration that the promises about the end refer to, if an override changes the duration."""
+    """Store the original duration, to which promises about the end refer, if an override changes the duration."""
     expect, duration = before.get("expect"), _duration(before)
     if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
         return

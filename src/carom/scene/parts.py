@@ -50,5 +50,5 @@ def in_order(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def unknown(name: str) -> str:
-    """Return the message that there is no part of that name, and suggest the nearest."""
+    """Return the message about an unknown part, with the nearest known name."""
     return f'no part "{name}"; {suggestion(name, PARTS)}'

@@ -10,7 +10,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 
-NEWTON_STEPS = 6  # from a third of an octave to the last bit
+NEWTON_STEPS = 6  # from an error of a third of an octave to the last bit
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, from fdlibm
 # fdlibm's minimax polynomials (Sun Microsystems, 1993): ln(1 + f) in s² = (f / (2 + f))², and eˣ in x²
 LOG = (

@@ -1,4 +1,4 @@
-"""Files of scenes: bundled ones, the path that a name stands for, and the text in a file or a pipe."""
+"""Files of scenes: bundled scenes, the path for a name, and the text of a file or a pipe."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def crosscheck_scenes() -> dict[str, Path]:
 
 
 def bundled_folders() -> dict[str, list[str]]:
-    """Return the names of the bundled scenes in each folder, by its name."""
+    """Return the names of the bundled scenes by folder."""
     return {EXTREMES: list(extreme_scenes()), CROSSCHECK: list(crosscheck_scenes())}
 
 
@@ -47,7 +47,7 @@ def _folder() -> Path:
 
 
 def data_files(scene: Path) -> list[Path]:
-    """Return the data files of a bundled scene, which are beside it."""
+    """Return the data files beside a bundled scene."""
     sections = tomllib.loads(scene.read_text(encoding="utf-8")).get("bodies", [])
     return [scene.with_name(section["file"]) for section in sections]
 
@@ -91,7 +91,7 @@ def _existing_path(source: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Read a scene's file, or a pipe; refuse a recording, a device and what is too long."""
+    """Read a scene's file or a pipe; refuse a recording, a device and a text that is too long."""
     try:
         text = _read_bytes(path)
     except OSError as error:
@@ -108,7 +108,7 @@ def read_text(path: Path) -> str:
 
 def _read_bytes(path: Path) -> bytes:
     """Read a regular file or a pipe once, up to `LARGEST_FILE` bytes."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe that nothing writes would block
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe without a writer would block
     with os.fdopen(descriptor, "rb", buffering=0) as file:
         kind = os.fstat(descriptor)
         is_pipe = stat.S_ISFIFO(kind.st_mode) or stat.S_ISSOCK(kind.st_mode)
@@ -118,7 +118,7 @@ def _read_bytes(path: Path) -> bytes:
             raise SceneError(f"{path}: {kind.st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
         text, begun = bytearray(), time.monotonic()
         while True:
-            piece = file.read(_PIECE)  # None: there is a writer, and it has written nothing yet
+            piece = file.read(_PIECE)  # None: the writer has written nothing yet
             if piece:
                 text += piece
                 begun = time.monotonic()

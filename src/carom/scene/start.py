@@ -14,7 +14,7 @@ from carom.scene.wording import joined
 
 @dataclass(frozen=True)
 class InitialBodies:
-    """The bodies at time 0, explicit ones first, then those from data, then the groups, in order; SI units."""
+    """The bodies at time 0 in SI units: explicit bodies first, then those from data, then the groups."""
 
     name: Sequence[str]
     group: IntArray  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]]
@@ -68,7 +68,7 @@ class HalfSpaces:
         return len(self.offset)
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
-        """Return how deep spheres reach into each half-space, (n, p) m; negative if they do not."""
+        """Return the depth of spheres in each half-space, (n, p) m; negative outside."""
         return np.asarray(radius[:, None] - ((position[:, None] * self.normal).sum(axis=2) - self.offset))
 
 

@@ -1,4 +1,4 @@
-"""TOML text of a scene: documents and values written, and single values read."""
+"""TOML text of a scene: writes documents and values, and reads single values."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # as people write it, and TOML does not
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # a number as people write it, but invalid in TOML
 
 
 def parse_value(text: str) -> Any:

@@ -30,13 +30,13 @@ def values_of(text: str) -> Values:
     Parameters
     ----------
     text
-        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included,
-        and may have a unit: ``1 km:5 km:5``.
+        ``a,b,c``; ``first:last:count``, evenly spaced; or ``first:last:countlog``, in equal ratios. Ends are included
+        and may have units: ``1 km:5 km:5``.
 
     Raises
     ------
     ValueError
-        Saying what would be right.
+        With the valid forms.
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
@@ -49,7 +49,7 @@ def texts_of(text: str) -> list[str]:
     Raises
     ------
     ValueError
-        Saying what would be right.
+        With the valid forms.
     """
     if matched := _RANGE.fullmatch(text):
         return [value if isinstance(value, str) else repr(value) for value in _range(text, *matched.groups())]

@@ -27,19 +27,19 @@ from carom.scene.data.formats import (
 )
 from carom.scene.data.mapping import printable
 
-_STREAM_IN_FILE = 8  # bytes, after which an Arrow file goes on as a stream
+_STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open a file of comma-separated values, or with tabs if it is called .tsv; the first line names the columns."""
+    """Open a file of values separated by commas, or by tabs if it is called .tsv; the first line names the columns."""
     refuse_large(called, "file", path.stat().st_size)
     parse = pyarrow.csv.ParseOptions(delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
     with pyarrow.csv.open_csv(path, parse_options=parse) as reader:
         names = reader.schema.names
 
     def read(wanted: list[str], texts: Sequence[str]) -> pa.Table:
-        kinds = dict.fromkeys(texts, pa.binary())  # or 007 would be a number, and null nothing
+        kinds = dict.fromkeys(texts, pa.binary())  # otherwise 007 would be a number, and null a missing value
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         table = pyarrow.csv.read_csv(path, parse_options=parse, convert_options=convert)
         refuse_many_rows(called, table.num_rows)
@@ -51,7 +51,7 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return 5 for 5.0 in a column of whole numbers, as pandas writes them where one is missing."""
+    """Return 5 for 5.0 in a column of whole numbers; pandas writes these as floats if one is missing."""
     whole = pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")
     return pc.replace_substring_regex(column, r"\.0$", "") if pc.all(whole).as_py() else column
 
@@ -69,7 +69,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
-    """Return the bytes of columns in memory that the metadata of a Parquet file state."""
+    """Return the uncompressed bytes of columns, from the metadata of a Parquet file."""
     total = 0
     for group in range(metadata.num_row_groups):
         for k in range(metadata.num_columns):
@@ -84,7 +84,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
     with pa.memory_map(str(path)) as source:
         file = source.read(6) == b"ARROW1"
         _refuse_claims(source, _STREAM_IN_FILE if file else 0, called, path.stat().st_size)
-        source.seek(_STREAM_IN_FILE if file else 0)  # a footer could name other batches than those
+        source.seek(_STREAM_IN_FILE if file else 0)  # a footer could refer to other batches
         reader = pyarrow.ipc.open_stream(source)
         batches, rows = list[pa.RecordBatch](), 0
         for batch in reader:
@@ -105,7 +105,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) -> None:
-    """Refuse batches whose buffers would become far larger than the file, before any is unpacked."""
+    """Refuse batches whose buffers would become far larger than the file, before decompression."""
     source.seek(begin)
     messages, claimed = pyarrow.ipc.MessageReader.open_stream(source), 0
     for message in messages:
@@ -116,7 +116,7 @@ def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) 
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
-    """Return whether each value takes memory of its own: a few bytes may stand for any number of nulls or runs."""
+    """Return whether each value takes its own memory, since a few bytes may stand for any number of nulls or runs."""
     if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
         return False
     if pa.types.is_dictionary(kind):

@@ -62,12 +62,12 @@ class BodyColumns:
 
     @cached_property
     def massless(self) -> int:
-        """How many have no mass."""
+        """Number of bodies without a mass."""
         return int(np.count_nonzero(self.mass == 0.0))
 
     @cached_property
     def total_mass(self) -> float:
-        """The mass of all in kg."""
+        """The total mass in kg."""
         return math.fsum(self.mass.tolist())
 
     @cached_property
@@ -88,7 +88,7 @@ class BodyColumns:
 
     @cached_property
     def sha256(self) -> str:
-        """A digest of the arrays, for bodies that come from no file."""
+        """A digest of the arrays, for bodies without a file."""
         digest = hashlib.sha256()
         for field in fields(self):
             values = getattr(self, field.name)
@@ -100,7 +100,7 @@ class BodyColumns:
 
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
-_DIMENSIONS = {  # whose product a quantity has
+_DIMENSIONS = {  # dimensions whose product each quantity has
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
     "angular_velocity": (ANGULAR_VELOCITY,),
@@ -120,12 +120,12 @@ def read_columns(
     Returns
     -------
     columns, notes
-        The bodies, and sentences on what of the table was not used.
+        The bodies, and sentences about unused columns of the table.
 
     Raises
     ------
     SceneError
-        Naming the table, the column and the row.
+        With the table, the column and the row.
     """
     if material is not None:
         section = with_material(section, material, table.names)
@@ -220,7 +220,7 @@ class _Reader:
         return self._numbers(quantity, columns[0])
 
     def flags(self) -> BoolArray:
-        """Return (n,) whether a body is fixed."""
+        """Return a mask (n,) of the fixed bodies."""
         columns = self._mapping.get("fixed")
         if columns is None:
             return np.full(self._rows, bool(self._section.fixed))
@@ -266,7 +266,7 @@ class _Reader:
 
 
 def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapping) -> None:
-    """Refuse a table whose numbers are in other units than the scene's."""
+    """Refuse a table whose units differ from those of the scene."""
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)

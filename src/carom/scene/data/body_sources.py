@@ -28,13 +28,13 @@ _SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer d
 
 
 class SourcedBodies(NamedTuple):
-    """Bodies, and the digest of what they were read from."""
+    """Bodies, and the digest of their source."""
 
     columns: BodyColumns
     sha256: str
-    material: Material | None = None  # that gave them a density, if that is known
-    notes: tuple[str, ...] = ()  # sentences on what of the source is not used, or read in another way
-    law: MotionLaw | None = None  # that moved them in their source, if that is known
+    material: Material | None = None  # material that defined their density, if known
+    notes: tuple[str, ...] = ()  # sentences about unused or reinterpreted parts of the source
+    law: MotionLaw | None = None  # law of motion in their source, if known
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class BodySource(Protocol):
     """Finds the bodies of each [[bodies]] of a scene."""
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies of a section; SceneError if they are not available."""
+        """Return the bodies of a section; raises SceneError if they are not available."""
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,14 @@ class DataFiles:
     folder: Path
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Read a file, if it is the one whose digest the scene has."""
+        """Read a file, and check its digest if the scene has one."""
         section = wanted.section
         if section.file is None:
             arrays = "; the scene was made of arrays in Python" if section.sha256 else ""
             raise SceneError(f"file is missing: the name of the data file{arrays}")
         path = self.folder / section.file
         try:
-            # refuse what would have no end, or block, and files that nobody means: they are read several times
+            # refuse endless and blocking files, and oversized ones, because files are read several times
             status = path.stat()
             if stat.S_ISDIR(status.st_mode):
                 raise SceneError(f"{section.file}: a folder, not a data file")
@@ -95,7 +95,7 @@ class DataFiles:
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
-    """Return the names of data files in the folders whose digests differ from those in the scene."""
+    """Return the names of data files in the folders whose digests differ from the scene's."""
     changed = list[str]()
     for section in sections:
         path = next(
@@ -114,18 +114,18 @@ def _digest(path: Path) -> str:
 
 @dataclass(frozen=True)
 class HeldBodies:
-    """Bodies that are in memory, of a scene from files, arrays or a recording.
+    """Bodies in memory, of a scene from files, arrays or a recording.
 
     Parameters
     ----------
     sections
-        The [[bodies]] that they were read for.
+        The [[bodies]] sections of these bodies.
     bodies
         The bodies of each.
     units
-        The units that the scene's numbers had.
+        The units of the scene's numbers.
     files
-        The files that they were read from, for sections that are changed; None if they came from no file.
+        The files of the bodies, for changed sections; None without files.
     """
 
     sections: tuple[BodyData, ...]
@@ -158,8 +158,8 @@ def take_over_laws(
     Returns
     -------
     taken, refuted
-        Plain numbers for those keys of [gravity] that the scene leaves out and a file has. By the index of a
-        [[bodies]], how the scene or another file contradicts its file.
+        Plain numbers for keys of [gravity] that a file has and the scene leaves out. By the index of a [[bodies]], how
+        the scene or another file contradicts its file.
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()

@@ -1,4 +1,4 @@
-"""Formats of data files: what a table of any format offers, its limits, and the formats by the endings of names."""
+"""Formats of data files: the interface of tables, their limits, and the formats by the suffixes of names."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from carom.scene.wording import suggestion
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
 MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
 
-ROOMY = 200_000_000  # bytes that any file may unpack to: 3 million bodies that are all alike
-NUMBER = 8  # bytes, as which every number is kept
-MOST_TIMES = 100  # larger than in its file: positions that differ are hardly compressed
+ROOMY = 200_000_000  # bytes to which any file may decompress: 3 million identical bodies
+NUMBER = 8  # bytes of every number in memory
+MOST_TIMES = 100  # largest ratio to the size of the file: distinct positions hardly compress
 
-STEP, BODY = "step", "body"  # columns of what `carom export` writes; with both, a file may hold several steps
+STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
 
 _EXACT = 2**53  # whole numbers below it are floats without rounding
 
@@ -35,14 +35,14 @@ class MotionLaw(NamedTuple):
 
     constant: float  # gravitational; 0 without gravity
     softening: float
-    periodic: bool  # whether its box is
+    periodic: bool  # whether its box is periodic
     collides: bool
 
 
 class DataTable:
     """The columns of a file; only requested columns are read."""
 
-    called: str  # what messages call it
+    called: str  # its name in messages
     names: Sequence[str]  # of its columns
     units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if not known
     law: MotionLaw | None = None  # None if not known
@@ -54,10 +54,10 @@ class DataTable:
 
 
 class DataFormat(NamedTuple):
-    """A format of data files; its name in `carom.registry` is the ending of its files."""
+    """A format of data files; its name in `carom.registry` is the suffix of its files."""
 
-    called: str  # what messages call such a file: "an Arrow file"
-    open: Callable[[Path, str, int], DataTable]  # of a file, its name in messages, and which step of a file of several
+    called: str  # name of such a file in messages: "an Arrow file"
+    open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the step among several
 
 
 class Arrays(DataTable):
@@ -86,7 +86,7 @@ def refuse_large(called: str, column: str, size: int) -> None:
 
 
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:
-    """Refuse a file whose columns would take far more memory than they take in it, before they are read."""
+    """Refuse a file whose columns would take far more memory than the file, before they are read."""
     if claimed > max(ROOMY, MOST_TIMES * stored):
         raise SceneError(f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a bomb")
 
@@ -97,7 +97,7 @@ def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
     Raises
     ------
     SceneError
-        Naming the first row that is not a number.
+        With the first row that is not a number.
     """
     if raw.dtype.kind in "fiu":
         return raw.astype(np.float64)
@@ -133,9 +133,9 @@ def texts_of(raw: Raw) -> list[str]:
 
 
 def _text(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks what is missing
+    if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks missing values
         return ""
-    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:  # 5, as pandas stores it beside a gap
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:  # pandas' form of 5 beside a gap
         return str(int(value))
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
@@ -153,11 +153,11 @@ def open_table(path: Path, called: str, snapshot: int) -> DataTable:
     Parameters
     ----------
     path
-        The file; its ending names the format.
+        The file; its suffix names the format.
     called
         Its name in messages.
     snapshot
-        Which step, of a file of several.
+        Index of the step in a file with several.
 
     Raises
     ------
@@ -190,7 +190,7 @@ class _Guarded(DataTable):
 
 @contextlib.contextmanager
 def _reading(called: str, form: DataFormat) -> Iterator[None]:
-    """Turn whatever a library raises on a damaged file into one sentence."""
+    """Convert any exception of a library about a damaged file to one sentence."""
     try:
         yield
     except SceneError:

@@ -1,4 +1,4 @@
-"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or whole paths."""
+"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or full paths."""
 
 from __future__ import annotations
 

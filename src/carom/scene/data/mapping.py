@@ -1,4 +1,4 @@
-"""The columns of a table for each quantity: as the scene names them, or by their usual names."""
+"""The columns of a table for each quantity: named by the scene, or with usual names."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z in place of the st
     "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
     "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
 }
-_RIVALS = (("mass", "density"), ("radius", "diameter"))  # one gives the other
+_RIVALS = (("mass", "density"), ("radius", "diameter"))  # each determines the other
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
 _LONGEST_NAME = 40  # characters
 
 _COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
-_ELSEWHERE = {  # why columns that describe a sphere are not used
+_ELSEWHERE = {  # reasons why some columns about spheres are not used
     **dict.fromkeys(("mu", "friction", "friction_coefficient", "mu_s", "mu_k", "mus", "muk"), _COEFFICIENTS),
     **dict.fromkeys(("restitution", "cor", "coefficient_of_restitution"), _COEFFICIENTS),
     **dict.fromkeys((f"quat{axis}" for axis in "wxyzijk"), "a sphere starts without a rotation"),
@@ -53,7 +53,7 @@ ColumnMapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
 
 
 def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMapping:
-    """Find the columns of each quantity that the scene gives no value for.
+    """Return the columns of each quantity without a value in the scene.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                 )
             if candidates:
                 mapping[quantity] = candidates[0]
-            elif quantity != "position":  # which is refused as missing
+            elif quantity != "position":  # whose absence is an error
                 _refuse_part(quantity, names, called)
     for first, second in _RIVALS:
         _refuse_rivals(section, mapping, first, second, called)
@@ -86,7 +86,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
 
 
 def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
-    """Return a section with what its material gives and neither the section nor a column does."""
+    """Return a section completed by its material, where neither the section nor a column has a value."""
 
     def is_known(*quantities: str) -> bool:
         return any(
@@ -103,10 +103,10 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
 
 
 def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[str]) -> str:
-    """List the columns that hold nothing of the bodies, with the reason where it is known; empty if there are none."""
+    """List the columns that are not used for bodies, with known reasons; empty if there are none."""
     used = {column for columns in mapping.values() for column in columns}
     if STEP in names and BODY in names:
-        used |= {STEP, BODY}  # which select the rows
+        used |= {STEP, BODY}  # these select the rows
     given = {quantity for quantity in QUANTITIES if _is_given(section, quantity)}
     usual = {name: quantity for quantity in given for columns in _usual(quantity, names) for name in columns}
     unused = [name for name in names if name not in used]
@@ -121,7 +121,7 @@ def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[st
 
 
 def printable(name: str) -> str:
-    """Return a name of a file as one line of text that is not too long."""
+    """Return a name from a file as one short line of text."""
     return "".join(char if char.isprintable() else "�" for char in name[:_LONGEST_NAME])
 
 
@@ -137,7 +137,7 @@ def _is_given(section: BodyData, quantity: str) -> bool:
 
 
 def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str:
-    """Find a column by the name that the scene gives it."""
+    """Return the column that the scene names."""
     exact = [name for name in names if name == column] or [name for name in names if _plain(name) == _plain(column)]
     if not exact:
         known = suggestion(column, names) if len(names) <= _MOST_SHOWN else _listed(names)
@@ -148,7 +148,7 @@ def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str
 
 
 def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the usual columns of a quantity; no inertia, if it is that of a radius or mass that the scene replaces."""
+    """Return the usual columns of a quantity; none for the inertia if the scene replaces the radius or the mass."""
     columns = _usual(quantity, names)
     if quantity != "inertia" or not columns:
         return columns
@@ -172,7 +172,7 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
-    """Refuse a vector of which a table has one or two of the usual columns."""
+    """Refuse a vector for which a table has only one or two of the usual columns."""
     plain = {_plain(name) for name in names}
     for pattern in USUAL_AXES.get(quantity, ()):
         axes = [pattern.replace("*", axis) for axis in "xyz"]
@@ -190,7 +190,7 @@ def _plain(name: str) -> str:
 
 
 def _refuse_rivals(section: BodyData, mapping: ColumnMapping, first: str, second: str, called: str) -> None:
-    """Refuse two quantities of which one follows from the other; what the scene names is preferred."""
+    """Refuse two quantities that determine each other; a quantity named by the scene takes precedence."""
     if first in mapping and second in mapping:
         asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
         if len(asked) != 1:

@@ -1,4 +1,4 @@
-"""Simulationarchives of REBOUND, by rebound itself, with the law that moves their particles."""
+"""Simulationarchives of REBOUND, read by rebound, with the law of motion of their particles."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from carom.scene.data.mapping import printable
 from carom.scene.units.system import units_of_rebound
 from carom.scene.wording import counted
 
-_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # ways to sum one law
-_DAMAGED = "corrupted"  # in the warning about an archive that ends early
-_KNOWN = ("test particle (type 0) has finite mass", "might not be synchronized")  # warnings about what is done here
+_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same law
+_DAMAGED = "corrupted"  # word in the warning about a truncated archive
+_KNOWN = (
+    "test particle (type 0) has finite mass",
+    "might not be synchronized",
+)  # warnings about handled cases
 
 
 def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
@@ -34,7 +37,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         if not -count <= snapshot < count:
             raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
         simulation = archive[snapshot % count]
-        simulation.synchronize()  # maps leave positions and velocities of different times in between
+        simulation.synchronize()  # between outputs, maps hold positions and velocities of different times
     texts = list(dict.fromkeys(str(warning.message) for warning in given))
     notes = [
         f"REBOUND warns: {text.splitlines()[0]}" for text in texts if not any(k in text for k in (_DAMAGED, *_KNOWN))
@@ -53,7 +56,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
     refuse_many_rows(called, simulation.N)
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
-    particles = len(simulation.particles)  # without variational ones, which N counts before version 5
+    particles = len(simulation.particles)  # without variational particles, which N includes before version 5
     table = Arrays(_arrays(simulation, particles, called, notes), called)
     table.units = units_of_rebound(simulation.units)
     table.law = MotionLaw(
@@ -67,7 +70,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
-    """Return the particles; a radius or mass that REBOUND has as 0 throughout is left out."""
+    """Return the particles, without radii or masses that are all 0."""
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
@@ -81,7 +84,7 @@ def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str,
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
-    """Return the masses that attract: test particles of REBOUND may have one, which does nothing."""
+    """Return the attracting masses: those of REBOUND's test particles have no effect."""
     n, active = len(mass), int(simulation.N_active)
     light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest whole number
     if not light.any():

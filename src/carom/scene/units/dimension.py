@@ -18,10 +18,10 @@ class Dimension:
     """A dimension, such as that of an energy."""
 
     name: str
-    unit: str  # of SI, as it is printed and as a text may have it
+    unit: str  # SI unit, as it is printed and accepted in texts
     exponents: Exponents
     example: str  # a quantity, as a person writes it
-    plain: str = ""  # the key of [units] that names its unit; empty for a unit that follows from the others
+    plain: str = ""  # the key of [units] for its unit; empty for a derived unit
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         """Describe a quantity in the JSON schema: a text with a unit may stand in place of each number."""

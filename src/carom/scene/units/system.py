@@ -1,4 +1,4 @@
-"""The units of a scene: of its plain numbers, of the simulation, and of the numbers that carom prints."""
+"""The units of a scene: for its plain numbers, for the simulation, and for printed numbers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from functools import cached_property
 from carom.scene.units.dimension import BASE, LENGTH, MASS, NAMED, OF_UNIT, TIME, Dimension
 from carom.scene.units.unit import UnitError, nearest_float, quantity, unit, unit_of
 
-OWN = (LENGTH, TIME, MASS)  # what ``units = "au, day, solar mass"`` names
-WITHOUT = "dimensionless"  # ``units`` of a scene whose numbers have none
+OWN = (LENGTH, TIME, MASS)  # the dimensions in ``units = "au, day, solar mass"``
+WITHOUT = "dimensionless"  # ``units`` of a scene without units
 
 _IN_PRINT = ("mass", "length", "angle", "time")  # order of the base units in a product
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -21,8 +21,8 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 class UnitSystem:
     """Units by the key of [units] that names them; SI where none is given.
 
-    A scene is simulated and recorded in SI, and plain numbers are converted to it; or, with `own`, in its own units,
-    and plain numbers stay as they are.
+    By default, a scene is simulated and recorded in SI, and plain numbers are converted. With `own`, it is simulated
+    and recorded in its own units, without conversion.
     """
 
     given: Mapping[str, str] = field(default_factory=dict)
@@ -55,17 +55,17 @@ class UnitSystem:
 
     @classmethod
     def of_table(cls, given: Mapping[str, str]) -> UnitSystem:
-        """Read [units], whose units are known to be of the right dimensions."""
+        """Read [units] after their dimensions have been checked."""
         return cls({key: text.strip() for key, text in given.items()})
 
     @classmethod
     def of_properties(cls, properties: Mapping[str, object]) -> UnitSystem:
-        """Read back what `properties` returned; other keys are ignored.
+        """Read the entries of `properties`; other keys are ignored.
 
         Raises
         ------
         UnitError
-            If there is something else.
+            If an entry is no unit.
         """
         if "units" in properties:
             parts = str(properties["units"]).split(", ")
@@ -126,7 +126,7 @@ class UnitSystem:
             return number
         try:
             return nearest_float(Fraction(float.__repr__(float(number))) * self._size(dimension))
-        except (ValueError, OverflowError):  # not finite: for the schema to refuse
+        except (ValueError, OverflowError):  # not finite: the schema refuses it
             return number
 
     def literal(self, number: float, dimension: Dimension) -> str:
@@ -143,11 +143,11 @@ class UnitSystem:
         return nearest_float(self._size(dimension)) if self.converts else 1.0
 
     def agrees(self, other: UnitSystem, dimension: Dimension) -> bool:
-        """Return whether numbers of a dimension are in the same unit in both."""
+        """Return whether both systems have the same unit of a dimension."""
         return self._size(dimension) == other._size(dimension)
 
     def shown(self, number: float, dimension: Dimension) -> float:
-        """Return a number of the simulation in the unit that it is printed in."""
+        """Convert a number of the simulation to its printed unit."""
         factor = self.factor(dimension)
         return number if factor == 1.0 else number / factor
 
@@ -164,7 +164,7 @@ class UnitSystem:
         return f"{self.shown(first, dimension):{form}} to {self.text(last, dimension, form)}"
 
     def unit(self, dimension: Dimension) -> str:
-        """Name the unit that numbers of a dimension are printed in; empty if they have none."""
+        """Return the name of the printed unit of a dimension; empty if it has none."""
         if self.is_si:
             return dimension.unit
         return self._names(dimension)
@@ -229,7 +229,7 @@ def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
 SI = UnitSystem()
 
 
-_NAMES = {  # by REBOUND's, as far as both know them
+_NAMES = {  # carom's names by REBOUND's
     **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
     **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
     **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),
@@ -240,6 +240,6 @@ _NAMES.update({name: name for name, known in _NAMES.items() if not known})
 
 
 def units_of_rebound(units: Mapping[str, str | None]) -> str:
-    """Name the units of a simulation, such as "au, day, M_sun"; empty if it has none, or carom does not know one."""
+    """Return the units of a simulation, such as "au, day, M_sun"; empty if they are missing or unknown."""
     known = [_NAMES.get(units[what] or "", "") for what in ("length", "time", "mass")]
     return ", ".join(known) if all(known) else ""

@@ -1,9 +1,9 @@
 """Units by their names, their sizes in SI, and texts of quantities such as "3 km". The one place that imports pint.
 
-The definitions are carom's own and exact (`definitions.txt`), so a conversion is a product of fractions that is rounded
-once: the same bits with every version of pint, on every machine. pint takes a quarter of a second to import, so it is
-imported when the first unit is read. Prefixes are accepted only where they are in use, since a prefix before any unit
-would make quantities of slips of the key, such as 12 hectohours of "12 hh".
+The definitions are carom's own and exact (`definitions.txt`). A conversion is a product of fractions that is rounded
+once, with the same bits for every version of pint and on every machine. pint takes a quarter of a second to import, so
+it is imported when the first unit is read. Prefixes are accepted only where they are customary: with all prefixes,
+typing errors such as "12 hh" would become valid units (hectohours).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _PREFIX_WORDS = (
 _FEW = ("n", "µ", "μ", "u", "m")
 _MANY = ("k", "M", "G", "T")
 
-# Which prefixes stand before which units. Symbols stand before symbols, and words before words.
+# The prefixes of each unit. Symbols precede symbols, words precede words.
 _TAKEN: dict[str, Iterable[str]] = {
     **dict.fromkeys(("m", "g", "L"), ("c", "d", "h", *_SYMBOLS)),
     **dict.fromkeys(("s", "J", "N", "W", "Hz", "eV"), _SYMBOLS),
@@ -64,7 +64,7 @@ _TAKEN: dict[str, Iterable[str]] = {
     "calorie": ("kilo",),
 }
 _IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no s
-_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # that take one all the same
+_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions, which take an s
 
 
 def written_names(defined: Iterable[str]) -> Iterator[str]:
@@ -82,7 +82,7 @@ DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 _NAME = r"(?:[^\W\d]+|°)"
-_POWER = r"(?:\s*(?:\^|\*\*)\s*|(?<=[^\W\d°)]))[+-]?\d(?!\d)"  # one digit, so that none of these powers takes long
+_POWER = r"(?:\s*(?:\^|\*\*)\s*|(?<=[^\W\d°)]))[+-]?\d(?!\d)"  # one digit, so that no power takes long to compute
 _POWERS = re.compile(rf"({_NAME}|\)){_POWER.replace('[+-]', '([+-]').replace('(?!', ')(?!')}")
 _ONE = rf"{_NAME}(?:{_POWER})?"
 _TIMES = r"(?:\s*[*/·]\s*|\s+)"
@@ -98,11 +98,11 @@ class UnitError(ValueError):
 
 
 class UnknownUnitError(UnitError):
-    """There is no unit of a name."""
+    """A name is no unit."""
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         near = _nearest(name, known)
-        # a name of several words as people write it; symbols, which have capitals, stay as they are
+        # the usual form of a name of several words; symbols, which have capitals, do not change
         hint = f' (did you mean "{near.replace("_", " ") if near.islower() else near}"?)' if near else ""
         super().__init__(f'there is no unit "{name}"{hint}')
         self.name = name
@@ -128,7 +128,7 @@ def unit(text: str) -> Unit:
     Raises
     ------
     UnitError
-        If it is none; the message names the nearest one.
+        If the text is no unit; the message has the nearest one.
     """
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     if not _UNIT.fullmatch(written):
@@ -140,7 +140,7 @@ def unit(text: str) -> Unit:
     try:
         size, base = known.get_root_units(_with_signs(written))
         dimensions = known.get_dimensionality(base)
-    except Exception:  # of a parser that is not ours: a text is data, and must never end with a traceback
+    except Exception:  # from a foreign parser: a user's text must never cause a traceback
         raise UnitError(f'"{text}" is not a unit') from None
     exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
     return Unit(
@@ -154,7 +154,7 @@ def unit_of(text: str, dimension: Dimension) -> Unit:
     Raises
     ------
     UnitError
-        If it is none, or one of another dimension.
+        If the text is no unit, or one of another dimension.
     """
     try:
         known = unit(text)
@@ -203,7 +203,7 @@ def _joined(text: str) -> str:
 
 @cache
 def _written() -> frozenset[str]:
-    """Return the names of all units as a text may have them, with prefixes and in the plural."""
+    """Return all accepted names of units, with prefixes and in the plural."""
     return frozenset(written_names(names()))
 
 
