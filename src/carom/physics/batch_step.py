@@ -19,9 +19,9 @@ from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 
-FREE_DT = 1.0  # s, the first step where no limit applies; the next ones are longer
-FORESEEN = 2.0  # times the last step of the holder: the next one is not longer
-MOST_STRIKES = 100  # at one moment; bodies that still meet there are at rest on each other
+FREE_DT = 1.0  # s, the first step without any limit; later steps are longer
+FORESEEN = 2.0  # bound of the next step over the holder's last one
+MOST_STRIKES = 100  # impacts at one moment; bodies that still meet are at rest on each other
 
 
 class BatchStepper:
@@ -30,14 +30,14 @@ class BatchStepper:
     Parameters
     ----------
     world, books
-        What is advanced, and its books.
+        The world to advance, and its books.
     integrator
         Takes the steps.
     timestep
         Suggests the first one.
     holder
-        Takes over when contacts come to rest; None where nothing can touch. With an accuracy, the integrator goes on
-        once nothing touches any more; otherwise the holder takes the rest of the run.
+        Takes over when contacts come to rest; None where nothing can touch. With an accuracy, the integrator resumes
+        once nothing touches; otherwise the holder finishes the run.
     """
 
     def __init__(
@@ -129,7 +129,7 @@ class BatchStepper:
             if batch.meeting:
                 contact.resolve_meeting(batch.meeting.ends, clock.dt)
             contact.end_batch(clock.dt, world.profile)
-        # an end or an impact cuts one step, and is no limit of the scene
+        # an end or an impact shortens one step, and is no limit of the scene
         clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")
         due, judged = goal.is_reached(clock), goal.is_check(clock)
@@ -170,7 +170,7 @@ class BatchStepper:
         holder.take_over()
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
-        """Let the holder take a step; it has no solution within its steps, so they end at a pause."""
+        """Take a step with the holder; it has no solution within its steps, so they end at a pause."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):
@@ -188,7 +188,7 @@ class BatchStepper:
 
     @property
     def has_solution(self) -> bool:
-        """Whether `between` returns something."""
+        """Whether `between` has a solution."""
         return self._took_last
 
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:

@@ -1,4 +1,4 @@
-"""The complete state of a run at one moment, from which it continues bit for bit."""
+"""The complete state of a run at one moment, from which it continues with the same bits."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ class Checkpoint:
 
     @property
     def fingerprint(self) -> int:
-        """The fingerprint of the state, as the frame of the same step has it."""
+        """The fingerprint of the state, equal to that of the frame."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))

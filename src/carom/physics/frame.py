@@ -21,14 +21,14 @@ from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 
 
 class FrameStore:
-    """A ring buffer for the arrays of many frames, in which those of a batch lie side by side.
+    """A ring buffer for the arrays of many frames, in which the frames of a batch are contiguous.
 
     Reused memory is in the cache and costs no page faults. Allocating the memory of a frame of 1000 bodies took 50 µs.
 
     Parameters
     ----------
     slots
-        Number of frames. A caller that keeps more must be done with the oldest, which are overwritten.
+        Number of frames; beyond it, the oldest are overwritten.
     bodies
         The bodies whose state is copied; their arrays are updated in place.
     until_free
@@ -133,7 +133,7 @@ class Frame:
 
     @property
     def fingerprint(self) -> int:
-        """64 bits of the exact state, computed at each access: on the thread that asks, not on the physics thread."""
+        """64 bits of the exact state, computed at each access by the accessing thread, not by the physics thread."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))
 
     @property

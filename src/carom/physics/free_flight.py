@@ -1,14 +1,13 @@
-"""Many steps of few bodies in one kernel, as long as nothing happens that Python has to see.
+"""Many steps of few bodies in one kernel, as long as no event requires Python.
 
 A step of three bodies takes 80 ns in a kernel, and ten microseconds where Python calls a kernel for each of its
 parts. `KickDriftStepper` therefore hands over the steps up to the next frame or check. They choose dt, kick, drift and
 rotate by the same kernels, so the bits are those of single steps.
 
-Where bodies can touch, a step is taken only if nothing comes near in it: within the rounding, and the distance of a
-fall from rest in a step, up to which `contact.pipeline` looks for contacts. Paths are straight, so two bodies come
-nearer by |v_j - v_i| dt at most. All pairs and planes are looked at again only when the bodies may have moved by half
-the smallest gap. A step in which something may touch is undone and left to `KickDriftStepper`, like one that would not
-move the clock.
+Where bodies can touch, a step is taken only if all gaps stay larger than rounding and the fall from rest in a step,
+within which `contact.pipeline` searches for contacts. Paths are straight, so two bodies come nearer by |v_j - v_i| dt
+at most. All pairs and planes are examined again only after the bodies may have moved by half the smallest gap. A step
+with a possible contact is undone and left to `KickDriftStepper`, as is a step that would not change the clock.
 """
 
 from __future__ import annotations
@@ -58,7 +57,7 @@ PLAN = np.dtype(
 
 
 class _Laws(NamedTuple):
-    """What the steps follow."""
+    """The forces and rules of the steps."""
 
     plan: Records  # (1,) `PLAN`
     substeps: FloatArray  # (s, 3) parts of the step: first kick, drift, last kick
@@ -79,7 +78,7 @@ class _Clock(NamedTuple):
 
 
 class _Moved(NamedTuple):
-    """What the steps change."""
+    """The state that the steps change."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
@@ -89,7 +88,7 @@ class _Moved(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """What the steps leave as it is."""
+    """The constants of the steps."""
 
     radius: FloatArray  # (n,) m
     mass: FloatArray  # (n,) kg
@@ -126,7 +125,7 @@ class FreeFlight:
     Parameters
     ----------
     world
-        What is advanced.
+        The world to advance.
     timestep
         Chooses the steps.
     """
@@ -179,7 +178,7 @@ class FreeFlight:
 def can_fly(world: World) -> bool:
     """Return whether a world has few enough bodies, and forces that a kernel can sum."""
     is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
-    loses_turns = world.is_periodic and world.contact is None  # which a step refuses; contacts are nearer
+    loses_turns = world.is_periodic and world.contact is None  # which a step refuses
     known = world.forces.laws is not None
     return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
 

@@ -1,4 +1,4 @@
-"""How far a run advances: after which steps it yields a frame or judges its errors, and where it ends.
+"""The schedule of a run: the steps with a frame or a check of errors, and the end.
 
 No step depends on a schedule. The last step of a run always has a frame and is always judged.
 """
@@ -30,7 +30,7 @@ class Every:
         return self.interval == 0.0 or _multiples(time, self.interval) > _multiples(before, self.interval)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, nothing is due before."""
+        """Return the step and the time (s) before which nothing is due."""
         if self.interval == 0.0:
             return 1, time
         following = (_multiples(time, self.interval) + 1.0) * self.interval
@@ -49,7 +49,7 @@ class At:
         return place < len(self.steps) and self.steps[place] == step
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, nothing is due before."""
+        """Return the step and the time (s) before which nothing is due."""
         place = bisect_right(self.steps, step)
         return self.steps[place] - step if place < len(self.steps) else math.inf, math.inf
 
@@ -61,11 +61,11 @@ class Pause:
     time: float
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Tell that no frame is due."""
+        """Return False: no frame is due."""
         return False
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, nothing is due before."""
+        """Return the step and the time (s) before which nothing is due."""
         return math.inf, self.time
 
 
@@ -81,7 +81,7 @@ class Checks:
         return step % self.steps == 0 or self.others(step, before, time)
 
     def quiet(self, step: int, time: float) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, nothing is due before."""
+        """Return the step and the time (s) before which nothing is due."""
         steps, until = quiet(self.others, step, time)
         return min(steps, self.steps - step % self.steps), until
 
@@ -97,17 +97,17 @@ def at(steps: Iterable[int]) -> Schedule:
 
 
 def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
-    """Return after how many steps, and up to which time in s, a schedule must be asked next.
+    """Return the step and the time (s) at which a schedule must be evaluated next.
 
-    Schedules of other types are asked after every step.
+    Schedules of other types are evaluated after every step.
     """
     return schedule.quiet(step, time) if isinstance(schedule, Every | At | Pause | Checks) else (1, time)
 
 
 def looks_before(schedule: Schedule) -> bool:
-    """Return whether a schedule may look at the state before each step.
+    """Return whether a schedule may read the state before each step.
 
-    Those of this module do not; schedules of other types may, so no step is taken before they are asked.
+    Schedules of other types may, so they are evaluated before each step.
     """
     return not isinstance(schedule, Every | At | Pause)
 
@@ -118,7 +118,7 @@ def _multiples(time: float, interval: float) -> float:
 
 
 class Goal(NamedTuple):
-    """How far to advance."""
+    """The end and the schedules of an advance."""
 
     end: float  # s, of the run
     schedule: Schedule  # after which steps a frame is due
@@ -135,6 +135,6 @@ class Goal(NamedTuple):
         return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def quiet(self, clock: Clock) -> tuple[float, float]:
-        """Return after how many steps, and up to which time in s, neither a frame nor a check is due before."""
+        """Return the step and the time (s) before which neither a frame nor a check is due."""
         frame, check = (quiet(due, clock.step, clock.time) for due in (self.schedule, self.checks))
         return min(frame[0], check[0]), min(frame[1], check[1])

@@ -102,7 +102,7 @@ class Stepper(Protocol):
 
 
 class Simulation:
-    """A scene in motion, of which the steps are known; `Space` has the parameters.
+    """A scene in motion whose steps are known; `Space` has the parameters.
 
     One thread steps it. Meanwhile other threads may only read ``status`` and call ``stop``.
 
@@ -110,8 +110,8 @@ class Simulation:
     ----------
     check_interval
         s: errors are judged at the first step at or after each multiple of it, at every ``record.check_every``-th step
-        and at the end of a run. It follows from the scene, so a verdict does not depend on what is recorded. None
-        judges at the frames in place of the multiples, as earlier versions did.
+        and at the end of a run. It follows from the scene, so that a verdict does not depend on the recording. None
+        checks at the frames instead, as in earlier versions.
     """
 
     def __init__(
@@ -217,7 +217,7 @@ class Simulation:
         self._publish()
 
     def begin_as(self, start: Checkpoint) -> None:
-        """Measure errors against the references of a recorded start, which may be rounded otherwise."""
+        """Measure errors against the references of a recorded start, whose rounding may differ."""
         if self._books.refer_to(start.books):
             self._books.measure(self._world.forces.potentials(), judged=True)
             self._publish()
@@ -227,8 +227,8 @@ class Simulation:
     ) -> Iterator[Frame]:
         """Step until a time, by default the scene's duration, and yield the frames that ``record.every`` requests.
 
-        The first frame is the present state, the last one the state at the end. Frames change neither the steps nor
-        the verdict on them. A run that is stopped is judged where it stops, too, after its last frame.
+        The first frame is the present state, the last one the state at the end. Frames change neither the steps nor the
+        verdict. A stopped run is also checked at its end, after its last frame.
 
         Parameters
         ----------
@@ -285,14 +285,14 @@ class Simulation:
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
     def count_no_impacts(self) -> None:
-        """Leave impacts during drifts out of the statistics, for a look ahead; they cost a fourth of a small step."""
+        """Leave impacts during drifts out of the statistics, for a look-ahead: they take a fourth of a small step."""
         if self._contact:
             self._contact.counts_impacts = False
 
     def stop(self) -> None:
-        """Let `run` end after the current step, with a last frame; any thread may call it.
+        """End `run` after the current step, with a last frame; any thread may call this.
 
-        Between two runs it ends the next one at its first frame.
+        Between two runs, it ends the next one at its first frame.
         """
         self._stopping = True
 
@@ -341,7 +341,7 @@ class Simulation:
         )
 
     def _recorded_contacts(self, room: Buffer | None) -> tuple[Records | None, int, Records | None]:
-        """Return the impacts since the last frame, how many more there were, and the contacts of the last step."""
+        """Return the impacts since the last frame, the number of others, and the contacts of the last step."""
         if not self._records_contacts:
             return None, 0, None
         if self._contact is None or self._contact.tap is None:
@@ -363,7 +363,7 @@ class Simulation:
 
 
 def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
-    """Make the stepper of a world; steps may be up to ``stride`` times as long as its scene asks for."""
+    """Return the stepper of a world, with steps up to ``stride`` times those of its scene."""
     scene = world.scene
 
     def timestep(limits: StepLimits, scene: Scene) -> Timestep:

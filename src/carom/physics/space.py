@@ -40,8 +40,8 @@ class Space(Simulation):
     start
         Initial states of the bodies, by default those that the scene places.
     stride
-        Takes steps up to this many times as long as the scene asks for, as far as the method allows. This is for a
-        coarse look ahead; `foreseen` counts the steps that the scene would take.
+        Largest factor on the steps of the scene, as far as the method allows, for a coarse look-ahead. `foreseen`
+        counts the scene's own steps.
     record_contacts
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
         not depend on it.
@@ -79,7 +79,7 @@ class Space(Simulation):
 
     @property
     def foreseen(self) -> dict[str, float]:
-        """Number of steps that the scene would have taken so far, by what sets them."""
+        """Number of the scene's own steps so far, by the limit that sets them."""
         return self._world.clock.foreseen
 
     @property

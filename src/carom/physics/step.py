@@ -30,11 +30,11 @@ class KickDriftStepper:
     Parameters
     ----------
     world, books
-        What is advanced, and its books.
+        The world to advance, and its books.
     timestep
         Chooses the steps.
     asked
-        Chooses those that the scene asks for, if ``timestep`` takes longer ones.
+        Chooses the scene's own steps, if those of ``timestep`` are longer.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
@@ -63,12 +63,12 @@ class KickDriftStepper:
         return self.timestep.first(self._world.bodies, self.borne())
 
     def borne(self) -> FloatArray:
-        """Return the part of each acceleration that contacts bear, (n + p,) m/s²; empty if no step depends on it."""
+        """Return the accelerations supported by contacts, (n + p,) m/s²; empty if no step depends on them."""
         contact = self._world.contact
         return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
 
     def warm_up(self, dt: float) -> None:
-        """Take a few steps of dt seconds, which also find the accelerations that a step begins with."""
+        """Take a few steps of dt seconds, which also compute the initial accelerations."""
         for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # one loads the kernels
             self._step(dt, with_potential=False)
         if self._flight:
@@ -164,10 +164,9 @@ class KickDriftStepper:
     def _step(self, dt: float, with_potential: bool) -> Potentials:
         """Take a step of dt seconds; return the potential energies at its end if requested.
 
-        Overlaps are undone after the last drift, so that forces belong to the final positions. The reference engine
-        pushes bodies apart at the end of the step. The forces would then be those of other positions, the next kick
-        would not be central, and angular momentum would drift by overlap × force; or they would have to be computed
-        twice.
+        Overlaps are corrected after the last drift, so that forces belong to the final positions. The reference engine
+        corrects them at the end of the step. Its forces then belong to other positions, the next kick is not central,
+        and angular momentum drifts by overlap × force, unless forces are computed twice.
         """
         world, contact, damping = self._world, self._world.contact, self._damping
         potentials: Potentials = {}
@@ -211,7 +210,7 @@ class KickDriftStepper:
             self._kick(dt)
 
     def _hold(self, contact: ContactPipeline, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
-        """Hold lasting contacts after the first kick, against what accelerates the bodies; times in s."""
+        """Hold lasting contacts after the first kick, against the accelerations of the bodies; times in s."""
         profile = self._world.profile
         profile.mark("integrate")
         if self._damping and damped:
@@ -276,7 +275,7 @@ class KickDriftStepper:
             self._kick(dt)
 
     def _resolve(self, contact: ContactPipeline, dt: float, last_kick: float) -> None:
-        """Apply the impulses of the contacts after the last kick; find the torques that they amount to."""
+        """Apply the impulses of the contacts after the last kick; compute their torques."""
         world = self._world
         contact.resolve(dt, last_kick, world.profile)
         if world.needs.torque.modelled:
@@ -313,5 +312,5 @@ class KickDriftStepper:
         self._world.profile.mark(damping.kind.short_name)
 
     def _exchange_energy(self, loss: float) -> None:
-        """Note a change of the energy that drag takes, in J."""
+        """Book a change of the energy (J) dissipated by drag."""
         self._exchanges.append(Exchange(loss, np.zeros(3), np.zeros(3)))

@@ -1,16 +1,16 @@
 """The rule of the adaptive step, in kernels: steps one at a time and many in one call choose by the same function.
 
 `carom.physics.time_step` has the limits by accelerations and speeds. Where nothing can touch, gravity sets the step: a
-fraction of the shortest time scale of any pair. A pair at the distance r passes in r/v and falls together in
-√(r³/(G M)), M = m_i + m_j. The two are combined, with Plummer's R² = r² + ε², to
+fraction of the shortest time scale of any pair. A pair at the distance r has a passing time r/v and a falling time
+√(r³/(G M)), M = m_i + m_j. With Plummer's R² = r² + ε², they combine to
 
     1/τ² = v²/R² + G M/R³,    τ'/τ = (r·v/R²) (1 + 3/2 (G M/R) / (v² + G M/R))
 
 (Pelupessy, Jänes & Portegies Zwart 2012 take the shorter of the two.) A step of η τ, with τ at its beginning, would be
-longer on the way into an encounter than on the way out, and the energy would drift. Half the change of τ in the step is
-therefore added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is
-stepped alike in both directions of time. At an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹;
-without the correction, to 10⁻⁶.
+longer before an encounter than after it, and the energy would drift. Half the change of τ in the step is therefore
+added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is stepped alike
+in both directions of time. At an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹; without the
+correction, to 10⁻⁶.
 
 With more than `PAIRS_UP_TO` bodies the pairs are not examined. If the acceleration a of a body is due to one neighbour
 of mass m, this neighbour is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾). A body in the common field of
@@ -44,14 +44,14 @@ class PullTime(NamedTuple):
 
     @classmethod
     def of(cls, gravity: Gravity, fraction: float, bodies: Bodies) -> PullTime:
-        """Return those of a scene's section and its bodies. Fixed ones pull others and are not pulled."""
+        """Return the constants for a scene's section and its bodies. Fixed bodies attract others without moving."""
         mean = gravity.constant * float(np.mean(bodies.mass))
         return cls(fraction, gravity.constant, gravity.softening, mean, len(bodies) <= PAIRS_UP_TO)
 
 
 @inline
 def step_of_largest(largest: float, mean: float, softening: float, fraction: float) -> float:
-    """Return the longest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
+    """Return the largest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
     alone = np.sqrt(np.sqrt(mean / largest) / largest)  # roots of squares of units: the same bits in powers of two
@@ -63,12 +63,12 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
 def step_of_pairs(
     x: FloatArray, v: FloatArray, m: FloatArray, inverse_mass: FloatArray, G: float, softening: float, fraction: float
 ) -> float:
-    """Return h of the pair with the shortest τ; infinite if no pair pulls."""
+    """Return h of the pair with the shortest τ; infinite if no pair attracts."""
     soft2 = softening * softening
     fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
     for i in range(len(m) - 1):
         for j in range(i + 1, len(m)):
-            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # neither pulls the other
+            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # no attraction
                 continue
             R2, v2, along = soft2, 0.0, 0.0
             for k in range(3):
@@ -87,8 +87,8 @@ def step_of_pairs(
 
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
-BORNE = 0.5  # of its acceleration; a body counts as held if contacts bear at least this part
-END_TOLERANCE = 1e-9  # part of a step; a last step shorter than this is merged into the one before
+BORNE = 0.5  # fraction of its acceleration that contacts of a held body support, at least
+END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the one before
 
 CAP, VELOCITY, ACCELERATION, HELD, PULL, GROWTH, FIXED, END = range(8)
 LIMIT_NAMES = ("cap", "velocity", "acceleration", "held", "pull", "growth", "fixed", "end")
@@ -97,10 +97,10 @@ RULE = np.dtype(
     [
         ("max_dt", np.float64),  # s
         ("cfl", np.float64),  # 0 for no limit, like all below
-        ("by_fastest_body", np.bool_),  # whether that is the limit of the fastest body only
+        ("by_fastest_body", np.bool_),  # whether only the fastest body limits the step
         ("target_dx", np.float64),  # m
-        ("held_dx", np.float64),  # m, replaces it for bodies that lasting contacts hold
-        ("held_part", np.float64),  # of its own radius that such a body may move in a step
+        ("held_dx", np.float64),  # m, replaces it for bodies held by lasting contacts
+        ("held_part", np.float64),  # largest motion of such a body in a step over its radius
         ("smoothing", np.float64),  # weight of the new step in the average
         ("anchored", np.bool_),  # whether something is fixed: speeds are then relative to it
         ("looks", np.bool_),  # whether a limit needs the largest values of all bodies
@@ -117,8 +117,8 @@ LIMITS = np.dtype(
         (name, np.float64)
         for name in (
             "largest_acceleration",  # m/s²
-            "largest_free_acceleration",  # m/s², of bodies that contacts do not hold
-            "largest_borne",  # m/s², largest acceleration that contacts bear
+            "largest_free_acceleration",  # m/s², of bodies not held by contacts
+            "largest_borne",  # m/s², largest acceleration supported by contacts
             "velocity_step",  # s, dt_v of every body; infinite at rest
             "fastest_step",  # s, dt_v of the fastest body
             "fastest_squared",  # m²/s², its speed
@@ -152,7 +152,7 @@ def smooth_and_cut(
 
 @inline
 def ends_run(dt: float, remaining: float) -> bool:
-    """Return whether a step of dt is the last one, where so much time remains, both in s."""
+    """Return whether a step of dt is the last one, given the remaining time, both in s."""
     return remaining <= dt * (1.0 + END_TOLERANCE)
 
 
@@ -170,20 +170,20 @@ def target(
     found: Records,
     is_found: bool,
 ) -> tuple[float, int]:
-    """Return the step that the limits allow, in s, before smoothing, and the limit that set it.
+    """Return the step (s) allowed by the limits, before smoothing, and the limit that set it.
 
     Parameters
     ----------
     rule
         (1,) `RULE`.
     borne
-        (n + p,) m/s², what contacts bear; empty if none do.
+        (n + p,) m/s², accelerations supported by contacts; empty if there are none.
     field
         (3,) m/s², the acceleration that does not count.
     found
         (k,) `LIMITS`, a row for each block of bodies.
     is_found
-        Whether ``found`` has been filled; otherwise it is, if need be.
+        Whether ``found`` has been filled; otherwise it is filled when needed.
     """
     R = rule[0]
     dt, limit = R.max_dt, CAP
@@ -216,7 +216,7 @@ def target(
 def _of_acceleration(
     dx: float, held_dx: float, held_part: float, a_max: float, a_free: float, b_max: float, held_time: float
 ) -> tuple[float, int]:
-    """Return the step that the accelerations allow, and its limit."""
+    """Return the step allowed by the accelerations, and its limit."""
     dt_a = np.sqrt(2.0 * dx / a_max)
     if held_dx == 0.0 or a_free == a_max:
         return dt_a, ACCELERATION
@@ -243,7 +243,7 @@ def look(
     Vz: float,
     found: Records,
 ) -> None:
-    """Write the limits that the bodies of the blocks from lo to hi set."""
+    """Write the limits set by the bodies of the blocks [lo, hi)."""
     for block in range(lo, hi):
         a_max, v2_max, fastest, every, a_free, held_time, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
         for i in range(block * BODIES_PER_BLOCK, min((block + 1) * BODIES_PER_BLOCK, len(radius))):

@@ -56,9 +56,9 @@ class Timestep:
     smoothing
         Weight of the new step in the average.
     held_dx
-        m, replaces ``target_dx`` for bodies that lasting contacts hold; None if it does not.
+        m, replaces ``target_dx`` for bodies held by lasting contacts; None: the same.
     held_part
-        Of its own radius that such a body may move in a step.
+        Largest motion of such a body in a step over its radius.
     field
         (3,) m/s², the uniform field, if it accelerates all bodies alike; otherwise zeros.
     anchored
@@ -73,7 +73,7 @@ class Timestep:
     fixed_dt
         s, a constant step in their place; None if there is none.
     spares_held
-        Whether the choice depends on what contacts bear.
+        Whether the choice depends on accelerations supported by contacts.
     previous
         s, the moving average; 0 until there is one.
     """
@@ -135,12 +135,12 @@ class Timestep:
         remaining
             s, until the run ends; the last step is cut to end there.
         borne
-            (n + p,) m/s², the part of each acceleration that lasting contacts bear; empty if none do.
+            (n + p,) m/s², the accelerations supported by lasting contacts; empty if there are none.
 
         Returns
         -------
         dt, limit
-            s, and the limit that set it: "acceleration", "held" (bodies that contacts hold), "velocity", "pull", "cap",
+            s, and the limit that set it: "acceleration", "held" (bodies held by contacts), "velocity", "pull", "cap",
             "growth" (the average), "fixed" or "end".
         """
         if self.fixed_dt is not None:
@@ -155,12 +155,12 @@ class Timestep:
         return self.fixed_dt or self.target(bodies, borne)[0]
 
     def target(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
-        """Return the step that the limits allow, before smoothing, and the limit that set it."""
+        """Return the step allowed by the limits, before smoothing, and the limit that set it."""
         dt, limit = self._target(bodies, borne)
         return dt, LIMIT_NAMES[limit]
 
     def _target(self, bodies: Bodies, borne: FloatArray) -> tuple[float, int]:
-        """Return the same with the number of the limit."""
+        """Return the step with the number of the limit."""
         x, v, a, m = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
         found = self.buffer(bodies)
         rule, is_found = self.rule[0], self._team.size > 1 and len(found) >= MIN_SHARED_BLOCKS

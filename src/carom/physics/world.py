@@ -67,12 +67,12 @@ class Clock:
         self.before, self.time = before, time
 
     def foresee(self, limit: str, steps: float) -> None:
-        """Count steps that the scene would have taken; those of a coarse look ahead are longer."""
+        """Count the scene's own steps; those of a coarse look-ahead are longer."""
         self.foreseen[limit] = self.foreseen.get(limit, 0.0) + steps
 
 
 def _remedy(scene: Scene, limit: str) -> str:
-    """Say what to do about steps too short to move the clock, by the limit that sets them."""
+    """Return the remedy for steps too short to change the clock, by the limit that sets them."""
     if limit in _CLOSE:
         return _CLOSE[limit]
     raised = remedies_of(scene).get(limit)
@@ -94,7 +94,7 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
-    falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything alike, otherwise zeros
+    falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally, otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
     clock: Clock

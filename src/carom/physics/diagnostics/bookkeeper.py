@@ -72,11 +72,11 @@ class BalanceAudit:
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant)
-        booked = len(self.ledger.forces) > 0  # step by step, the field too: the centre of mass moves on no parabola
+        booked = len(self.ledger.forces) > 0  # with drag: even the field is booked step by step
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
-        self._spent: Suspects | None = None  # those of the last check; their arrays are used again
+        self._spent: Suspects | None = None  # suspects of the last check, whose arrays are reused
 
     @property
     def energy_baseline(self) -> EnergyBaseline:
@@ -101,7 +101,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Take the references of a recorded start that differ from these by rounding; return whether one did.
+        """Adopt references of a recorded start that differ from these by rounding; return whether one did.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
@@ -121,12 +121,12 @@ class BalanceAudit:
         self.ledger = self.ledger.plus(contacts)
 
     def exchange(self, entry: str, loss: float, impulse: FloatArray, angular_impulse: FloatArray) -> None:
-        """Book the energy that a force without a potential took out, in J, and its impulses, in N s and N m s."""
+        """Book the energy (J) dissipated by a force without a potential, and its impulses (N s and N m s)."""
         self.ledger = self.ledger.plus_loss(entry, loss)
         self._momentum.receive(impulse, angular_impulse)
 
     def suspect(self, step: int, contact: ContactPipeline) -> None:
-        """Keep the contacts of a step for a possible warning, before the next step overwrites them."""
+        """Copy the contacts of a step for a possible warning, before the next step overwrites them."""
         self._suspects = self._spent = Suspects.of(step, contact, self._bodies, self._spent)
 
     def energy_now(self, potentials: Mapping[str, float]) -> Energy:
@@ -158,8 +158,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        They list the contacts that were kept, and the contacts of ``contact`` if these may have changed the energy,
-        too.
+        They list the copied contacts and, if these may have changed the energy, those of ``contact``.
         """
 
         def suspects() -> list[Suspects]:
@@ -172,7 +171,7 @@ class BalanceAudit:
 
 
 def _nearly(recorded: float, own: float, size: float) -> float:
-    """Return the recorded value if it differs from the own one by rounding, otherwise the own one."""
+    """Return the recorded value if it differs from the computed one by rounding, otherwise the computed one."""
     return recorded if abs(recorded - own) <= ROUNDING * size else own
 
 
@@ -187,7 +186,7 @@ class Bookkeeper:
     Attributes
     ----------
     extremes
-        Those of the run so far.
+        The extremes of the run so far.
     audit
         Energy and momentum as of the last frame or check, and the ledger.
     activity
@@ -195,7 +194,7 @@ class Bookkeeper:
     impulse_audit
         Compares velocities with impulses, where ``expect.contact_audit`` requests it.
     pace
-        Warns of a run that slows down, where limits set its steps.
+        Warns of a run that slows down, if limits set its steps.
     kept_until
         s, after which the accuracy is no longer promised; infinite if nothing is promised or the run has logged it.
     """
@@ -214,7 +213,7 @@ class Bookkeeper:
         self._events: list[Event] = []
         self.kept_until = np.inf if scene.promise is None else scene.promise.kept_until
         if world.contact:
-            self._measure_contacts(world.contact, Extremes())  # none: loads the kernels
+            self._measure_contacts(world.contact, Extremes())  # without contacts: loads the kernels
 
     @property
     def state(self) -> Books:
@@ -246,7 +245,7 @@ class Bookkeeper:
             self.kept_until = np.inf  # known already
 
     def refer_to(self, books: Books) -> bool:
-        """Take over the references of a recorded start; return whether they were others."""
+        """Adopt the references of a recorded start; return whether they differed."""
         return self.audit.refer_to(books)
 
     def begin_step(self, judged: bool) -> None:
@@ -258,7 +257,7 @@ class Bookkeeper:
             self.impulse_audit.begin(self.audit.ledger)
 
     def suspect_contacts(self, step: int) -> None:
-        """Keep the present contacts of a step, which may have changed the energy."""
+        """Copy the present contacts of a step, which may have changed the energy."""
         contact = self._world.contact
         if contact:
             self.audit.suspect(step, contact)
@@ -300,9 +299,9 @@ class Bookkeeper:
     def measure(self, potentials: Potentials, judged: bool, contact: ContactPipeline | None = None) -> None:
         """Compute energy and momentum.
 
-        ``judged`` says whether their errors count for the verdict on the run, and whether to warn of them. What is
-        computed for a frame alone leaves no trace in the books. A warning lists the present contacts of ``contact``, if
-        given, beside the kept ones.
+        ``judged`` states whether their errors count for the verdict on the run and for warnings. A computation for a
+        frame alone does not change the books. A warning lists the present contacts of ``contact``, if given, beside the
+        kept ones.
         """
         world, clock = self._world, self._world.clock
         try:
@@ -316,7 +315,7 @@ class Bookkeeper:
         world.profile.mark("energy")
 
     def log(self, event: Event) -> None:
-        """Add an event to those of the next frame."""
+        """Add an event to the next frame."""
         self._events.append(event)
         if event.level == "WARN":
             self.extremes.add_warning(event.kind)

@@ -38,7 +38,7 @@ class Energy:
     field: float  # -Σ m g·x, of the uniform field
     ledger: Ledger
     integration_error: float
-    scale: float  # energy that errors are relative to; see `EnergyAccount`
+    scale: float  # scale of relative errors; see `EnergyAccount`
     others: NamedEnergies = ()  # of the potentials of other forces, by their terms
 
     def term(self, name: str) -> float:
@@ -56,7 +56,7 @@ class Energy:
 
     @property
     def undamped(self) -> float:
-        """The total plus the energy taken out by forces without a potential, in J; contacts can only lower it."""
+        """The total plus the energy dissipated by forces without a potential, in J; contacts can only lower it."""
         return self.total + self.ledger.by_forces if self.ledger.forces else self.total
 
     @property
@@ -86,7 +86,7 @@ class EnergyBaseline:
 
     initial: float  # J, the total at the start of the run
     scale: float  # J, the largest at the checks so far
-    origin: Origin | None = None  # None in older recordings, which had another scale; it then stays as it was
+    origin: Origin | None = None  # None in older recordings, whose different scale is then kept
 
 
 class EnergyAccount:
@@ -118,7 +118,7 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift)  # J, of every body by its radius
+        self._lift = float(lift)  # J, potential energy of every body at the height of its radius
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(

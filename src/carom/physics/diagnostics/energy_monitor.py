@@ -24,7 +24,7 @@ from carom.scene.wording import Names
 
 MOST_CONTACTS = 6  # listed in a warning, the largest energy first
 LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
-MOST_WARNINGS = 100  # of a rise in a run; more would add nothing new
+MOST_WARNINGS = 100  # of rises in a run; more would be redundant
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +84,13 @@ class MonitorState:
     since: float = 0.0  # s, the time of that total
     warnings: int = 0
     lost: bool = False  # whether it has warned of a large error
-    gained: bool = False  # whether it has warned that impulses of contacts put energy in
+    gained: bool = False  # whether it has warned of energy injected by contact impulses
 
 
 class EnergyMonitor:
     """Checks the energy and warns of a rise, and of an integration error that makes the run useless.
 
-    A rise is relative to the lowest energy since the last warning, so a slow rise is noticed at any rate of checks.
+    A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise.
 
     Parameters
     ----------
@@ -99,9 +99,9 @@ class EnergyMonitor:
     names
         Of the bodies.
     integrator
-        Of the run; what helps against a large error depends on it.
+        Of the run; the remedy for a large error depends on it.
     units
-        In which the warnings give energies.
+        Units of energies in warnings.
     """
 
     def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:
@@ -124,7 +124,7 @@ class EnergyMonitor:
             Largest energy that impulses of contacts have put in so far, over the energy scale.
         suspects
             Returns the contacts of the previous and of this step, which a warning lists with the states of their
-            bodies. Copies of them take as long as all else of a check, and hardly any check warns.
+            bodies. Copying them takes as long as the rest of a check, and few checks warn.
         """
         tally = self.tally
         lowest = tally.lowest or energy
@@ -159,7 +159,7 @@ class EnergyMonitor:
 
 
 def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> str:
-    """Return the text of a warning: how far the energy has risen since a time in s, and why."""
+    """Return the text of a warning about a rise of the energy since a time (s), with the cause."""
     now, then = energy.ledger, lowest.ledger
     parts = {
         "stabilisation": now.stabilisation - then.stabilisation,
@@ -176,8 +176,8 @@ def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> st
 
 
 def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
-    """Return the text of a warning: how large the error of the energy is."""
-    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer pull
+    """Return the text of a warning about the error of the energy."""
+    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer attract
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
     error = energy.relative_error
     amount = f"{error:.0%} of" if error < 10.0 else f"{error:.2g} times"
@@ -199,7 +199,7 @@ def _remedy(integrator: Integrator) -> str:
 
 
 def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
-    """Return the text of a warning: impulses of contacts have put energy in."""
+    """Return the text of a warning about energy injected by contact impulses."""
     ledger = energy.ledger
     restitution, friction = (units.text(taken, ENERGY, ".4g") for taken in (ledger.restitution, ledger.friction))
     return (

@@ -24,7 +24,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # while the run goes on the ends of a contact: from n on they count planes
+    bodies: tuple[int, ...] = ()  # during the run, ends of a contact: numbers from n on are planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
@@ -42,7 +42,7 @@ class Extremes:
 
     energy_error: Extreme | None = None  # |integration error| / scale
     energy_gain: Extreme = NOTHING  # rise of the total energy from its lowest so far / scale
-    contact_gain: Extreme = NOTHING  # energy that impulses of contacts put in or gave back / scale
+    contact_gain: Extreme = NOTHING  # energy injected or returned by contact impulses / scale
     kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last check, not the largest
     impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
     overlap: Extreme | None = None  # deepest overlap / smaller radius
@@ -59,7 +59,7 @@ class Extremes:
 
     @property
     def energy_fault(self) -> Extreme | None:
-        """The larger of the integration error and of the energy that impulses of contacts put in; both are errors."""
+        """The larger of the integration error and the energy injected by contact impulses; both are errors."""
         if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
             return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
         return self.energy_error
@@ -75,7 +75,7 @@ class Extremes:
         self.impacts += tally.impacts
 
     def copy(self) -> Extremes:
-        """Return a copy, which later steps leave as it is."""
+        """Return a copy, which later steps do not change."""
         return Extremes(*_values(self))
 
     def named(self, names: Names) -> Extremes:
@@ -101,7 +101,7 @@ class Extremes:
         Parameters
         ----------
         energy_error
-            What the error of the energy is.
+            Description of the energy error.
         """
         known = self.named(names)
         overlap = known.overlap if known.overlap and known.overlap.value > ROUNDED_OVERLAP else None
@@ -137,7 +137,7 @@ class Extremes:
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
 
     def add_impulse_audit(self, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
-        """Update with the largest error of a step's impulses, and the body that has it."""
+        """Update with the largest error of a step's impulses, and its body."""
         error, bodies = worst
         if self.contact_audit is None or not error <= self.contact_audit.value:
             self.contact_audit = Extreme(error, step, time, bodies)

@@ -56,7 +56,7 @@ class ImpulseAudit:
         self.add_force(self._bodies.velocity - before)
 
     def add_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
-        """Add what falling asleep took from velocities in m/s and spins in rad/s, which were so before."""
+        """Add the loss of velocities and spins by falling asleep, given their values (m/s, rad/s) before."""
         self.add_change(velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
@@ -66,11 +66,11 @@ class ImpulseAudit:
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
-        """Compare; return the largest error, and its body if it belongs to one.
+        """Return the largest error, and its body if there is one.
 
-        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: of a body,
-        or that the kicks or impulses would give to one if all acted in one direction. Impulses in a heavy pile may
-        cancel, and each has its own rounding. Errors of the ledger are relative to its largest entry.
+        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: that of a
+        body, or the sum of the magnitudes of its kicks or impulses over its mass. Impulses in a heavy pile may cancel,
+        and each has its own rounding. Errors of the ledger are relative to its largest entry.
 
         Parameters
         ----------

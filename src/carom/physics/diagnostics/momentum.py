@@ -143,7 +143,7 @@ class MomentumAccount:
         self._linear, self._angular, self._linear_scale, self._angular_scale, *_ = TotalMotion.of(bodies)
         self._mass = float(bodies.mass.sum())
         self._centre = (bodies.mass[:, np.newaxis] * bodies.position).sum(axis=0) / self._mass
-        self._baseline: MomentumBaseline | None = None  # None where it has changed since it was last asked for
+        self._baseline: MomentumBaseline | None = None  # None if it has changed since the last access
 
     @property
     def baseline(self) -> MomentumBaseline:

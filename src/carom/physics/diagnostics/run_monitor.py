@@ -53,7 +53,7 @@ def refuse_infinities(
 def refuse_many_crossings(
     velocity: FloatArray, dt: float, box: FloatArray, step: int, time: float, units: UnitSystem
 ) -> None:
-    """Refuse a step of dt, in s, in which a body would cross a periodic box too often.
+    """Refuse a step of dt (s) in which a body would cross a periodic box too often.
 
     Its position in the box loses a digit for each factor of 10.
 
@@ -81,7 +81,7 @@ def _find_infinities(lo: int, hi: int, position: FloatArray, velocity: FloatArra
         lost[0] = True
 
 
-STEPS_REMEMBERED = 50  # over which the energy of impacts is summed
+STEPS_REMEMBERED = 50  # steps over which the energy of impacts is summed
 SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if its recent impacts sum to less
 STILL_BELOW = 1e-4  # of the energy scale; bodies with more kinetic energy roll, slide or fall
 
@@ -136,8 +136,8 @@ def remembered(energy: float, impacts: float) -> float:
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
-CRAWL = 5.0  # times as many steps as the first one promised
-MIN_STEPS = 50_000  # a shorter run ends before a warning is of use
+CRAWL = 5.0  # ratio to the number of steps expected from the first one
+MIN_STEPS = 50_000  # a shorter run ends before a warning would be useful
 
 REMEDY = {  # the key that makes steps longer, by the limit that sets them
     "acceleration": "time.target_dx",
@@ -150,11 +150,11 @@ REMEDY = {  # the key that makes steps longer, by the limit that sets them
 
 
 def remedies_of(scene: Scene) -> Mapping[str, str]:
-    """Return the key of a scene to raise for fewer steps, by the limit that sets them; none where no key would help.
+    """Return the scene key to increase for fewer steps, by the limit that sets them.
 
-    An accuracy takes the place of the keys that set the step. Where nothing pulls, its steps are the longest useful
-    ones. Integrators that choose steps by their error take time.max_dt as it is. Part of it belongs to the leapfrog
-    that takes over where contacts come to rest.
+    An accuracy replaces the keys that set the step. Without forces, its steps are the longest useful ones. Integrators
+    that choose steps by their error use time.max_dt directly. Leapfrog also uses it, when it takes over resting
+    contacts.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
@@ -168,8 +168,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
 class PaceTally:
     """The state of the monitor between two checks."""
 
-    slow_since: float | None = None  # s, since when all checked steps were short; None if the last one was not
-    told: bool = False  # whether the warning was given
+    slow_since: float | None = None  # s, since which all checked steps were short; None: the last was not
+    told: bool = False  # whether it has warned
 
 
 class PaceMonitor:

@@ -11,7 +11,7 @@ Between the two factors, velocities are the mean velocities of the drift: contac
 straight lines, along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks
 make the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is its own adjoint, hence of order 2.
 
-The energy that the medium took out is the change of the energy in the step less the work of the other forces
+The energy dissipated by the medium is the change of the energy in the step less the work of the other forces
 (docs/physics.md, 6):
 
     lost = Σ ½ m (v² - w²) + κ m a·w - ½ m κ (h - κ) a²                     by the kick and the factor before the drift
@@ -40,13 +40,13 @@ from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
 
 SUMS = record(
-    "lost"  # J, what the medium took out
+    "lost"  # J, energy dissipated by the medium
     " px py pz Lx Ly Lz"  # kg m/s and kg m²/s, impulse and angular impulse of all external forces
 )
 
 
 class StokesDrag:
-    """Slows bodies down relative to a medium, all at the same rate.
+    """Slows all bodies down relative to a medium, at the same rate.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ class StokesDrag:
         return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
-        """Return what the medium exchanges because of impacts during a drift; see `Damping`."""
+        """Return the exchange with the medium due to impacts during a drift; see `Damping`."""
         sums, ends = np.zeros(1, SUMS), self._bodies.ends
         state = before, ends.acceleration, ends.inverse_mass, self.uniform
         _exchange_in_impacts(impacts.log, impacts.after, *state, *step.path, step.share, sums)

@@ -1,9 +1,8 @@
 """The protocols of forces, the forces of a scene, and their sum.
 
-A force that depends on positions only adds an acceleration and may have a potential. Its kind states when a scene
-requires it and what it records (`carom.scene.forces`). Each of carom's own forces has a function
-``make(scene, bodies, team)``, named in `carom.registry`; `carom.physics.forces.kernel_forces` makes those of installed
-packages.
+A force that depends only on positions adds an acceleration and may have a potential. Its kind states when a scene
+requires it, and its recorded energy (`carom.scene.forces`). Each of carom's own forces has a function ``make(scene,
+bodies, team)``, named in `carom.registry`; `carom.physics.forces.kernel_forces` makes those of installed packages.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class Force(Protocol):
     Attributes
     ----------
     kind
-        When it is modelled, and the name of its energy.
+        Its condition in a scene, and the name of its energy.
     uniform
         (3,) m/s², the part of the acceleration that is the same for every body.
     """
@@ -61,7 +60,7 @@ class Force(Protocol):
 
 
 class DampedPath(NamedTuple):
-    """How the velocities of bodies change along a drift of which w is the mean velocity.
+    """The change of velocities along a drift with the mean velocity w.
 
     See `carom.physics.contact.events.trajectories`.
     """
@@ -79,8 +78,8 @@ class DampedStep(NamedTuple):
     before: float  # factor of the velocities before the drift, which makes them their mean along it
     after: float  # factor after the drift
     last_kick: float  # s
-    share: float  # s, of the step: its part of the other forces' work in the drift is booked before the drift
-    held_kick: float  # s, effective length of the first kick where contacts are held
+    share: float  # s, portion of the drift for which the other forces' work is booked before it
+    held_kick: float  # s, effective length of the first kick at held contacts
     path: DampedPath
 
 
@@ -94,9 +93,10 @@ class Exchange(NamedTuple):
 
 @runtime_checkable
 class Damping(Force, Protocol):
-    """A force that depends on velocities. It defines its own kicks and factors, and books the energy that it takes.
+    """A force that depends on velocities.
 
-    Its row in the table has ``damps`` set and names the entry of the ledger. A scene has at most one such force.
+    It defines its own kicks and factors, and books the energy that it dissipates. Its kind has ``damps`` set and names
+    the entry of the ledger. A scene has at most one such force.
     """
 
     def step(self, dt: float) -> DampedStep:
@@ -118,10 +118,10 @@ class Damping(Force, Protocol):
         """
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
-        """Return what it exchanges because of impacts during the drift.
+        """Return the exchange due to impacts during the drift.
 
         ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s. They are overwritten by the changes
-        of velocities in the drift by impacts that are not their impulses over the masses.
+        of velocities due to impacts, beyond their impulses over the masses.
         """
 
 
@@ -182,7 +182,7 @@ class TotalForce:
 
     @property
     def laws(self) -> ForceLaws | None:
-        """The forces for a kernel that takes many steps; None with drag, or with gravity by a tree."""
+        """The forces for a kernel with many steps; None with drag, or with gravity by a tree."""
         needs, gravity = self._needs, self._scene.gravity
         if self.damping or uses_tree(self._scene):
             return None
@@ -201,8 +201,8 @@ class TotalForce:
     def potentials(self) -> Potentials:
         """Return the potential energies of the present positions.
 
-        The accelerations are not changed. Those of drift-kick-drift are of the middle of the step, and the next step is
-        chosen by them whether or not an energy is requested.
+        The accelerations do not change: in drift-kick-drift they belong to the middle of the step, and the choice of
+        the next step must not depend on whether an energy is requested.
         """
         unused = np.empty_like(self._bodies.acceleration)
         return accelerate(self._forces, self._bodies.position, unused, True, Profile())

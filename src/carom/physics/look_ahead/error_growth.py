@@ -1,9 +1,9 @@
-"""How errors grow: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
+"""The growth of errors: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
 
-The error with shorter steps follows from the distances between runs with ever shorter steps. No step of a run ahead is
-a multiple of another one's. Where a ball stops to slide in the middle of a step of length h, the step errs by
-C h² f (1 - f), for the fraction f of the step before it. Steps that halve each time end where those before them did. If
-one of them ends at such an event, f is 0 in all runs ahead, and they agree on a wrong answer.
+The error with shorter steps follows from the distances between runs with successively shorter steps. No step of a run
+ahead is a multiple of another run's step. If a ball stops sliding within a step of length h, after the fraction f, the
+step has the error C h² f (1 - f). Halved steps end at the ends of the longer ones. If one of these coincides with such
+an event, f is 0 in all runs ahead, and they agree on a wrong answer.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ GOLDEN = 0.3819660112501051  # of the time from one comparison to the next
 COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first run ahead, and of each over the one before
 SAFETY = 3.5  # the step is chosen for an error that is smaller than requested by this factor
 FARTHEST = 8.0  # times as fine as the finest run ahead, which then costs an eighth of the run itself
-TRIED = 3  # comparisons before they are believed: one or two may be small by chance, see above
-LATEST = 4  # comparisons that count
-NEARLY = 0.95  # part of the longest time with the accuracy that is enough, unless that is the whole run
-FALLING = 0.82  # largest part of the distance that shorter steps should leave
-APART = 1e-2  # of the size; beyond, twins no longer diverge exponentially
+TRIED = 3  # required comparisons: one or two may be small by chance, see above
+LATEST = 4  # number of latest comparisons in use
+NEARLY = 0.95  # sufficient fraction of the longest time with the accuracy, unless that is the whole run
+FALLING = 0.82  # largest ratio by which shorter steps should reduce the distance
+APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 MOST_GROWTH = 600.0  # of the logarithm of their distance, which stays finite
 
@@ -52,9 +52,9 @@ class Scale:
 
     @classmethod
     def of(cls, scene: Scene, start: InitialBodies) -> Scale:
-        """Return half the box, the rms distance of the bodies from their centre, or that of a single body from 0.
+        """Return the scale: half the box, or the rms distance of the bodies from their centre.
 
-        The size of a single body at 0 is its radius.
+        For a single body, it is the distance from 0, or its radius if it is at 0.
         """
         if scene.domain.boundary == "periodic":
             box = np.array(scene.domain.size)
@@ -69,7 +69,7 @@ class Scale:
         return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
 
     def apart(self, one: Run, other: Run, enough: float) -> FloatArray:
-        """Compare two runs until their distance is ``enough``; return the largest so far over the size, (K,)."""
+        """Compare two runs until their distance is ``enough``; return the running maximum over the size, (K,)."""
         apart = np.full(len(one.times), np.inf)
         largest = 0.0
         for k in range(len(apart)):
@@ -90,8 +90,8 @@ def samples(end: float, count: int) -> FloatArray:
 def between_round_times(end: float, count: int) -> FloatArray:
     """Return times up to ``end`` at which steps of runs ahead may end, (count,) s.
 
-    Something that happens in the middle of a step makes an error; at the end of a step it makes none. What happens in
-    a scene happens at round parts of its duration more often than elsewhere.
+    An event within a step causes an error, an event at its end does not. Events are more frequent at round fractions of
+    the duration, so these are avoided.
     """
     times = end * ((np.arange(1, count + 1) - GOLDEN) / count)
     times[-1] = end
@@ -99,7 +99,7 @@ def between_round_times(end: float, count: int) -> FloatArray:
 
 
 def with_start(values: FloatArray, start: float) -> FloatArray:
-    """Return the values with that at time 0 in front."""
+    """Return the values with the value at time 0 prepended."""
     return np.concatenate(([start], values))
 
 
@@ -124,7 +124,7 @@ def extrapolate(
     """Return a refinement, the time in s until which it keeps the accuracy, and its error.
 
     The refinement is a power of two, so that steps and frames end together: from the latest run ahead but one to
-    `FARTHEST` times the latest. The factor in front of h^p depends on where in its step an impact happens, so the
+    `FARTHEST` times the latest. The coefficient of h^p depends on the position of impacts within their steps, so the
     largest of the latest distances counts, each scaled by the order.
 
     Parameters
@@ -151,13 +151,13 @@ def extrapolate(
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
-    """Return whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
+    """Return whether shorter steps hardly changed the distance at the time where the accuracy is lost."""
     k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
     return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:
-    """Return the order that the latest distances show where they can be compared: 1 to that of the integrator."""
+    """Return the order of the latest distances where they can be compared: from 1 to the integrator's order."""
     age = min(LATEST, len(apart)) - 1
     coarse, fine = apart[-1 - age], apart[-1]
     usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0) & np.isfinite(fine))
@@ -169,16 +169,16 @@ def _observed(apart: list[FloatArray], order: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Twins:
-    """How two runs diverge that begin almost alike."""
+    """The divergence of two runs that begin almost equally."""
 
     apart: FloatArray  # (K,) largest distance so far over the size
     exponent: float  # 1/s
 
     @classmethod
     def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
-        """Continue the distance, (K,) over the size, beyond where it is no longer small.
+        """Continue the distance, (K,) over the size, to times where it is no longer small.
 
-        It is unknown, and infinite, from the time ``known`` on.
+        From the time ``known`` on, it is unknown and set to infinity.
         """
         if known < len(apart):
             if not known:
@@ -187,7 +187,7 @@ class Twins:
             return cls(np.concatenate((part.apart, np.full(len(apart) - known, np.inf))), part.exponent)
         apart = np.maximum(apart, began)
         over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, they are taken to diverge at the same rate
+        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, the same rate is assumed
         apart[last] = min(apart[last], 1.0)
         exponent = math.log(apart[last] / began) / float(times[last])
         growth = np.minimum(max(exponent, 0.0) * (times[last + 1 :] - times[last]), MOST_GROWTH)
@@ -195,10 +195,10 @@ class Twins:
         return cls(apart, exponent)
 
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
-        """Return how many steps with the error of the first add up to the error at all times, (K,).
+        """Return the error at all times, (K,), as a number of steps with the error of the first.
 
-        An error of a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. That is
-        half the steps so far for regular motion, and those of the last 1 / λ for chaotic motion.
+        An error of a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. The
+        number is half the steps so far in regular motion, and the steps of the last 1 / λ in chaotic motion.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)
@@ -206,9 +206,9 @@ class Twins:
         return np.asarray(np.cumsum(mean) / self.apart * (steps / len(mean)))
 
     def continued(self, times: FloatArray, error: FloatArray, known: FloatArray) -> FloatArray:
-        """Interpolate an error that all steps add to, and continue it where it is infinite; (K,) at all times, in s.
+        """Interpolate an accumulated error, and continue it where it is infinite; (K,) at all times (s).
 
-        It grows like t times the distance of twins, which is in proportion to t for regular motion.
+        It grows like t times the distance of twins, which is proportional to t in regular motion.
         """
         finite = np.isfinite(error)
         if not finite.any():
@@ -223,7 +223,7 @@ class Twins:
 
 
 def displaced(start: InitialBodies, distance: float) -> InitialBodies:
-    """Return a start whose free bodies are displaced by an rms distance in m, or else by a last bit."""
+    """Return a start with free bodies displaced by an rms distance (m), or by a last bit."""
     direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
     moved = start.position + distance * direction
     unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))

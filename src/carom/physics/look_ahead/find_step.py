@@ -4,17 +4,17 @@ A run with steps of h has the error e(t). The same scene run with steps of h and
 
     e(t) of the finer run = D(t) / (q^p - 1),     e(t) with steps s times shorter = e(t) / s^p
 
-for an integrator of order p, or for the order that the latest runs show, if that is lower. D contains everything that
-makes errors grow, contacts and chaos too. The runs begin with about the longest useful steps and shorten them until the
-extrapolation to the required step is short. Then the run itself takes that step, and never has to be repeated.
+for an integrator of order p, or for the order that the latest runs show, if that is lower. D contains all causes of
+growing errors, including contacts and chaos. The runs begin with about the longest useful steps and shorten them until
+the extrapolation to the required step is short. Then the run itself uses that step, and never has to be repeated.
 
 Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. The error r(t) by rounding is
 proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
-Twins with gauss-radau15, which errs by rounding, start a last bit apart, so they show its error itself. Its longer
-steps err by multiples of the distance of two runs ahead, see `RADAU_ERRORS`. The largest Lyapunov exponent is the
-growth rate of the distance of twins, to the end or until it is `APART`.
+The error of gauss-radau15 is rounding; its twins start a last bit apart and so measure this error directly. The errors
+of its longer steps are multiples of the distance of two runs ahead, see `RADAU_ERRORS`. The largest Lyapunov exponent
+is the growth rate of the distance of twins, to the end or until it is `APART`.
 
-The look ahead has a budget (`budget`). Where the runs ahead would cost more, they cover the beginning of the run, and
+The look-ahead has a budget (`budget`). If it is too small for the whole run, the runs ahead cover the beginning, and
 the promise ends with them.
 """
 
@@ -64,40 +64,40 @@ if TYPE_CHECKING:
     from carom.physics.integrators.gauss_radau.radau_twin import FollowedOrbits
 
 SAMPLES = 64  # times at which runs are compared
-ENOUGH_SAMPLES = 8  # reached within the budget; with fewer, it is divided into more
-STEPS_PER_SAMPLE = 8  # at least, of the coarsest run ahead, whose steps end there
-FEWER_SAMPLES = (4, 32)  # where bodies meet, since pausing costs more than steps; the second if a promise ends early
+ENOUGH_SAMPLES = 8  # required within the budget; with fewer, the reached time is divided into more
+STEPS_PER_SAMPLE = 8  # least number for the coarsest run ahead, whose steps end at samples
+FEWER_SAMPLES = (4, 32)  # if bodies meet, since pauses cost more than steps; the second if a promise ends early
 LONGEST = 1.0  # refinement of the longest useful steps
-EXACT = 2.0**-8  # refinement of a run ahead whose steps err by rounding only; shorter steps cost more
-EXACT_OF_MANY = 0.125  # likewise for many bodies; in longer steps each has more others within reach
+EXACT = 2.0**-8  # refinement of a run ahead with only rounding errors; shorter steps cost more
+EXACT_OF_MANY = 0.125  # the same for many bodies, which have more possible partners in longer steps
 EXACT_UP_TO = 200  # bodies; more take `EXACT_OF_MANY`
 FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
-FINEST_OF_ORBITS = 1e-7  # accuracy; gauss-radau15 keeps a finer one for less than wisdom-holman
+FINEST_OF_ORBITS = 1e-7  # accuracy; below it, gauss-radau15 is cheaper than wisdom-holman
 HILL_RADII = 3.0  # between orbits, so that encounters are rare
 SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
-MARGIN = 3.0  # factor from the extrapolated to the expected error; with 2, an event in a step erred by 1.4 times that
+MARGIN = 3.0  # expected over extrapolated error; with 2, an event in a step exceeded it by a factor 1.4
 MOST_IDLE = 5  # runs in a row with shorter steps that hardly change the distance, see `stays`
-# Comparisons in a row after which shorter steps would hardly extend a promise; one may be chance. Where none is kept at
-# all, steps may still be too long to tell.
+# Consecutive comparisons after which shorter steps would hardly extend a promise; one may be chance. Without any kept
+# promise, the steps may still be too long to judge.
 MOST_ENOUGH = 2
 DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
-# Distance from the truth over that of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases;
-# with 1.3, errors exceeded the request before the horizon in 11 of 235, by up to a fifteenth of the time.
+# Error over the distance of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases; with 1.3,
+# errors exceeded the request before the horizon in 11 of 235, by up to a fifteenth of the time.
 SPREAD = 2.5
 LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
-STEPS_OF_TWINS = 200  # those of the last 1 / λ in chaos; a twin with a single iteration hardly rounds by itself
+STEPS_OF_TWINS = 200  # steps in the last 1 / λ in chaos; a twin of one iteration has hardly any own rounding
 RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
-RADAU_LONG = 0.25  # refinement of the run whose distance from that one is its error
+RADAU_LONG = 0.25  # refinement of the run whose distance from the other measures its error
 # Refinement, and the error of its steps over that distance. Of 40 scenes (Kepler orbits of up to 3000 periods, planets,
 # hierarchical triples, 3 to 60 bodies) the largest were 1.1, 0.2, 0.009 and 0.0013 at the end; steps of 1 err by
 # rounding.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
-PLANNED = COARSEST * RATIO**TRIED  # refinement up to which runs ahead are made in any case
+PLANNED = COARSEST * RATIO**TRIED  # refinement up to which runs ahead are always made
 
-# Shares of the budget.
+# Fractions of the budget.
 FIRST_SHARE = 1.0 / 13.0  # of the coarsest run ahead; with `TRIED` finer ones and a twin that makes 12 times as much
 TWIN_SHARE = 0.25  # of a run and of its twin each; the rest is for a run with long steps, or for leapfrog
 
@@ -105,26 +105,26 @@ TWIN_SHARE = 0.25  # of a run and of its twin each; the rest is for a run with l
 def with_promise(
     scene: Scene, threads: int | None = None, start: InitialBodies | None = None, watch: Watcher | None = None
 ) -> Scene:
-    """Return a scene with the step that its accuracy takes, as a [promise]; others are returned as they are.
+    """Return a scene with the step of its accuracy as a [promise]; a scene without an accuracy is returned unchanged.
 
-    ``watch`` is called with the `Budget` while runs ahead go on.
+    ``watch`` is called with the `Budget` during runs ahead.
 
     Raises
     ------
     SceneError
-        If double precision cannot give the accuracy, or the budget of the look ahead ends before anything is known.
+        If double precision cannot give the accuracy, or the look-ahead's budget ends before any result.
     PhysicsError
-        If no run ahead comes to an end.
+        If no run ahead completes.
     """
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
-    with naming_places(scene), np.errstate(invalid="ignore", divide="ignore"):  # what is unknown is infinite
+    with naming_places(scene), np.errstate(invalid="ignore", divide="ignore"):  # unknown values are infinite
         ahead = _LookAhead(scene, scene.time.accuracy, threads, start or place(scene), watch)
         return ahead.find()
 
 
 class _Found(NamedTuple):
-    """A step, and what it keeps."""
+    """A step and its accuracy."""
 
     kept: float  # s, up to which it keeps the accuracy
     refinement: float
@@ -150,7 +150,7 @@ class _LookAhead:
                 f"where this scene has them; set {least:.1e} or more",
                 ("time", "accuracy"),
             )
-        if integrator(scene).controls_error:  # errs by rounding, so twins a last bit apart show its errors
+        if integrator(scene).controls_error:  # its error is rounding, so twins a last bit apart show it
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
             self._twin, self._rounding = (
@@ -179,13 +179,13 @@ class _LookAhead:
 
     @property
     def _is_exact(self) -> bool:
-        """Whether steps of any length are exact: nothing can touch, and uniform fields and drag are all the forces."""
+        """Whether steps of any length are exact: without contacts, and with no forces but uniform fields and drag."""
         needs = require(self._scene)
         return not (needs.contact.modelled or pulls.differing(self._scene))
 
     @property
     def _is_rough(self) -> bool:
-        """Whether Wisdom–Holman integration may keep the accuracy for less than Gauss–Radau integration."""
+        """Whether Wisdom–Holman integration may keep the accuracy at a lower cost than Gauss–Radau integration."""
         available = "wisdom-holman" in registry.names("integrators")
         return available and self._scene.time.integrator == AUTO and self._accuracy >= FINEST_OF_ORBITS
 
@@ -203,7 +203,7 @@ class _LookAhead:
                 run, twins, rounding = self._part_of_orbits(1.0, converges=True)
         if not needs.gravity.modelled:  # parabolas are exact in steps of any length
             refinement, error = RADAU_LONG, rounding
-        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other steps keep it for longer
+        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other steps keep it longer
             refinement, error = 1.0, rounding
         else:
             missed = twins.continued(self._times, self._missed_by_long_steps(run), run.times)
@@ -215,7 +215,7 @@ class _LookAhead:
         return self._promise(refinement, error, twins.exponent)
 
     def _missed_by_long_steps(self, run: TrialRun | FollowedOrbits) -> FloatArray:
-        """Return the distance over the size of a run with long steps from another, at the times of that, (K',)."""
+        """Return the distance of a run with long steps from another, over the size, at the other's times, (K',)."""
         long: TrialRun | FollowedOrbits
         if isinstance(run, TrialRun):
             long = self._run(RADAU_LONG, times=run.times)
@@ -229,9 +229,9 @@ class _LookAhead:
         return missed
 
     def _part_of_orbits(self, refinement: float, *, converges: bool) -> tuple[FollowedOrbits, Twins, FloatArray]:
-        """Return a run without contacts, how it and its twin diverge, and its error by rounding, (K,).
+        """Return a run without contacts, its divergence from its twin, and its rounding error, (K,).
 
-        The twin has a single iteration in each step unless it ``converges`` by itself.
+        The twin has a single iteration in each step unless it ``converges``.
         """
         from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, diverge  # noqa: PLC0415 - a part that can be removed
 
@@ -246,13 +246,13 @@ class _LookAhead:
         self._cover(self._times, run.known)
         apart = np.maximum.accumulate(apart) / self._scale.size
         twins = Twins.grown(self._times, apart, self._began, run.known)
-        if converges:  # it rounds like a run of its own
+        if converges:  # its rounding is independent
             return run, twins, SPREAD * twins.apart
         steps = twins.steps_that_count(self._began, run.steps)
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
     def _bound(self, share: float) -> Callable[[int, float], bool]:
-        """Return what bounds a run of gauss-radau15 without contacts to a share of the whole budget."""
+        """Return the bound of a run of gauss-radau15 without contacts, by a fraction of the whole budget."""
         budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
 
         def goes_on(iterations: int, time: float) -> bool:
@@ -263,7 +263,7 @@ class _LookAhead:
         return goes_on
 
     def _find_for_orbits(self, persists: bool) -> Scene | None:
-        """Return the scene with a promise of Wisdom–Holman integration; None if that is not worth it."""
+        """Return the scene with a promise of Wisdom–Holman integration; None if that is not worthwhile."""
         times, most = samples(self._scene.time.duration, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
         found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists, self._budget)
         if not (found.keeps or persists):
@@ -280,7 +280,7 @@ class _LookAhead:
         best: _Found | None = None
         while len(apart) < TRIED or 2.0 * RATIO * coarse.work <= budget.left:  # with a twin
             refinement *= RATIO
-            share = (budget.left / 2.0) / budget.total  # a twin costs as much again
+            share = (budget.left / 2.0) / budget.total  # a twin costs the same
             fine = self._run(refinement, share=share, longer=max(1.0, PLANNED / refinement))
             apart.append(self._scale.apart(coarse, fine, 1.0))
             known = min(coarse.known, fine.known)
@@ -303,14 +303,14 @@ class _LookAhead:
         error = MARGIN * best.error + self._rounding * twins.apart
         over = np.flatnonzero(~(error <= self._accuracy))
         last = int(over[0]) - 1 if len(over) else len(error) - 1
-        # what ends the promise may happen at once, and at any time after the last one at which it is kept
+        # the promise may end at any time after the last one at which it is kept
         self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
         return self._promise(best.refinement, error, twins.exponent)
 
     def _coarsest(self) -> TrialRun:
         """Return the coarsest run ahead, which covers as much of the run as finer ones can within the budget.
 
-        It sets the times at which runs are compared.
+        It sets the times of comparison.
         """
         duration = self._scene.time.duration
         self._times = between_round_times(duration, SAMPLES)
@@ -324,7 +324,7 @@ class _LookAhead:
         return run
 
     def _part_at_impacts(self, refinement: float) -> tuple[TrialRun, Twins]:
-        """Return a run with impacts, and how it and its twin diverge; they reuse memory where it is little."""
+        """Return a run with impacts, and its divergence from its twin; they share memory if it is scarce."""
         duration, many = self._scene.time.duration, self._scene.count > EXACT_UP_TO
         for count in (SAMPLES,) if many else FEWER_SAMPLES:
             self._times = samples(duration, count)
@@ -341,7 +341,7 @@ class _LookAhead:
         return run, twins.at(self._times, times, self._began)
 
     def _within_budget(self, refinement: float) -> TrialRun:
-        """Return a run ahead to the end; if its share of the budget ends before, one with times up to there."""
+        """Return a run ahead to the end or, if its share of the budget ends before, with times up to there."""
         run = self._run(refinement, share=TWIN_SHARE)
         run.at(len(run.times) - 1)
         if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:
@@ -350,7 +350,7 @@ class _LookAhead:
         return run
 
     def _part(self, run: TrialRun, twin: TrialRun) -> Twins:
-        """Return how a run and its twin diverge."""
+        """Return the divergence of a run and its twin."""
         apart = self._scale.apart(run, twin, APART)
         return Twins.grown(self._times, apart, self._began, min(run.known, twin.known))
 
@@ -360,7 +360,7 @@ class _LookAhead:
         return max(0, int(np.count_nonzero(self._times <= self._budget.covered)) - 1)
 
     def _cover(self, times: FloatArray, known: int) -> None:
-        """Note how many of the times the runs ahead have reached within the budget."""
+        """Store the number of times that the runs ahead have reached within the budget."""
         if known < len(times) or times[-1] < self._scene.time.duration:
             self._budget.cover(float(times[known - 1]) if known else 0.0)
 
@@ -404,7 +404,7 @@ class _LookAhead:
         )
 
     def _refuse(self, covered: float, error: FloatArray) -> None:
-        """Say that nothing can be promised, and what could be."""
+        """Refuse the accuracy, with one that could be promised."""
         units, until = self._scene.unit_system, self._scene.time.duration
         best = float(error.min(initial=LARGEST_ERROR))
         if best <= LARGEST_ACCURACY:

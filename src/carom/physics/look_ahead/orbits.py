@@ -1,12 +1,12 @@
-"""How long a step Wisdom–Holman integration may take to keep an accuracy, found by running the orbits ahead.
+"""The longest step of Wisdom–Holman integration that keeps an accuracy, from runs ahead of the orbits.
 
 The error is of second order in the step. With D(t) for the distance between runs of refinements r and s, that of
 refinement q is
 
     e(t) = D(t) / q² / (1/r² - 1/s²)
 
-The two runs are twins of each other, too: D shows how errors grow, and rounding is far below the accuracies for which
-this is done. The runs are looked at only a few times, because each time takes a corrector and its inverse.
+The two runs are also twins of each other: D shows the growth of errors, and rounding is far below these accuracies. The
+runs are sampled only a few times, because each sample takes a corrector and its inverse.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-ROUGH = 1e-3  # accuracies from this on allow coarse steps; refinements of at least 0.63 resolve the innermost orbit
+ROUGH = 1e-3  # lowest accuracy with coarse steps; refinements of at least 0.63 resolve the innermost orbit
 COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these to 1 the error falls faster than the second order
 COMPARED = (1.0, 1.2)
 # The error of single systems is up to 9 times that of second order: parts of it fall faster and have either sign
 UNEVEN = 4.0
-CHEAP = (0.7, 1.0, 2.0)  # refinements with which a run costs less than with gauss-radau15
-STEPS_AT_ONCE = 1000  # between two looks at the budget
-SHARE = 1.0 / 3.0  # of the budget for each run ahead; the rest is left for gauss-radau15
-FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition where no other integrator may be taken
+CHEAP = (0.7, 1.0, 2.0)  # refinements with a lower cost than gauss-radau15
+STEPS_AT_ONCE = 1000  # between two checks of the budget
+SHARE = 1.0 / 3.0  # of the budget for each run ahead; the remainder is for gauss-radau15
+FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition if no other integrator is allowed
 
 
 class OrbitStep(NamedTuple):
@@ -80,7 +80,7 @@ def look_at_orbits(
 
 
 def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: WorkBudget) -> FloatArray:
-    """Return the positions at all times, (K, n, 3) m; NaN beyond those that the budget lets it reach."""
+    """Return the positions at all times, (K, n, 3) m; NaN after the budget has ended."""
     from carom.physics.integrators.wisdom_holman.wisdom_holman import WisdomHolman  # noqa: PLC0415 - a part that can be removed
 
     rule, gm, n = scene.time, scene.gravity.constant * start.mass, scene.count

@@ -1,9 +1,9 @@
-"""A run ahead, which advances only as far as its positions are asked for and its share of the budget lasts.
+"""A run ahead, which advances only as far as positions are requested and its share of the budget lasts.
 
-The budget is counted in work and not by a clock, so that a promise has the same bits on any machine. Work is in nominal
-seconds: the steps, iterations, held contacts and impacts of the runs ahead, times their measured costs on one core of
-docs/performance.md. On another or a busy machine the clock shows more, but the runs ahead end at the same step. A
-budget by the clock would let a scene get one step on a fast machine and another one on a slow one.
+The budget counts work, not time, so that a promise has the same bits on any machine. Work is in nominal seconds: the
+steps, iterations, held contacts and impacts of the runs ahead, times their measured costs on one core of
+docs/performance.md. On another or a busy machine the actual time is longer, but the runs ahead end at the same step. A
+budget in actual time would give a scene different steps on fast and slow machines.
 """
 
 from __future__ import annotations
@@ -21,54 +21,54 @@ from carom.scene.schema import Expect, Promise, Scene
 from carom.scene.start import InitialBodies
 
 LEAST = 5.0  # nominal s
-PART_OF_RUN = 0.1  # of the nominal time of the run itself, where that is more
-MOST = 60.0  # nominal s; contacts that chatter take ever more steps, so that a run would never end
+PART_OF_RUN = 0.1  # of the nominal time of the run itself, if larger
+MOST = 60.0  # nominal s, because chattering contacts could take steps without end
 # Nominal s, to a factor of two: a call from Python, a step in a kernel, and what a body or contact adds to a step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
 KERNEL_STEP, KERNEL_BODY = 1e-7, 1e-8
 CONTACT_BODY = 5e-7  # search, and the next impacts
-HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # where contacts are held; the last for a contact and an iteration
+HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last for each contact and iteration
 IMPACT = 1.4e-6
 PAIR = 3.2e-10  # of a direct sum, counted from both ends; few bodies take longer
 TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5  # of a tree at this opening angle; the number of boxes grows like 1/angle³
 RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 4e-7, 3.5e-8  # of an iteration of Gauss–Radau integration
 ITERATIONS = 2.5  # of its step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # of Wisdom–Holman integration
-AT_ONCE = 0.05  # that a kernel may take between two looks at the budget
+AT_ONCE = 0.05  # time of a kernel between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
 NEVER = 2**62  # steps between two checks of the energy of a run ahead
 
 
 @dataclass
 class WorkBudget:
-    """Work that a look ahead may do, and has done."""
+    """The allowed and the spent work of a look-ahead."""
 
     duration: float  # s, of the run
-    watch: Watcher | None = None  # called now and then while runs ahead go on
+    watch: Watcher | None = None  # called now and then during runs ahead
     own: float = 0.0  # nominal s, the work of the run itself, by the pace of the latest run ahead
     spent: float = 0.0  # nominal s
-    reached: float = 0.0  # s, where the present run ahead is
-    covered: float = field(default=math.inf)  # s, up to which all runs ahead came before the budget ended
+    reached: float = 0.0  # s, time of the present run ahead
+    covered: float = field(default=math.inf)  # s, reached by all runs ahead within the budget
 
     @property
     def total(self) -> float:
-        """All that may be spent, in nominal s."""
+        """The whole budget, in nominal s."""
         return max(LEAST, min(PART_OF_RUN * self.own, MOST))
 
     @property
     def left(self) -> float:
-        """What may still be spent, in nominal s."""
+        """The remaining budget, in nominal s."""
         return max(0.0, self.total - self.spent)
 
     def spend(self, work: float, reached: float) -> None:
-        """Note work in nominal s of a run ahead that has reached a time in s."""
+        """Add work (nominal s) of a run ahead that has reached a time (s)."""
         self.spent += work
         self.reached = reached
         if self.watch:
             self.watch(self)
 
     def cover(self, until: float) -> None:
-        """Note that a run ahead ended at a time in s because its share of the budget was spent."""
+        """Record that a run ahead ended at a time (s) because its share of the budget was spent."""
         self.covered = min(self.covered, until)
 
 
@@ -90,16 +90,16 @@ def radau_work(bodies: int) -> float:
 
 
 class TrialRun:
-    """A run that advances only as far as its positions are asked for.
+    """A run that advances only as far as its positions are requested.
 
     Parameters
     ----------
     times
         (K,) s, in order.
     budget
-        Gets the work of the run; the work of the run itself is taken to be ``longer`` times as much.
+        Records the work; the work of the actual run is estimated as ``longer`` times as much.
     share
-        Of the whole budget, that this run may spend.
+        Fraction of the whole budget for this run.
     """
 
     def __init__(
@@ -117,10 +117,10 @@ class TrialRun:
         record = scene.record.model_copy(update={"check_every": NEVER})
         unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
         self.refinement = refinement
-        self.rests_from = math.inf  # s; contacts that the integrator does not hold itself come to rest after that
+        self.rests_from = math.inf  # s; after it, contacts rest that the integrator cannot hold
         self.times = times
         self.work = 0.0  # nominal s so far
-        self.is_cut = False  # whether its share of the budget ended it
+        self.is_cut = False  # whether it ended because its share of the budget was spent
         self.share = share
         self._budget, self._longer = budget or WorkBudget(scene.time.duration), longer
         self._simulation = Simulation(unchecked, start, threads)
@@ -138,7 +138,7 @@ class TrialRun:
 
     @property
     def known(self) -> int:
-        """The number of times at which the positions are known, or are known not to exist."""
+        """The number of times at which the positions are known or certainly do not exist."""
         return len(self._positions) if self.is_cut else len(self.times)
 
     @property
@@ -161,7 +161,7 @@ class TrialRun:
         return self._positions[sample] if sample < len(self._positions) else None
 
     def again(self, start: InitialBodies) -> TrialRun:
-        """Complete this run, then return one from another start that reuses its memory."""
+        """Complete this run, then return a run from another start that reuses its memory."""
         self.at(len(self.times) - 1)
         other = copy(self)
         other.rests_from, other.work, other.is_cut, other._failed, other._positions = math.inf, 0.0, False, False, []
@@ -169,7 +169,7 @@ class TrialRun:
         return other
 
     def _advance(self, time: float) -> None:
-        """Advance to a time in s, and keep the positions there, unless the share of the budget ends before."""
+        """Advance to a time (s) and store the positions there, unless the share of the budget ends before."""
         simulation = self._simulation
         while simulation.time < time:
             if self.work > self.share * self._budget.total:
@@ -187,12 +187,12 @@ class TrialRun:
         self._positions.append(simulation.state.position.copy() if solution is None else solution[0])
 
     def _note_rest(self, flies: bool) -> None:
-        """Note that contacts rest since the last time at which they did not, or soon after."""
+        """Record that contacts rest from the last time at which they did not, or soon after."""
         if self._chooses_steps and not flies and self.rests_from == math.inf:
             self.rests_from = float(self.times[len(self._positions) - 1]) if self._positions else 0.0
 
     def _spend(self, steps: int) -> None:
-        """Note the work of the last call."""
+        """Record the work of the last call."""
         simulation, budget = self._simulation, self._budget
         contacts, sweeps, impacts = simulation.contact_work
         work = self._call + steps * self._each + impacts * IMPACT
