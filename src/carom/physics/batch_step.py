@@ -139,7 +139,7 @@ class BatchStepper:
     def _fly(self, end: float, until: float, most: int) -> Batch:
         """Integrate up to a time, the end of the run, a number of steps, or the next impact.
 
-        Impacts where the first step begins are resolved first. No step is made if contacts are at rest there.
+        Impacts at the beginning of the first step are resolved first. No step is made if contacts are at rest there.
         """
         world, audit = self._world, self._books.impulse_audit
         time, contact, velocity = world.clock.time, world.contact, world.bodies.velocity

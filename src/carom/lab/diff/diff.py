@@ -222,7 +222,7 @@ class Diff:
     curve: DistanceCurve
     divergence: Divergence | None
     verdict: DiffVerdict
-    impacts: ImpactDivergence | None  # None if one has none recorded
+    impacts: ImpactDivergence | None  # None if a recording has none
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
 
     @property

@@ -1,4 +1,4 @@
-"""Initial states of the bodies: explicit ones and those from data as given, then groups without overlaps."""
+"""Initial states of the bodies: explicit bodies and data as given, then groups without overlaps."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _place(scene: Scene) -> InitialBodies:
     streams = [np.random.default_rng(seed) for seed in np.random.SeedSequence(scene.seed).spawn(len(scene.group))]
     _refuse_full_box(scene)
     units = scene.unit_system
-    centres: dict[int, FloatArray] = {}  # of groups that were compressed together with an earlier one
+    centres: dict[int, FloatArray] = {}  # centres of groups that were compressed together with an earlier one
     radii: dict[int, FloatArray] = {}
     for index, group in enumerate(scene.group):
         if index not in centres:
@@ -139,8 +139,8 @@ def _explicit(bodies: Sequence[Body]) -> InitialBodies:
 def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
     """Return the groups that are placed together with a group, which is the first of them, by their indices.
 
-    Groups that are compressed into one region grow together. One after the other, the first would leave no space for
-    the next.
+    Groups that are compressed into one region grow together. If groups were compressed in turn, the first would leave
+    no space for the next.
     """
     first = scene.group[index]
     if first.arrangement != "compressed" or first.region is None:
@@ -201,7 +201,7 @@ def _group(
 
 
 def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, FloatArray]) -> None:
-    """Refuse a region that a mixture would fill more than its arrangement can."""
+    """Refuse a region that a mixture would fill beyond the limit of its arrangement."""
     index, group = next(iter(mixture.items()))
     if group.region is None:
         return
@@ -242,12 +242,12 @@ def _refuse_full_box(scene: Scene) -> None:
 
 # checks of a start: overlaps, and numbers out of range
 MOST_PAIRS = 3  # that a message names
-WRITTEN = 5e-7  # half a unit in the last of seven digits, of numbers that begin with 1; files and people write no fewer
-MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is no rounding of the file, at any distance from the origin
+WRITTEN = 5e-7  # half a unit in the last of seven digits, the fewest that files and people write
+MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is no rounding of a file
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:
-    """Return the key of a body whose position is given, or that of the data that it is a row of."""
+    """Return the key of a body with a given position, or of the data that contains it."""
     row = number - len(scene.body)
     if row < 0:
         return "body", number
@@ -256,12 +256,12 @@ def key_of(scene: Scene, number: int) -> KeyPath:
 
 
 def written_name(scene: Scene, number: int, names: Sequence[str]) -> str:
-    """Name a body whose position is given by its key in the scene, or by its row in the data."""
+    """Return the name in messages of a body with a given position: its key in the scene, or its row in the data."""
     return "".join(_place_of(scene, number, names))
 
 
 def _place_of(scene: Scene, number: int, names: Sequence[str]) -> tuple[str, str]:
-    """Return the key of a body in the scene, or its row, and the data that it is a row of."""
+    """Return the key of a body in the scene, or the key of its data and its row."""
     row, name = number - len(scene.body), names[number]
     if row < 0:
         return body_key(number, name), ""
@@ -306,7 +306,7 @@ def refuse_overflow(start: InitialBodies) -> None:
 
 
 def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
-    """Refuse overlapping bodies; touching is allowed, up to the rounding of positions of seven digits."""
+    """Refuse overlapping bodies; overlaps by the rounding of positions with seven digits count as touching."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return
@@ -351,7 +351,7 @@ def refuse_immersion(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> 
 
 
 def _rounding(start: InitialBodies, length: FloatArray) -> FloatArray:
-    """Return the possible rounding errors of lengths, in m; less than a length, however far from the origin."""
+    """Return bounds of the rounding errors of lengths, in m; each is less than the length itself."""
     return np.asarray(np.minimum(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()), 0.5 * length))
 
 

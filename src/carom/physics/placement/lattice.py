@@ -29,8 +29,8 @@ CELLS = {
         ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 5.0 / 6.0, 0.5), (0.0, 1.0 / 3.0, 0.5)),
     ),
 }
-WIDEST = 1.2  # times the spacing at which the region would hold just so many points without its border
-NARROWER = 0.995  # of the spacing, each time that the region holds too few points
+WIDEST = 1.2  # times the spacing at which a region without a border would hold exactly so many points
+NARROWER = 0.995  # factor on the spacing, each time that the region holds too few points
 TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding lets no two neighbours overlap
 MOST_POINTS = 50_000_000
 

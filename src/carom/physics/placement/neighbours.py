@@ -23,9 +23,9 @@ if TYPE_CHECKING:
     from scipy.spatial import cKDTree
 
 
-ALL_PAIRS_UP_TO = 64  # bodies; SciPy takes longer to import than a short run
+ALL_PAIRS_UP_TO = 64  # bodies; importing SciPy takes longer than a short run
 MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
-QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: ask for a little more, then test exactly
+QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: query a little more, then test exactly
 
 
 def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> IntArray:
@@ -128,11 +128,11 @@ class Surroundings:
     box: FloatArray | None  # (3,) m
 
     def beside(self, centres: FloatArray, radii: FloatArray) -> Surroundings:
-        """Return the same with more spheres."""
+        """Return these surroundings with more spheres."""
         return replace(self, spheres=(*self.spheres, (centres, radii)))
 
     def is_clear(self, position: FloatArray, radius: FloatArray) -> BoolArray:
-        """Return which spheres touch no plane and none of these spheres, (k,)."""
+        """Return a mask (k,) of the spheres that touch no plane and none of these spheres."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
         clear: BoolArray = np.all(self.solids.depth(position, radius) < 0.0, axis=1)

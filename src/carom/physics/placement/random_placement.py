@@ -1,12 +1,12 @@
 """Spheres at random places without overlaps.
 
-Candidates are generated, 1.2 a body, and filtered: a broad phase by grids or k-d trees, then the exact test. Those that
-collide are replaced by new ones until each body has one.
+Candidates are generated, 1.2 a body, and filtered: a broad phase by grids or k-d trees, then the exact test. Colliding
+candidates are replaced by new ones until each body has one.
 
-Two grids cover the region of accepted spheres (`Occupancy`). In the coarse one a cell holds at most one centre, since
-accepted spheres do not overlap. In the fine one a cell is marked if every centre in it would overlap an accepted
-sphere; its own cell rejects most candidates. The others are tested exactly against the centres in the cells around
-them, so the result is that of a search through all spheres, bit by bit.
+Two grids cover the region of accepted spheres (`Occupancy`). A coarse cell holds at most one centre, since accepted
+spheres do not overlap. A fine cell is marked if every centre in it would overlap an accepted sphere; this rejects most
+candidates. The others are tested exactly against the centres in the cells around them, so the result has the bits of a
+search through all spheres.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from carom.scene.units.system import UnitSystem
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 FINE_CELL = 0.34  # of the smallest radius
 MOST_CELLS = 100_000_000  # of the fine grid, one byte each
-MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a search is quick
+MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a search is fast
 MARGIN = 1.0 + 1e-9  # for the rounding of positions of cells
 AT_ONCE = 4096  # spheres that are accepted together, some 10 MB of cells
-CELLS_AT_ONCE = 16  # that are examined; most candidates touch something in the first of them
+CELLS_AT_ONCE = 16  # cells examined at a time; most candidates touch something in the first of them
 
 
 class _Grid:
@@ -118,7 +118,7 @@ class Occupancy:
         self._radius = np.concatenate((self._radius, radius))
 
     def touches(self, position: FloatArray, radius: FloatArray) -> BoolArray:
-        """Return which candidates touch or overlap an accepted sphere, (k,)."""
+        """Return a mask (k,) of the candidates that touch or overlap an accepted sphere."""
         touching = self._taken[self._fine.cells(position)]
         left = np.flatnonzero(~touching)
         cells = self._coarse.cells(position[left])
@@ -148,7 +148,7 @@ def positions(
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
 
-    ``dense``: the spheres will grow, so that a message does not propose it.
+    ``dense``: the spheres will grow, so messages do not propose dense packing.
     """
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
@@ -169,9 +169,9 @@ def _place_class(
 ) -> FloatArray:
     """Generate and filter one size class.
 
-    The pool keeps the order of arrival, and of two candidates that collide the newer one is removed. An accepted
-    candidate therefore stays, and no round loses one. Each round tops the pool up to 1.2 n. ``owner`` is the body whose
-    radius a candidate has; only the first accepted candidate of each body is kept.
+    The pool keeps the order of arrival; the newer one of two colliding candidates is removed. No round therefore loses
+    an accepted candidate. Each round tops the pool up to 1.2 n. ``owner`` is the body whose radius a candidate has;
+    only the first accepted candidate of each body is kept.
     """
     n = len(radius)
     pool, owner, missing = np.empty((0, 3)), np.empty(0, dtype=np.int64), np.arange(n)
@@ -220,7 +220,7 @@ def _place_class(
 
 
 def _is_inside(corners: tuple[FloatArray, FloatArray], box: FloatArray) -> bool:
-    """Return whether a region is inside a periodic box: spheres in it then touch none of each other's images."""
+    """Return whether a region is inside a periodic box, so that its spheres touch no images of each other."""
     low, high = corners
     return bool((low >= -0.5 * box).all() and (high <= 0.5 * box).all())
 
@@ -247,7 +247,7 @@ def _clean(
 
 
 def _clean_beside(occupied: Occupancy, candidates: FloatArray, radius: FloatArray) -> IntArray:
-    """Return the same as `_clean` in open space."""
+    """Return the result of `_clean` in open space."""
     from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
     free = np.flatnonzero(~occupied.touches(candidates, radius))

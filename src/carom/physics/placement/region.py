@@ -1,4 +1,4 @@
-"""The region of a group: its volume, how full it is, and random centres inside it; what a placement offers."""
+"""The region of a group: its volume, its packing, and random centres inside it; the interface of arrangements."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Arrangement(NamedTuple):
     """An arrangement of groups; `carom.registry` has it by its name in scenes."""
 
     arrange: Arrange
-    fullest: Callable[[FloatArray], float]  # the packing that spheres of some radii, (n,), can reach; inf if not known
+    fullest: Callable[[FloatArray], float]  # largest packing of spheres of some radii, (n,); inf if unknown
     limit: str = ""  # begins the sentence that names this packing
 
 
@@ -82,7 +82,7 @@ def packing_fraction(group: BodyGroup) -> float:
 
 
 def volume(region: Region) -> float:
-    """Return the volume of a region in m³; for Plummer's model that of its mass at the density of its centre."""
+    """Return the volume of a region in m³; for Plummer's model, its mass over its central density."""
     radius = 0.0 if region.radius is None else region.radius
     match region.shape:
         case "box":
@@ -127,7 +127,7 @@ def half_extent(region: Region) -> FloatArray:
 
 
 def contains(region: Region, position: FloatArray, radius: float) -> BoolArray:
-    """Return which spheres of one radius are inside a region, up to rounding, (k,)."""
+    """Return a mask (k,) of the spheres of one radius inside a region, up to rounding."""
     outside = confined(region, position, np.full(len(position), radius)) - position
     return np.asarray((np.abs(outside) <= ROUNDING * half_extent(region)).all(axis=1))
 
@@ -151,7 +151,7 @@ def confined(region: Region, position: FloatArray, radius: FloatArray) -> FloatA
 
 
 def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Region:
-    """Return a ball that is `DEFAULT_PACKING` full."""
+    """Return a ball with the packing `DEFAULT_PACKING`."""
     with np.errstate(over="ignore"):
         volume = np.asarray(np.sum(radius * radius * radius) / DEFAULT_PACKING)
         size = float(max(cube_root(volume), 1.01 * radius.max()))

@@ -83,7 +83,7 @@ NONE = Additions()
 # entity whose transform shrinks by a power of ten, so that everything else appears larger. The numbers in the file stay
 # as they are.
 
-NEAREST = 0.5  # units, of the camera from its target: bodies are drawn, and so are arrows in front of them
+NEAREST = 0.5  # units, least distance of the camera from its target: bodies and arrows before them are drawn
 EVERYTHING = "/"
 _LENS = "lens"
 _UNSEEN = 1e-3  # units; Rerun draws nothing nearer than 0.01

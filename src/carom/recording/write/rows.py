@@ -57,8 +57,8 @@ def any_column(name: str, values: NDArray[Any] | list[str], each: Each = 1) -> C
 def any_values(values: Mapping[str, Any]) -> rr.AnyValues:
     """Return values under names that Rerun does not know; texts and lists that are empty are left out.
 
-    Each gets its type here. Rerun keeps the first type that a name has in a process and refuses any other, so a sweep
-    over 0.1 and "auto" would fail.
+    The type of each value is set here. Rerun keeps the first type that a name has in a process and refuses any other,
+    so a sweep over 0.1 and "auto" would fail.
     """
     given = {name: value for name, value in values.items() if not (isinstance(value, Sized) and len(value) == 0)}
     many = list, tuple, np.ndarray

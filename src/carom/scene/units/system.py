@@ -229,7 +229,7 @@ def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
 SI = UnitSystem()
 
 
-_NAMES = {  # carom's names by REBOUND's
+_NAMES = {  # carom's names of units, by those of REBOUND
     **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
     **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
     **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),
