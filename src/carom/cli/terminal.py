@@ -177,7 +177,7 @@ class MovieProgress(LiveLine):
         super().__init__()
         self._path = path
         self._units = units
-        self._times = times  # s, of the frame that each picture shows
+        self._times = times  # s, times of the frames in the pictures
         self._made = 0
         self._first: float | None = None  # time of the first picture, before which the viewers were starting
         self._last = 0.0

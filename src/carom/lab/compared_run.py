@@ -135,7 +135,7 @@ class Trajectory:
     energy_error: float  # largest |integration error| over the energy scale, or energy injected by contacts
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
-    angular_momentum_error: float  # likewise
+    angular_momentum_error: float  # the same of the angular momentum
     overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
     sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can rest
     impacts: int  # contacts that closed faster than at rest, summed over the steps

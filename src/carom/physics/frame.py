@@ -123,7 +123,7 @@ class Frame:
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
     momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
-    angular_momentum_error: float | None = None  # likewise; also None in a periodic box, which does not conserve it
+    angular_momentum_error: float | None = None  # the same of L; also None in a periodic box, which does not conserve L
     integrator: IntegratorCheckpoint | None = None  # state that its next step needs; None if it needs none
     slot: int | None = None  # of its arrays in a `FrameStore`; None if it owns them
     impacts: Records | None = None  # (k,) `CONTACT_ROW`, since the frame before, in order of time; None: not asked for

@@ -177,8 +177,8 @@ class FreeFlight:
 
 def can_fly(world: World) -> bool:
     """Return whether a world has few enough bodies, and forces that a kernel can sum."""
-    is_audited = world.scene.expect.contact_audit is not None  # which sees every kick
-    loses_turns = world.is_periodic and world.contact is None  # which a step refuses
+    is_audited = world.scene.expect.contact_audit is not None  # the audit needs every kick
+    loses_turns = world.is_periodic and world.contact is None  # a step refuses many
     known = world.forces.laws is not None
     return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
 

@@ -105,7 +105,7 @@ RULE = np.dtype(
         ("anchored", np.bool_),  # whether something is fixed: speeds are then relative to it
         ("looks", np.bool_),  # whether a limit needs the largest values of all bodies
         ("pull_fraction", np.float64),
-        ("pull_of_pairs", np.bool_),  # these as in `PullTime`
+        ("pull_of_pairs", np.bool_),  # this and the following as in `PullTime`
         ("constant", np.float64),
         ("softening", np.float64),
         ("mean", np.float64),

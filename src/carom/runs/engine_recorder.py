@@ -47,7 +47,7 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.units.unit import UnitError
 
 # `SnapshotWriter`: the thread that records the snapshots of another engine's run.
-WAITING_BYTES = 32_000_000  # of states that wait for the writer
+WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
 MOST_WAITING = 256
 STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
 BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies

@@ -218,7 +218,7 @@ def _run_again(
             if run.difference:
                 break
             if frame.step >= (run.last if recorder is None else run.last_recorded):
-                space.stop()  # which judges the run at the time of the stop
+                space.stop()  # a stopped run is judged at its last step
     except KeyboardInterrupt:
         return "stopped by the user"
     return ""

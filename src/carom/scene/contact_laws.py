@@ -45,7 +45,7 @@ class ContactLaw:
     rolling: Callable[..., tuple[float, float, float]] | None = None  # (p, normal, radius, x, y, z) → N m s, (3,),
     # about axes in the tangential plane; ``normal`` is the normal impulse in N s
     twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
-    restitution: Callable[..., float] | None = None  # these and the next as in `carom.physics.contact.law`
+    restitution: Callable[..., float] | None = None  # arguments as in `carom.physics.contact.law`
     dissipates: Callable[..., bool] | None = None
     impact_friction: Callable[..., float] | None = None
     lasting_friction: Callable[..., tuple[float, float, float]] | None = None

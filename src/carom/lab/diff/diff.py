@@ -215,7 +215,7 @@ class Diff:
 
     paths: tuple[Path, Path]
     scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
-    defaults: dict[str, Any]  # of keys that one scene leaves out
+    defaults: dict[str, Any]  # values of keys that one scene leaves out
     environment: dict[str, tuple[Any, Any]]  # differences of versions, machine, command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
@@ -253,7 +253,7 @@ def diff(a: Recording, b: Recording) -> Diff:
     divergence = divergence_of(curve)
     engines, environment = (a.engine, b.engine), differing(a.properties, b.properties)
     written = {} if any(engines) else differing(_scene(a), _scene(b))
-    if any(engines):  # whose scene and environment are unknown
+    if any(engines):  # their scene and environment are unknown
         environment = {key: values for key, values in environment.items() if None not in values and key != "engine"}
     same = _written_otherwise(a, b, written)
     scene = {key: values for key, values in written.items() if key not in same}

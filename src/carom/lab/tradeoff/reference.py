@@ -155,7 +155,7 @@ class Reference:
     trajectory: Trajectory
     scale: ErrorScale
     kind: str  # "exact" or "refined"
-    fineness: float  # steps of the scene over its steps; infinite if it is exact
+    fineness: float  # step of the scene over that of the reference; infinite if it is exact
     samples: int  # number of samples up to the horizon, at which positions are compared
     whole: bool  # whether it reaches the end of the scene
     uncertainty: Errors  # the larger errors of the checks, in the measures of settings; at least rounding

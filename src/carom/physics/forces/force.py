@@ -153,7 +153,7 @@ class ForceLaws(NamedTuple):
     softening: float  # m
     is_uniform: bool  # whether there is a field
     uniform: FloatArray  # (3,) m/s²
-    others: Parameters  # those of installed packages, for `add_forces`
+    others: Parameters  # forces of installed packages, for `add_forces`
 
 
 class TotalForce:

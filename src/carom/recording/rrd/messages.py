@@ -131,7 +131,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
 Fields = dict[int, list["int | memoryview"]]
 
 _LONGEST_VARINT = 64  # bits
-_MOST_FIELDS = 1000  # of a message; an .rrd's have up to six
+_MOST_FIELDS = 1000  # fields in a message; those of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:

@@ -180,7 +180,7 @@ class Stream:
             self._send(joined(rows), clock, (self._stream,))
 
     def send_continued(self, continued: Continuation) -> None:
-        """Send the frames that a resumed run takes over; raises if the disk is full."""
+        """Send the frames that a resumed run continues; raises if the disk is full."""
         sent = 0
         for chunk in continued.chunks():
             for stream in self._streams():

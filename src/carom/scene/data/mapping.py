@@ -77,7 +77,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                 )
             if candidates:
                 mapping[quantity] = candidates[0]
-            elif quantity != "position":  # whose absence is an error
+            elif quantity != "position":  # a missing position is an error
                 _refuse_part(quantity, names, called)
     for first, second in _RIVALS:
         _refuse_rivals(section, mapping, first, second, called)
@@ -106,7 +106,7 @@ def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[st
     """List the columns that are not used for bodies, with known reasons; empty if there are none."""
     used = {column for columns in mapping.values() for column in columns}
     if STEP in names and BODY in names:
-        used |= {STEP, BODY}  # these select the rows
+        used |= {STEP, BODY}  # step and body select the rows
     given = {quantity for quantity in QUANTITIES if _is_given(section, quantity)}
     usual = {name: quantity for quantity in given for columns in _usual(quantity, names) for name in columns}
     unused = [name for name in names if name not in used]
