@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import sys
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
@@ -160,7 +161,7 @@ def load(kind: str, name: str) -> Any:
     target = found.target if found else HOUSE.get(kind, {}).get(name)
     if target is None:
         known = names(kind)
-        near = suggestion(name, known) if known else f"no installed package has a {KINDS[kind]}"
+        near = suggestion(name, known) if known else f"no installed package has a {KINDS[kind]} (in {sys.prefix})"
         raise ExtensionError(f'no {KINDS[kind]} "{name}"; {near}')
     if found is None:
         return _imported(target)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
+import sys
 import types
 import typing
 from collections.abc import Collection, Iterator, Sequence
@@ -52,7 +53,7 @@ def hint(path: KeyPath) -> str:
     key, here = str(path[-1])[:LONGEST], list(model.model_fields)
     if path[:-1] == ("forces",):
         near = _near(key, here, ALIKE)
-        return _meant([near]) if near else "; no installed package has a force of that name"
+        return _meant([near]) if near else f"; no installed package has a force of that name (in {sys.prefix})"
     if path[0] in ("body", "group") and key in Coefficients._fields:
         return f"; give it to a [[material]] that the {path[0]} names, or to all by contact.{key}"
     if near := _near(key, here, ALIKE):

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
+from carom.errors import RecordingError
 from carom.recording.read.recording import Recording
+from carom.recording.schema.series import Sample, Series
 from carom.runs.run import run
 from carom.scene.schema import Scene
 
@@ -88,6 +90,20 @@ def test_momentum_errors_that_are_not_compared_are_no_numbers(tmp_path: Path) ->
     summary = Recording.open(path).summary()
     assert summary["momentum"]["max_error"] is None and summary["angular_momentum"]["max_error"] is None
     assert summary["contacts"]["total"] == 1
+
+
+def test_a_series_has_the_masses_and_its_failure_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[float] = []
+
+    def value(sample: Sample) -> float:
+        seen.extend([*sample.mass, *sample.radius])
+        raise ZeroDivisionError("no ratio")
+
+    series = Series("step/ratio", "1", "ratio", 0, None, value, "a ratio")
+    monkeypatch.setattr("carom.recording.write.encoder.recorded", lambda header: [series])
+    with pytest.raises(RecordingError, match=r"the series step/ratio: ZeroDivisionError: no ratio$"):
+        recorded(tmp_path / "x.rrd")
+    assert seen[:4] == [1.0, 1.0, 0.5, 0.5]
 
 
 def test_edges_end_on_planes_and_the_overlap_counts_against_the_body(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ from enum import Enum, auto
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from carom import registry
+from carom.arrays import FloatArray
 from carom.plan.features import Requirements
 from carom.recording.schema import paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
@@ -65,6 +66,8 @@ class Sample(NamedTuple):
     relative_overlap: float  # the largest overlap / smaller radius of a contact
     colours: float  # number of colours of the contacts
     energy: Energy  # of the frame, J
+    mass: FloatArray  # (n,) kg
+    radius: FloatArray  # (n,) m
 
 
 class Past(Enum):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from rerun import ComponentColumn
 
 from carom.arrays import FloatArray, IntArray, SingleArray
+from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame, FrameStore
@@ -309,9 +310,18 @@ class BatchEncoder:
     def _series(self, index: Index, batch: Sequence[Frame], extremes: FloatArray) -> Iterable[Rows]:
         before, self._before = [self._before, *batch[:-1]], batch[-1]
         energies = [frame.energy for frame in batch]
-        samples = [Sample(*row) for row in zip(batch, before, *extremes.T.tolist(), energies, strict=True)]
+        rows = zip(batch, before, extremes.tolist(), energies, strict=True)
+        mass, radius = self.header.mass, self.header.radius
+        samples = [
+            Sample(frame, last, overlap, relative, colours, energy, mass, radius)
+            for frame, last, (overlap, relative, colours), energy in rows
+        ]
         for series in self._recorded:
-            values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
+            try:
+                values = np.array([series.value(sample) for sample in samples], dtype=np.float64)
+            except Exception as error:
+                # the function may belong to another package
+                raise RecordingError(f"the series {series.path}: {type(error).__name__}: {error}") from error
             self.curves[series.path].see(index.times, values)
             column = plain_column(rr.Scalars.descriptor_scalars(), values)
             yield frame_rows(series.path, index, [column], array_bytes(values))
