@@ -7,7 +7,7 @@ import pytest
 
 import carom
 from carom.recording.layout.bodies_view import FIELD
-from carom.recording.layout.camera import View
+from carom.recording.layout.camera import CameraMotion, View
 from carom.recording.layout.canvas import Area, Canvas
 from carom.recording.layout.drawing import REACH, magnitude_at, part_of_longest
 from carom.recording.read.recorded_scene import header_of_recording
@@ -104,7 +104,7 @@ def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bou
 
 def test_names_stand_beside_bodies_only_where_they_do_not_overlap(bounce: Recording) -> None:
     header, area = header_of_recording(bounce), Area(400.0, 400.0)
-    eye = View(np.zeros(3), 10.0, False, np.array([0.0, -1.0, 0.0]))
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
     assert names_fit(header, np.array([[-2.0, 0, 0], [2.0, 0, 0]]), eye, area)
     assert names_fit(header, np.array([[0, 0, 1.0], [0, 0, 0]]), eye, area), "one above the other"
     assert not names_fit(header, np.array([[-0.2, 0, 0], [0.2, 0, 0]]), eye, area)
