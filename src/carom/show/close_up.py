@@ -228,7 +228,8 @@ class CloseUp:
         after = np.zeros((len(self.bodies), 3)) if self.spin is None else self.spin
         before = after if self.spin_before is None else self.spin_before
         speeds = np.linalg.norm([before, after], axis=2)
-        turning = (speeds > _ROUNDING * speeds.max()).any(axis=0)
+        speeds[speeds <= _ROUNDING * speeds.max()] = 0.0
+        turning = (speeds > 0.0).any(axis=0)
         vectors = _SPIN * small * after[turning] / (speeds.max() or 1.0)
         texts = [[units.text(value, dimension.ANGULAR_VELOCITY, ".3g") for value in each] for each in speeds]
         labels = [

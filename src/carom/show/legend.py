@@ -24,7 +24,7 @@ from carom.recording.write.encoder import SPEED
 from carom.scene.units import dimension
 
 LEGEND = "legend"
-MOST_NAMED = 9  # bodies that have an entry each
+MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows stay in view
 
 _ROW = 25.0  # points, from one line to the next
 _MARGIN = 10.0  # points, around the lines
@@ -153,7 +153,7 @@ def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
     single = np.flatnonzero(header.group == -1)
     yield from (LegendLine(f"■ {names[k] or f'body {k}'}", known[k]) for k in single[:MOST_NAMED].tolist())
     if len(single) > MOST_NAMED:
-        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in turns and shades", palette.GREY)
+        yield LegendLine(f"and {len(single) - MOST_NAMED} more, in other shades", palette.GREY)
 
 
 def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[LegendLine]:
@@ -163,15 +163,15 @@ def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[LegendLi
     if header.engine or theme == "light":
         yield LegendLine("— bodies that touch", palette.VERMILION)
     else:
-        yield LegendLine("— contact, in the colour of its stage", palette.STAGES[0])
+        yield LegendLine("— contact, coloured by the solver's stage", palette.STAGES[0])
     if not header.records_contacts:
         return
     middle = _middle(header, frame)
     levels = drawing.COLOURS.tolist() if theme == "dark" else [palette.VERMILION] * drawing.LEVELS
-    yield LegendLine("— edge: thin, small impulse", levels[1])
+    yield LegendLine("— thin edge: small impulse", levels[1])
     yield LegendLine(f"— edge: {middle or 'the median impulse'}", levels[len(levels) // 2])
-    yield LegendLine("— edge: wide, large impulse", levels[-1])
-    yield LegendLine("■ impact: size impulse, glow energy lost", int(drawing.COLOURS[-2]))
+    yield LegendLine("— wide edge: large impulse", levels[-1])
+    yield LegendLine("■ impact: size = impulse, glow = lost energy", int(drawing.COLOURS[-2]))
     yield LegendLine(f"→ normal impulse: 1 radius = {middle or 'the median'}", palette.ARROWS[paths.FORCE_NORMAL])
     if header.has_friction:
         yield LegendLine("→ impulse of friction, same scale", palette.ARROWS[paths.FORCE_FRICTION])
@@ -194,6 +194,8 @@ def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendL
             yield LegendLine(f"→ {name}", colour)
             continue
         values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
-        one, more = (header.units.text(value, kind, ".3g") for value in values)
+        one, more = (header.units.text(value, kind, ".2g") for value in values)
+        if one.partition(" ")[2] == more.partition(" ")[2]:
+            one = one.partition(" ")[0]  # the line is short of room
         yield LegendLine(f"→ {name}, beyond the surface:", colour)
         yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)
