@@ -65,7 +65,7 @@ def test_the_hardest_impact_of_a_scene_is_framed_with_its_edge_and_arrow(name: s
         assert filled(shown) > 0.5, what
     if name != "elastic-gas":  # a thousand molecules hide the one edge of the instant
         assert sum(of_colour(graph, int(colour)) for colour in drawing.COLOURS) > 15, "edges of the graph"
-    assert of_colour(close, palette.VERMILION, 60) > 40, "the edge between the two bodies"
+    assert of_colour(close, palette.VERMILION, 60) > 15, "the edge, seen through the two bodies"
     assert of_colour(close, palette.YELLOW, 60) > 100, "the arrow of the impulse"
     hues = max(of_hue(close, hue) for hue in palette.BODIES)
     assert hues > 0.01 * close.shape[0] * close.shape[1], "one of the two bodies"

@@ -149,7 +149,8 @@ class _Jumps:
             for k, side in np.argwhere((self._pairs == body) & (self._kicks != 0.0).any(axis=2)).tolist():
                 past = np.arange(len(self._time)) < k
                 spin, kick = self._spin(body, past, self._time[k]), self._kicks[k, side]
-                gains[k] += header.inertia[body] * float((spin + 0.5 * kick) @ kick)
+                # a sum of products: the bits of a matrix product depend on the processor
+                gains[k] += header.inertia[body] * float(((spin + 0.5 * kick) * kick).sum())
         return gains
 
     def _part(self, time: float) -> float:
