@@ -245,6 +245,16 @@ def test_a_replay_that_is_interrupted_says_how_far_it_got(tmp_path: Path) -> Non
     assert dense.outcome == "stopped by the user" and dense.frames == 30, "what there was is kept"
 
 
+def test_a_replay_by_another_command_compares_all_that_was_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["carom", "run", "cloud"])
+    carom.run(cloud(12), tmp_path / "cloud.rrd")
+    monkeypatch.setattr(sys, "argv", ["carom", "replay", "cloud.rrd"])
+    result = replay(Recording.open(tmp_path / "cloud.rrd"))
+    assert result.same and result.not_compared == []
+
+
 def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -150,7 +150,12 @@ class StaticCheck:
         self.skipped: dict[str, None] = {}  # descriptions of data that could not be compared
         self._recording = recording
         scene = space.scene
-        self._header = replace(header_of(space), record_impacts=scene.record.impacts, group=groups_of(scene))
+        header = header_of(space)
+        # /scene states the circumstances of the run, such as its command, which are not those of the replay
+        circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
+        self._header = replace(
+            header, record_impacts=scene.record.impacts, group=groups_of(scene), properties=circumstances
+        )
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
             # the program of the run chose it, and the replay checks errors at it
