@@ -8,10 +8,11 @@ import pytest
 import carom
 from carom.recording.edit.clip import clip
 from carom.recording.layout.bodies_view import TRAILS, faint_bodies
+from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.show import close_up
+from carom.show import close_up, movie
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
 from small_scenes import scene_of
@@ -68,6 +69,12 @@ def test_a_body_has_the_same_colour_in_the_close_up_on_its_trail_and_on_its_curv
     assert colours_in(statics[TRAILS]) == recorded
     curves = [colours_in(statics[f"plot/body{body}/x"])[0] for body in (1, 2)]
     assert curves == palette.legible(recorded[1:]).tolist()
+
+
+def test_the_trails_of_a_movie_have_the_colours_of_its_bodies(collision: Recording) -> None:
+    layout = movie._layout(collision, [0.0, 1.0, 2.0], Canvas(480, 300, rendered=True), "bodies")
+    if collision.info["colour_by"] != "island":  # which changes with the contacts
+        assert colours_in(dict(layout.statics)[TRAILS]) == recorded_colours(collision)
 
 
 def test_the_graph_draws_bodies_in_their_own_colours(collision: Recording) -> None:

@@ -113,6 +113,17 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
     return BodyColours(np.array(steps), np.array(times), np.stack(colours))
 
 
+def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> ColourArray:
+    """Return the colours (n,) of the paths of bodies: those of the bodies if they never change, else of the groups."""
+    fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
+    return palette.legible(fixed[recording.shown], theme)
+
+
+def suit_another_ground(header: Header, theme: str) -> bool:
+    """Return whether the recorded colours are legible on another ground only than that of a theme."""
+    return theme == "light" and shape(header) != "mesh"
+
+
 def _constant(recording: Recording, colours: ColourArray) -> BodyColours:
     first = recording.fingerprints()
     return BodyColours(first[STEP].to_numpy()[:1], first["time"].to_numpy()[:1], colours[None])

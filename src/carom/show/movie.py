@@ -17,7 +17,6 @@ from carom.errors import RecordingError
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, blueprint
 from carom.recording.layout.camera import CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
-from carom.recording.layout.drawing import shape
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
@@ -25,7 +24,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
-from carom.show.body_colours import body_colours
+from carom.show.body_colours import body_colours, suit_another_ground, trail_colours
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
@@ -202,9 +201,10 @@ def _layout(
     steps, moments = table[STEP].to_numpy()[rows], table["time"].to_numpy()[rows]
     positions = [recorded.drawn(int(step)) - recording.origin for step in steps]
     middling = np.argsort([_extent(position) for position in positions])[len(positions) // 2]
-    staging = Staging.of(recording, header, positions[int(middling)], motion=motion)
+    colours = trail_colours(recording, header, header.coloured_by, canvas.theme)
+    staging = Staging.of(recording, header, positions[int(middling)], colours, motion=motion)
     staging.camera.show_all()
-    recoloured = canvas.theme == "light" and shape(header) != "mesh"
+    recoloured = suit_another_ground(header, canvas.theme)
     added = Additions(trails=staging.trails is not None, recoloured=recoloured)
     layout = blueprint(header, staging.camera, recorded_curves(recording), canvas, view, added)
     drawn = [*staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]

@@ -13,7 +13,6 @@ from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, bluepr
 from carom.recording.layout.bodies_view import FIELD
 from carom.recording.layout.camera import CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
-from carom.recording.layout.drawing import shape
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
@@ -27,7 +26,7 @@ from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.show.annotations import field_arrows, names_fit
-from carom.show.body_colours import body_colours
+from carom.show.body_colours import body_colours, suit_another_ground, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.legend import legend
@@ -148,7 +147,8 @@ def presentation(
     until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
     by = colour_by or header.coloured_by
     colours = body_colours(recording, header, by, step).on(canvas.theme)
-    staging = Staging.of(recording, header, step.position, until, motion, colours.fixed)
+    trails = trail_colours(recording, header, by, canvas.theme)
+    staging = Staging.of(recording, header, step.position, trails, until, motion)
     chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
     clock = TimeScale(float(recording.info["time_scale"]))
@@ -173,7 +173,7 @@ def presentation(
             plots = replace(plots, colours=dict(zip(recording.shown, colours.fixed.tolist(), strict=True)))
         rows += plots.rows()
         statics += plots.statics()
-    recoloured = by != header.coloured_by or (canvas.theme == "light" and shape(header) != "mesh")
+    recoloured = by != header.coloured_by or suit_another_ground(header, canvas.theme)
     if recoloured:
         rows.append(colours.rows(header))
     area = bodies_area(header, canvas, only, close is not None)

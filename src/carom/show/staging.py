@@ -37,9 +37,9 @@ class Staging:
         recording: Recording,
         header: Header,
         first: FloatArray,
+        colours: ColourArray,
         until: float = np.inf,
         motion: CameraMotion | None = None,
-        colours: ColourArray | None = None,
     ) -> Staging:
         """Fit a camera to a recording.
 
@@ -49,19 +49,16 @@ class Staging:
             The recording, and what it states.
         first
             (n, 3) m from the origin, positions that are in view.
+        colours
+            (n,) of the trails.
         until
             s, the time up to which the motion should be in view.
         motion
             Of the camera; by default it depends on the scene.
-        colours
-            (n,) of the trails; by default those of the groups.
         """
         camera = CameraFit.of_scene(header, recording.origin, first, motion)
-        trails = None
-        if has_trails(recording):
-            trails = Trails(
-                recording, header, header.static_colours("group")[recording.shown] if colours is None else colours
-            )
+        trails = Trails(recording, header, colours) if has_trails(recording) else None
+        if trails is not None:
             trails.show(camera, until)
             if not _meet(recording, header):  # orbits, of bodies that may all be near their pericentres
                 camera.show_all()
