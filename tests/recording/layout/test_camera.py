@@ -1,3 +1,4 @@
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -179,6 +180,13 @@ def test_the_eye_looks_along_the_smallest_principal_axis_of_the_motion(thin: int
     to_eye = CameraFit(np.full(30, 0.1), position).view().to_eye
     least = np.sin(np.radians(60.0)) if thin == 2 else np.cos(np.radians(35.0))  # never from straight above
     assert abs(to_eye[thin]) >= least - 1e-9
+
+
+def test_positions_whose_squares_overflow_have_a_camera_and_no_warning() -> None:
+    fit = CameraFit(np.ones(2), np.zeros((2, 3)))
+    with warnings.catch_warnings(action="error"):
+        fit.look(np.array([[0.0, 0.0, 0.0], [1e300, 0.0, 0.0]]))
+        assert np.linalg.norm(fit.view().to_eye) == pytest.approx(1.0)
 
 
 def test_a_ball_that_falls_and_bounces_moves_in_a_picture_that_stands_still() -> None:

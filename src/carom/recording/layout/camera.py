@@ -57,6 +57,8 @@ _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
 _BESIDE = 0.25  # of the width of the motion: walls that are farther away may lie outside the picture
 _TURNS = 12  # directions from which a camera that orbits is fitted
 
+_HUGE = np.errstate(over="ignore", invalid="ignore")  # squares beyond 10¹⁵⁴ m are infinite, and are treated so
+
 
 class CameraMotion(StrEnum):
     """How the camera moves while time passes."""
@@ -188,6 +190,7 @@ class CameraFit:
         """
         self._take(position.reshape(-1, *position.shape[-2:])[:, self._shown], inside=inside)
 
+    @_HUGE
     def _take(self, moments: FloatArray, *, inside: bool = True) -> None:
         if not len(moments):
             return
@@ -333,6 +336,7 @@ def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
     return np.asarray(along + np.cos(angle) * aside + np.sin(angle) * np.cross(axis, aside))
 
 
+@_HUGE
 def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
     """Choose the direction to the eye: the smallest principal axis of the motion, from above and with a level horizon.
 
