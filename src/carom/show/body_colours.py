@@ -93,7 +93,7 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
     if by in STATIC_COLOURS:
         return _constant(recording, header.static_colours(by)[recording.shown])
     if n * recording.frames > _MOST:
-        if own:  # nothing depends on them but the close-up
+        if own:  # only the close-up uses them
             return _constant(recording, header.static_colours("group")[recording.shown])
         raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
     if own:
@@ -114,13 +114,13 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
 
 
 def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> ColourArray:
-    """Return the colours (n,) of the paths of bodies: those of the bodies if they never change, else of the groups."""
+    """Return the colours (n,) of trails: those of the bodies if they are fixed, else those of the groups."""
     fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
     return palette.legible(fixed[recording.shown], theme)
 
 
-def suit_another_ground(header: Header, theme: str) -> bool:
-    """Return whether the recorded colours are legible on another ground only than that of a theme."""
+def redrawn_for(header: Header, theme: str) -> bool:
+    """Return whether bodies are redrawn for a theme, as their recorded colours suit a dark ground."""
     return theme == "light" and shape(header) != "mesh"
 
 

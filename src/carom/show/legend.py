@@ -50,7 +50,7 @@ class Legend:
     theme: str = "dark"
 
     def view(self, area: Area) -> rrb.Spatial2DView:
-        """Lay out the lines in a view of this size; what is too much for it is below its lower edge."""
+        """Lay out the lines in a view of this size; lines that do not fit are below its lower edge."""
         return rrb.Spatial2DView(
             name="Legend",
             origin=LEGEND,

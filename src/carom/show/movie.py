@@ -24,7 +24,7 @@ from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
-from carom.show.body_colours import body_colours, suit_another_ground, trail_colours
+from carom.show.body_colours import body_colours, redrawn_for, trail_colours
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
@@ -204,7 +204,7 @@ def _layout(
     colours = trail_colours(recording, header, header.coloured_by, canvas.theme)
     staging = Staging.of(recording, header, positions[int(middling)], colours, motion=motion)
     staging.camera.show_all()
-    recoloured = suit_another_ground(header, canvas.theme)
+    recoloured = redrawn_for(header, canvas.theme)
     added = Additions(trails=staging.trails is not None, recoloured=recoloured)
     layout = blueprint(header, staging.camera, recorded_curves(recording), canvas, view, added)
     drawn = [*staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]

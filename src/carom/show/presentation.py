@@ -26,7 +26,7 @@ from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.show.annotations import field_arrows, names_fit
-from carom.show.body_colours import body_colours, suit_another_ground, trail_colours
+from carom.show.body_colours import body_colours, redrawn_for, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.legend import legend
@@ -173,7 +173,7 @@ def presentation(
             plots = replace(plots, colours=dict(zip(recording.shown, colours.fixed.tolist(), strict=True)))
         rows += plots.rows()
         statics += plots.statics()
-    recoloured = by != header.coloured_by or suit_another_ground(header, canvas.theme)
+    recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     if recoloured:
         rows.append(colours.rows(header))
     area = bodies_area(header, canvas, only, close is not None)

@@ -57,7 +57,7 @@ _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
 _BESIDE = 0.25  # of the width of the motion: walls that are farther away may lie outside the picture
 _TURNS = 12  # directions from which a camera that orbits is fitted
 
-_HUGE = np.errstate(over="ignore", invalid="ignore")  # squares beyond 10¹⁵⁴ m are infinite, and are treated so
+_HUGE = np.errstate(over="ignore", invalid="ignore")  # squares of lengths beyond 10¹⁵⁴ m are infinite: handled below
 
 
 class CameraMotion(StrEnum):
