@@ -162,10 +162,9 @@ def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -
 def test_nothing_imports_a_format_or_a_placement_but_the_registry() -> None:
     """With the test above, in which all are missing, it follows that each can be removed alone."""
     modules = [part.removesuffix(".py").replace("/", ".") for part in OPTIONAL]
-    adapters = HOUSE / "recording" / "source" / "adapters"
-    modules += [f"recording.source.adapters.{path.stem}" for path in adapters.glob("*.py")]
+    modules += [f"lab.engines.{engine}" for engine in registry.HOUSE["engines"]]
     for path in HOUSE.rglob("*.py"):
-        if path == HOUSE / "extend.py" or path.parent == adapters:  # extend imports names at their first use
+        if path == HOUSE / "extend.py":  # it imports names at their first use
             continue
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ImportFrom):
@@ -174,7 +173,7 @@ def test_nothing_imports_a_format_or_a_placement_but_the_registry() -> None:
 
 
 @pytest.mark.parametrize("engine", ["rebound", "mujoco", "box3d", "pybullet", "newton"])
-def test_an_adapter_can_be_removed(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_recorder_of_an_engine_can_be_removed(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
     rows = {name: row for name, row in registry.HOUSE["engine_records"].items() if name != engine}
     monkeypatch.setattr(registry, "HOUSE", {**registry.HOUSE, "engine_records": rows})
     with pytest.raises(AttributeError, match=f'no engine that is recorded "{engine}"'):

@@ -79,10 +79,11 @@ if TYPE_CHECKING:
     from carom.recording.schema.series import Plot as Plot
     from carom.recording.schema.series import Sample as Sample
     from carom.recording.schema.series import Series as Series
-    from carom.recording.source.adapters.package import engine_package as engine_package
     from carom.recording.source.observer import Observer as Observer
     from carom.recording.source.observer import not_finite as not_finite
     from carom.recording.source.source import SPHERE as SPHERE
+    from carom.recording.source.source import engine_package as engine_package
+    from carom.recording.source.source import named_version as named_version
     from carom.recording.source.source import setup_of as setup_of
     from carom.recording.write.durable_sink import DiskReserve as DiskReserve
     from carom.recording.write.whole_file import new_name as new_name
@@ -167,7 +168,9 @@ if TYPE_CHECKING:
     from carom.scene.units.dimension import VELOCITY as VELOCITY
     from carom.scene.units.dimension import Dimension as Dimension
     from carom.scene.units.system import SI as SI
+    from carom.scene.units.system import WITHOUT as WITHOUT
     from carom.scene.units.system import UnitSystem as UnitSystem
+    from carom.scene.units.system import units_of_rebound as units_of_rebound
     from carom.scene.units.unit import Physical as Physical
     from carom.scene.units.unit import nearest_float as nearest_float
     from carom.scene.units.unit import physical as physical
@@ -193,7 +196,7 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.units.dimension": (
             "Dimension ACCELERATION ANGULAR_VELOCITY DENSITY ENERGY IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
         ),
-        "carom.scene.units.system": "SI UnitSystem",
+        "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
     },
     "Forces": {
         "carom.scene.forces": "BodyForce PairForce",
@@ -217,8 +220,7 @@ SECTIONS = {  # purpose → module → names
         "carom.recording.export.export": "Snapshot",
     },
     "Engines": {
-        "carom.recording.source.source": "SPHERE setup_of",
-        "carom.recording.source.adapters.package": "engine_package",
+        "carom.recording.source.source": "SPHERE setup_of engine_package named_version",
         "carom.scene.start": "InitialBodies HalfSpaces half_spaces",
         "carom.scene.schema": "Coefficients",
         "carom.scene.matter": "pair_coefficients",

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Any
 
 from carom import registry
 from carom.recording.source.law_audit import Fault, Tolerances
-from carom.recording.source.source import Model, Plane, Source, State
+from carom.recording.source.source import Model, Plane, Source, State, StateMemory
 from carom.runs.engine_recorder import Recorder
 
 if TYPE_CHECKING:
-    from carom.recording.source.adapters.box3d_source import box3d
-    from carom.recording.source.adapters.mujoco_source import mujoco
-    from carom.recording.source.adapters.newton_source import newton
-    from carom.recording.source.adapters.pybullet_source import pybullet
-    from carom.recording.source.adapters.rebound_source import rebound
+    from carom.lab.engines.box3d import box3d
+    from carom.lab.engines.mujoco import mujoco
+    from carom.lab.engines.newton import newton
+    from carom.lab.engines.pybullet import pybullet
+    from carom.lab.engines.rebound import rebound
 
 __all__ = [
     "Fault",
@@ -32,6 +32,7 @@ __all__ = [
     "Recorder",
     "Source",
     "State",
+    "StateMemory",
     "Tolerances",
     "box3d",
     "mujoco",

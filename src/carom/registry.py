@@ -86,11 +86,11 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "newton": "carom.lab.engines.newton:Newton",
     },
     "engine_records": {  # functions of `carom.record`
-        "rebound": "carom.recording.source.adapters.rebound_source:rebound",
-        "mujoco": "carom.recording.source.adapters.mujoco_source:mujoco",
-        "box3d": "carom.recording.source.adapters.box3d_source:box3d",
-        "pybullet": "carom.recording.source.adapters.pybullet_source:pybullet",
-        "newton": "carom.recording.source.adapters.newton_source:newton",
+        "rebound": "carom.lab.engines.rebound:rebound",
+        "mujoco": "carom.lab.engines.mujoco:mujoco",
+        "box3d": "carom.lab.engines.box3d:box3d",
+        "pybullet": "carom.lab.engines.pybullet:pybullet",
+        "newton": "carom.lab.engines.newton:newton",
     },
     "model": {  # optional parts of the physics, which no package can define
         "sleep": "carom.physics.contact.sleep.sleepers:Sleepers",

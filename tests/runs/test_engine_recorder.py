@@ -12,12 +12,11 @@ import pytest
 
 import carom
 from carom.errors import RecordingError
+from carom.lab.engines.pybullet import calls_per_frame
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
-from carom.recording.source.adapters.package import engine_package
-from carom.recording.source.adapters.pybullet_source import calls_per_frame
-from carom.recording.source.source import StateMemory
+from carom.recording.source.source import StateMemory, engine_package
 from carom.runs.overview import overview
 from carom_command import carom as command
 

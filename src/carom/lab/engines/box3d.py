@@ -1,4 +1,7 @@
-"""Box3D through robox3d: rigid bodies with soft contact constraints and substeps, in single precision.
+"""Box3D through the package robox3d: its recorder, and the engine that `crosscheck` compares.
+
+Box3D has soft contact constraints and substeps, in single precision. The recorder checks free spheres and only draws
+other shapes.
 
 Box3D has no planes. A plane becomes the face of a static box as wide as the bodies can travel. Box3D combines
 restitution by the maximum and friction by the geometric mean.
@@ -7,17 +10,107 @@ restitution by the maximum and friction by the geometric mean.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
 from carom import Scene
-from carom.extend import engine_package
+from carom.errors import RecordingError
+from carom.extend import engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.record import Plane
-from carom.record import box3d as source_of
+from carom.record import Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
+MOST_SHAPES = 64  # examined for each body
+
+
+class Box3DSource:
+    """The bodies of a world. Box3D computes in single precision.
+
+    Dynamic bodies of one sphere without joints are judged. Other bodies are drawn as spheres of their own size, static
+    ones as spheres that never move.
+
+    Parameters
+    ----------
+    world
+        A robox3d.World, with its bodies and shapes.
+    planes
+        The planes of its static shapes, such as the top of a large box; Box3D itself has none.
+    """
+
+    def __init__(self, world: Any, planes: tuple[Plane, ...] = ()) -> None:
+        package = engine_package(PACKAGE)
+        self._world, self._backend = world, engine_package(f"{PACKAGE}._ffi", PACKAGE)
+        lib, bodies = self._backend.lib, list(world.bodies)
+        sized = [_sphere_of(self._backend, body) for body in bodies]
+        dynamic = np.array([lib.b3Body_GetType(body.id) == lib.b3_dynamicBody for body in bodies], dtype=bool)
+        shown = [k for k, size in enumerate(sized) if dynamic[k] or (size is not None and not size[1])]
+        if not dynamic.any():
+            raise RecordingError("box3d: the world has no dynamic body")
+        chosen, moves = [bodies[k] for k in shown], dynamic[shown]
+        self._group = package.BodyGroup(chosen)
+        jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
+        known = [sized[k] for k in shown]
+        mass = np.array([body.mass for body in chosen])
+        self.model = Model(
+            engine=named_version("box3d", PACKAGE).replace("box3d", f"box3d ({PACKAGE}") + ")",
+            mass=np.where(moves, mass, 1.0),
+            radius=[_drawn(body) if size is None else size[0] for body, size in zip(chosen, known, strict=True)],
+            names=[body.name or f"body {k}" for k, body in enumerate(chosen)],
+            fixed=~moves,
+            judged=[size is not None and not size[1] and not jointed for size in known],
+            gravity=world.gravity,
+            planes=planes,
+            time_step=world.last_dt,
+        )
+
+    def state(self) -> State:
+        """Return the present state."""
+        snapshot = self.memory()
+        self.read(snapshot)
+        return snapshot.state
+
+    def memory(self) -> StateMemory:
+        """Return memory for one state, in the single precision of Box3D; see `BulkSource`."""
+        n = len(self._group)
+        block = np.empty(13 * n, np.float32)
+        poses, rates = block[: 7 * n].reshape(n, 7), block[7 * n :].reshape(n, 6)
+        state = State(0.0, poses[:, :3], rates[:, :3], poses[:, 3:], rates[:, 3:])
+        return StateMemory(state, block, (poses, rates))
+
+    def read(self, into: StateMemory) -> None:
+        """Have Box3D write directly into the snapshot."""
+        poses, rates = into.parts
+        self._group.poses(poses)
+        self._group.velocities(rates)
+        into.state.time = self._world.time
+
+
+def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3DSource:
+    """Return the source of a robox3d.World; see `Box3D`."""
+    return Box3DSource(world, planes)
+
+
+def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
+    """Return the radius (m) of a body's sphere, and whether the body has further shapes; None without a sphere."""
+    ffi, lib = backend.ffi, backend.lib
+    shapes = ffi.new("b3ShapeId[]", MOST_SHAPES)
+    count = lib.b3Body_GetShapes(body.id, shapes, MOST_SHAPES)
+    spheres = [
+        lib.b3Shape_GetSphere(shapes[k]) for k in range(count) if lib.b3Shape_GetType(shapes[k]) == lib.b3_sphereShape
+    ]
+    if not spheres:
+        return None
+    centre = spheres[0].center
+    return float(spheres[0].radius), count > 1 or any((centre.x, centre.y, centre.z))
+
+
+def _drawn(body: Any) -> float:
+    """Return the radius (m) for drawing a body: that of a sphere of water with its mass."""
+    return float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0))
+
+
 SUBSTEPS = 4  # in a step, the default
 
 
@@ -54,7 +147,10 @@ class Box3D(SteppedEngine):
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
         engine, problem, dt = engine_package(PACKAGE), problem_of(self.name, scene), dt_of(setting)
-        backend, turns = engine_package(f"{PACKAGE}._ffi", PACKAGE), engine_package(f"{PACKAGE}.math", PACKAGE)
+        backend, turns = (
+            engine_package(f"{PACKAGE}._ffi", PACKAGE),
+            engine_package(f"{PACKAGE}.math", PACKAGE),
+        )
         world = engine.World(gravity=problem.field.tolist(), substeps=SUBSTEPS)
         backend.lib.b3World_SetRestitutionThreshold(world.id, 0.0)
         start, law, planes = problem.start, problem.between, []
@@ -79,4 +175,4 @@ class Box3D(SteppedEngine):
             box.add_box((half, half, half), friction=friction, restitution=own.restitution)
             x, y, z = (float(component) for component in np.asarray(normal))
             planes.append(Plane((x, y, z), float(offset), name))
-        return EngineSimulation(source_of(world, tuple(planes)), lambda: world.step(dt), dt)
+        return EngineSimulation(Box3DSource(world, tuple(planes)), lambda: world.step(dt), dt)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
@@ -370,3 +372,25 @@ def memory_of(source: Source, like: State) -> Callable[[], StateMemory]:
 def reader_of(source: Source) -> Callable[[StateMemory], None]:
     """Return the function that copies the present state of a source into a snapshot."""
     return source.read if isinstance(source, BulkSource) else lambda snapshot: snapshot.take(source.state())
+
+
+def engine_package(name: str, distribution: str | None = None) -> Any:
+    """Import an engine's package.
+
+    Raises
+    ------
+    RecordingError
+        If it is not installed, with the line that installs it.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        raise RecordingError(f"the engine {name} is not installed: pip install {distribution or name}") from None
+
+
+def named_version(name: str, distribution: str | None = None) -> str:
+    """Return the name and the version of an engine."""
+    try:
+        return f"{name} {version(distribution or name)}"
+    except PackageNotFoundError:
+        return name
