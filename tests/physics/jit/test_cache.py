@@ -190,14 +190,57 @@ def is_module(root: Path, name: str) -> bool:
     return path.with_suffix(".py").is_file() or (path / "__init__.py").is_file()
 
 
-def test_a_kernel_of_contacts_does_not_depend_on_the_planner_or_the_pipeline() -> None:
-    """Else each change of the outer packages compiles every kernel again, for minutes."""
+DECORATORS = {"kernel", "long_kernel", "inline", "inner", "unowned", "borrowing", "instruction", "chosen_by_type"}
+
+
+def test_kernels_use_nothing_of_carom_but_the_modules_that_their_cache_watches() -> None:
+    """Else a kernel would stay as it was compiled, although a constant in it has changed."""
     root = Path(carom.__file__).parent
-    known = unread = {root / "physics" / "contact" / "solver" / "solve.py"}
-    while unread:
-        unread = {imported for file in unread for imported in imports_of(file, "carom")} - known
-        known = known | unread
-    assert not known & {root / "__init__.py", root / "plan" / "checks.py", root / "physics" / "contact" / "pipeline.py"}
+    for file in (root / "physics").rglob("*.py"):
+        tree = ast.parse(file.read_text(encoding="utf-8"))
+        unwatched = {
+            alias.asname or alias.name
+            for node in ast.walk(tree)
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("carom")
+            for alias in node.names
+            if not any(cache._may_be_compiled(path) for path in files_of(root, f"{node.module}.{alias.name}"))
+        }
+        compiled: list[ast.AST] = [
+            node.value for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign) and node.value
+        ]
+        for node in ast.walk(tree):
+            if isinstance(node, ast.FunctionDef) and DECORATORS & {
+                each.id for part in node.decorator_list for each in ast.walk(part) if isinstance(each, ast.Name)
+            }:
+                compiled += node.body
+        used = {each.id for part in compiled for each in ast.walk(part) if isinstance(each, ast.Name)}
+        # the names of the fields of a record belong to the type of an argument
+        assert used & unwatched <= {"Coefficients"}, f"{file}: {used & unwatched}"
+
+
+def files_of(root: Path, name: str) -> list[Path]:
+    """Return the file that defines a name of a module of carom, and that of the module of this name, if it exists."""
+    module, path = root.joinpath(*name.split(".")[1:-1]), root.joinpath(*name.split(".")[1:])
+    files = [path.with_suffix(".py"), path / "__init__.py", module.with_suffix(".py"), module / "__init__.py"]
+    return [file for file in files if file.is_file()][:1]
+
+
+def test_a_kernel_of_contacts_does_not_depend_on_the_scene_or_the_registry(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else each changed message there compiles every kernel again, for minutes."""
+    read: set[Path] = set()
+    original = cache._checksum
+
+    def noted(file: Path) -> bytes:
+        read.add(file)
+        return original(file)
+
+    monkeypatch.setattr(cache, "_checksum", noted)
+    root = Path(carom.__file__).parent
+    file = root / "physics" / "contact" / "solver" / "solve.py"
+    cache.sources_of.__wrapped__("carom.physics.contact.solver.solve", file)
+    assert file in read
+    assert not [path for path in read if path.is_relative_to(root / "scene") and path.name != "portable_math.py"]
+    assert not read & {root / "__init__.py", root / "registry.py", root / "physics" / "contact" / "pipeline.py"}
 
 
 @pytest.fixture

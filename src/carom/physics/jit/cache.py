@@ -37,6 +37,9 @@ CHECKSUM = 16  # bytes, before the others
 CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
 PATIENCE = 120.0  # s, longest wait for another process, which normally takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
+# What kernels of carom are compiled from. The other modules reach a kernel by its arguments and their types. To follow
+# imports into the scene, too, would compile all kernels again when a message there changes.
+SOURCES = ("physics/", "scene/forces.py", "scene/portable_math.py", "contact_table.py", "arrays.py", "extend.py")
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
 _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.version_info[:3], PLAIN)
@@ -228,7 +231,7 @@ def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
 
 @cache
 def sources_of(module: str, file: Path) -> bytes:
-    """Return a checksum of a module and of all that it imports, directly or not, from its package and carom.
+    """Return a checksum of a module and of all that it imports, directly or not, from its package and `SOURCES`.
 
     Raises
     ------
@@ -239,7 +242,7 @@ def sources_of(module: str, file: Path) -> bytes:
     unread = [file]
     while unread:
         for imported in imports_of(unread.pop(), module.partition(".")[0]):
-            if str(imported) not in known:
+            if str(imported) not in known and _may_be_compiled(imported):
                 known.add(str(imported))
                 unread.append(imported)
     whole = xxhash.xxh3_128()
@@ -247,6 +250,13 @@ def sources_of(module: str, file: Path) -> bytes:
         whole.update(Path(path).name.encode())
         whole.update(_checksum(Path(path)))
     return whole.digest()
+
+
+@cache
+def _may_be_compiled(file: Path) -> bool:
+    """Return whether a file belongs to another package than carom, or to `SOURCES`."""
+    root = Path(__file__).parents[2]
+    return root not in file.parents or file.relative_to(root).as_posix().startswith(SOURCES)
 
 
 @cache
