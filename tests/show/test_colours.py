@@ -12,7 +12,7 @@ from carom.recording.layout.canvas import Canvas
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.show import close_up, movie
+from carom.show import body_colours, close_up, movie
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
 from small_scenes import scene_of
@@ -86,6 +86,26 @@ def test_colours_that_are_asked_for_are_those_of_the_close_up_too(collision: Rec
     shown = asked(collision, Request(bodies="1,2", colour_by="graph"))
     bodies, pair = sent_colours(paths.BODIES, shown), sent_colours(close_up.BODIES, shown)
     assert bodies and {step: colours[1:] for step, colours in bodies.items()} == pair
+
+
+def test_colours_that_change_with_time_are_read_for_the_bodies_of_the_close_up_only(
+    collision: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if collision.info["colour_by"] != "island":
+        pytest.skip("its colours do not change with time")
+    read = list[list[int]]()
+
+    def rows(_: Recording, places: list[int]) -> list[Any]:
+        read.append(places)
+        return []
+
+    monkeypatch.setattr(body_colours, "_as_recorded", rows)
+    asked(collision, Request(bodies="1,2"))
+    assert read == [[1, 2]]
+    header = header_of_recording(collision)
+    assert body_colours.recorded_colours(collision, header, []).colours.shape[1] == 0 and len(read) == 1, (
+        "of none, none"
+    )
 
 
 def test_curves_of_one_body_or_of_bodies_alike_can_be_told_apart(collision: Recording) -> None:

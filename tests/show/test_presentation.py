@@ -19,7 +19,7 @@ from carom.recording.schema import paths
 from carom.recording.write.rows import Rows
 from carom.scene.schema import Scene
 from carom.show import close_up, shown_step
-from carom.show.presentation import asked, presentation
+from carom.show.presentation import _steps, asked, presentation
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.supplement import Trails
 from small_scenes import pair, scene_of
@@ -93,6 +93,12 @@ def test_the_phase_of_a_step_that_is_run_again_lasts_until_the_next_frame(bounce
     assert shown_states[bounce.closing["moments.impact.step"]] == ["colliding"]
     assert shown_states[following] == [as_recorded] == ["free"]
     assert following in [step for found in rows_of(paths.DT_LIMIT, rows) for step in found.steps.tolist()]
+
+
+def test_steps_that_are_run_again_leave_the_magnitudes_of_arrows_as_they_were_given(bounce: Recording) -> None:
+    given, header = dict[str, float](), header_of_recording(bounce)
+    rows, known = _steps(bounce, header, shown_step.shown_step(bounce, bounce.moment(None)), given)
+    assert rows and known and not given, "as in a file whose frames have no arrow"
 
 
 def test_a_step_that_cannot_be_run_again_is_replaced_by_the_frame_before_it_with_the_reason(

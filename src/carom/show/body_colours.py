@@ -69,6 +69,11 @@ class BodyColours:
         return Rows(paths.BODIES, Index(self.steps, self.times), columns, flat.nbytes)
 
 
+def change_with_time(header: Header, by: str) -> bool:
+    """Return whether bodies that are coloured by something have other colours at other times."""
+    return by not in STATIC_COLOURS and not (by == header.coloured_by and shape(header) == "mesh")
+
+
 def body_colours(recording: Recording, header: Header, by: str, step: ShownStep | None = None) -> BodyColours:
     """Return the colours of the bodies at all frames and at repeated steps.
 
@@ -92,23 +97,34 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
         raise RecordingError(f"{recording.path} has no [[material]] to colour by; take group")
     if by in STATIC_COLOURS:
         return _constant(recording, header.static_colours(by)[recording.shown])
-    if n * recording.frames > _MOST:
-        if own:  # only the close-up uses them
-            return _constant(recording, header.static_colours("group")[recording.shown])
-        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
     if own:
-        found = _as_recorded(recording, n)
-    elif step is None:
+        return recorded_colours(recording, header, range(n))
+    if n * recording.frames > _MOST:
+        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
+    if step is None:
         raise ValueError(f"colours by {by} of steps that are not known")
-    elif by == "speed":
+    if by == "speed":
         found = _by_speed(recording, header, step)
     else:
         if not header.collides:
             raise RecordingError(f"{recording.path} has no contacts to colour by {by}; take group or speed")
         found = _by_contacts(recording, n, by, step)
-    rows = list(found)
-    if not rows:  # of a run that was killed at its start
-        return _constant(recording, header.static_colours("group")[recording.shown])
+    return _of_rows(recording, header, range(n), list(found))
+
+
+def recorded_colours(recording: Recording, header: Header, places: Sequence[int]) -> BodyColours:
+    """Return the recorded colours, which change with time, of the bodies at some places; of none, nothing is read."""
+    found = _as_recorded(recording, places) if places and len(recording.shown) * recording.frames <= _MOST else iter(())
+    return _of_rows(recording, header, places, list(found))
+
+
+_Row = tuple[int, float, ColourArray]  # step, time (s), colours of the bodies
+
+
+def _of_rows(recording: Recording, header: Header, places: Sequence[int], rows: Sequence[_Row]) -> BodyColours:
+    """Join the colours of all frames; without any, as of a run that was killed at its start, bodies have a colour."""
+    if not rows:
+        return _constant(recording, header.static_colours("group")[recording.shown][list(places)])
     steps, times, colours = (list(column) for column in zip(*rows, strict=True))
     return BodyColours(np.array(steps), np.array(times), np.stack(colours))
 
@@ -129,8 +145,9 @@ def _constant(recording: Recording, colours: ColourArray) -> BodyColours:
     return BodyColours(first[STEP].to_numpy()[:1], first["time"].to_numpy()[:1], colours[None])
 
 
-def _as_recorded(recording: Recording, n: int) -> Iterator[tuple[int, float, ColourArray]]:
+def _as_recorded(recording: Recording, places: Sequence[int]) -> Iterator[_Row]:
     """Yield the colours that are in the file."""
+    n = len(recording.shown)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
     with reading(recording.path):
         for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
@@ -138,10 +155,10 @@ def _as_recorded(recording: Recording, n: int) -> Iterator[tuple[int, float, Col
             if name is None:
                 continue
             colours = np.asarray(chunk.batch[name].flatten().to_numpy(), dtype=np.uint32).reshape(-1, n)
-            yield from zip(*_times(recording, chunk.batch[STEP].to_numpy()), colours, strict=True)
+            yield from zip(*_times(recording, chunk.batch[STEP].to_numpy()), colours[:, list(places)], strict=True)
 
 
-def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:
+def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator[_Row]:
     """Yield speeds from distances between frames; speeds of repeated steps are exact."""
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
@@ -158,7 +175,7 @@ def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator
         yield frame.step, frame.time, colouring.speed_colours(exact, reference)
 
 
-def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iterator[tuple[int, float, ColourArray]]:
+def _by_contacts(recording: Recording, n: int, by: str, step: ShownStep) -> Iterator[_Row]:
     colours_of = colouring.graph_colours if by == "graph" else colouring.island_colours
     drawn = drawn_paths(recording, range(n))
     steps, times = _times(recording, drawn.steps)

@@ -279,7 +279,7 @@ def close_up(
     aspect
         Width over height of the view.
     colours
-        Of all bodies.
+        Of the bodies of the pair.
     theme
         "dark" or "light".
     instant
@@ -287,7 +287,7 @@ def close_up(
     pauses_within
         Whether the viewer pauses at the instant.
     """
-    bodies = (pair.i,) if pair.j is None else (pair.i, pair.j)
+    bodies = pair.bodies
     places = [recording.shown.index(body) for body in bodies]
     called = names_of(recording)
     names = called.pair(bodies) + ("" if pair.plane is None else f" and {called.of(len(called.bodies) + pair.plane)}")
@@ -326,7 +326,7 @@ def close_up(
         origin=recording.origin,
         box=header.box,
         eye=_fit(header.radius[places], seen, contact).view(aspect),
-        colours=colours.of(places),
+        colours=colours,
         theme=theme,
     )
 

@@ -26,7 +26,7 @@ from carom.recording.write.rows import NO_STEPS, Index, Rows
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.forces import UNIFORM_FIELD
 from carom.show.annotations import field_arrows, names_fit
-from carom.show.body_colours import body_colours, redrawn_for, trail_colours
+from carom.show.body_colours import body_colours, change_with_time, recorded_colours, redrawn_for, trail_colours
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.legend import legend
@@ -146,10 +146,16 @@ def presentation(
     step = shown_step(recording, moment, within, dense=dense, watch=watch)
     until, motion = (moment, CameraMotion.STILL) if canvas.rendered else (np.inf, None)
     by = colour_by or header.coloured_by
-    colours = body_colours(recording, header, by, step).on(canvas.theme)
+    recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
+    chosen = pair or _pair(recording, header, step)
+    places = [recording.shown.index(body) for body in chosen.bodies] if chosen else []
+    if change_with_time(header, by) and not recoloured:  # then only the close-up needs them
+        fixed, own = None, recorded_colours(recording, header, places).on(canvas.theme)
+    else:
+        colours = body_colours(recording, header, by, step).on(canvas.theme)
+        fixed, own = colours.fixed, colours.of(places)
     trails = trail_colours(recording, header, by, canvas.theme)
     staging = Staging.of(recording, header, step.position, trails, until, motion)
-    chosen = pair or _pair(recording, header, step)
     aspect = close_up_area(header, canvas, only).aspect
     clock = TimeScale(float(recording.info["time_scale"]))
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
@@ -157,23 +163,21 @@ def presentation(
     paused = instant if instant is not None and within_step else step
     close = None
     if chosen is not None:
-        close = close_up(
-            recording, header, step, chosen, aspect, colours, canvas.theme, instant, pauses_within=within_step
-        )
+        close = close_up(recording, header, step, chosen, aspect, own, canvas.theme, instant, pauses_within=within_step)
     references = {name: float(value) for name, value in recording.arrow_references.items()}
-    repeated = list(_steps(recording, header, step, references))
+    repeated, references = _steps(recording, header, step, references)
     rows = [*repeated, *(close.rows(header) if close else [])]
     if paused is not step:
-        rows += _instant(recording, header, paused, references)
+        drawn, references = _instant(recording, header, paused, references)
+        rows += drawn
     statics = list(close.statics(header)) if close else []
     rows += staging.rows()
     statics += staging.statics()
     if plots is not None:
-        if colours.fixed is not None:
-            plots = replace(plots, colours=dict(zip(recording.shown, colours.fixed.tolist(), strict=True)))
+        if fixed is not None:
+            plots = replace(plots, colours=dict(zip(recording.shown, fixed.tolist(), strict=True)))
         rows += plots.rows()
         statics += plots.statics()
-    recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     if recoloured:
         rows.append(colours.rows(header))
     area = bodies_area(header, canvas, only, close is not None)
@@ -182,7 +186,7 @@ def presentation(
     if field is not None and seen.motion is CameraMotion.STILL:
         statics += field_arrows(header, seen, area.aspect, field, canvas.theme)
     spins = None if close is None else close.spin
-    words = legend(*(header, by, colours.fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
+    words = legend(*(header, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
     statics += [*words.statics(), *arrow_styles(header, canvas.theme)]
     named = names_fit(header, step.position, seen, area)
     shows_field = any(path == FIELD for path, _ in statics)
@@ -219,34 +223,45 @@ def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOu
     return curves
 
 
-def _steps(recording: Recording, header: Header, step: ShownStep, references: dict[str, float]) -> Iterator[Rows]:
-    """Yield the rows of the repeated steps, unless all of them are recorded.
+_References = dict[str, float]
 
-    They may be the first that have arrows: then ``references`` gets the magnitudes that these choose.
+
+def _steps(
+    recording: Recording, header: Header, step: ShownStep, references: _References
+) -> tuple[list[Rows], _References]:
+    """Return the rows of the repeated steps, unless all of them are recorded, and the magnitudes of arrows.
+
+    The steps may be the first that have arrows, and choose the magnitudes.
     """
     recorded = recording.fingerprints()[STEP].to_numpy()
     if all(np.any(recorded == frame.step) for frame in step.added):
-        return
+        return [], references
     before = None if step.before is None else step.before.checkpoint
     encoder = BatchEncoder(header, recording.origin, references, before=before, everything=True)
-    for rows in encoder.rows(step.added):
-        if rows.path not in _ONCE and len(rows.steps):
-            yield rows
-    references |= encoder.arrow_references
-    yield from _states_after(recording, step.added[-1].step)
+    found = [rows for rows in encoder.rows(step.added) if rows.path not in _ONCE and len(rows.steps)]
+    return [*found, *_states_after(recording, step.added[-1].step)], dict(encoder.arrow_references)
 
 
-def _instant(recording: Recording, header: Header, instant: ShownStep, references: dict[str, float]) -> Iterator[Rows]:
-    """Yield the bodies, contacts and energies of an instant within a step, on the timeline of times only."""
+def _instant(
+    recording: Recording, header: Header, instant: ShownStep, references: _References
+) -> tuple[list[Rows], _References]:
+    """Return the bodies, contacts and energies of an instant within a step, on the timeline of times only.
+
+    With them come the magnitudes of arrows, which the instant may choose.
+    """
     assert instant.frame is not None and instant.state is not None
     encoder = BatchEncoder(header, recording.origin, references, everything=True)
-    for rows in encoder.at_impacts([instant.state]):
-        if rows.path != paths.IMPACT_SPINS:
-            yield replace(rows, index=rows.index._replace(impacts=NO_STEPS))
-    for rows in encoder.rows([instant.frame]):
-        if rows.path in _OF_STEP:
-            yield Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
-    references |= encoder.arrow_references
+    found = [
+        replace(rows, index=rows.index._replace(impacts=NO_STEPS))
+        for rows in encoder.at_impacts([instant.state])
+        if rows.path != paths.IMPACT_SPINS
+    ]
+    found += [
+        Rows(rows.path, Index.within_step(instant.time), rows.columns, rows.bytes)
+        for rows in encoder.rows([instant.frame])
+        if rows.path in _OF_STEP
+    ]
+    return found, dict(encoder.arrow_references)
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

@@ -57,6 +57,11 @@ class Pair:
     j: int | None  # None if i touches a plane or a wall
     plane: int | None = None  # number of that plane or wall
 
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """The numbers of the bodies: of one if it touches a plane."""
+        return (self.i,) if self.j is None else (self.i, self.j)
+
 
 def named_pair(recording: Recording, text: str) -> Pair:
     """Read two bodies from numbers or names with a comma between them.
