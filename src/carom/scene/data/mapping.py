@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from functools import lru_cache
 
 from carom.errors import SceneError
 from carom.scene.data.formats import BODY, STEP
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
+from carom.scene.units.unit import UnitError, unit
 from carom.scene.wording import suggestion
 
 QUANTITIES = (
@@ -36,6 +39,15 @@ _RIVALS = (("mass", "density"), ("radius", "diameter"))  # each determines the o
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
 _LONGEST_NAME = 40  # characters
+
+_ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))  # of elements
+_SPHERICAL = frozenset(("theta", "phi", "lat", "lon", "ra", "dec", "delta", "rdot", "rr"))
+_MEANINGS = {  # names with several meanings: these, and columns beside them that suggest one of these
+    "r": ("a distance or a colour", _ORBIT | _SPHERICAL | {"g", "b"}),
+    "rho": ("a distance", _SPHERICAL),
+    "m": ("a mean anomaly or a magnitude", frozenset[str]()),
+}
+_WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]+)\]|\(([^()]+)\))\s*")  # "x [au]", "mass (kg)"
 
 _COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
 _ELSEWHERE = {  # reasons why some columns about spheres are not used
@@ -76,6 +88,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                     f"{called}: two columns for {quantity}, {shown}; say which: columns = {{ {quantity} = {column} }}"
                 )
             if candidates:
+                _refuse_doubtful(quantity, candidates[0][0], names, called)
                 mapping[quantity] = candidates[0]
             elif quantity != "position":  # a missing position is an error
                 _refuse_part(quantity, names, called)
@@ -123,6 +136,49 @@ def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[st
 def printable(name: str) -> str:
     """Return a name from a file as one short line of text."""
     return "".join(char if char.isprintable() else "�" for char in name[:_LONGEST_NAME])
+
+
+def unit_in(name: str) -> str:
+    """Return the unit in the name of a column, such as "au" in "x [au]"; empty if it has none."""
+    return _split(name.strip())[1]
+
+
+@lru_cache(maxsize=10_000)
+def _split(name: str) -> tuple[str, str]:
+    """Split the name of a column into the name proper and its unit."""
+    parts = _WITH_UNIT.fullmatch(name) if name.endswith(("]", ")")) and len(name) <= _MOST_NOTED else None
+    if parts is None:
+        return name, ""
+    text = parts[2] or parts[3]
+    try:
+        unit(text)
+    except UnitError:
+        return name, ""
+    return parts[1], text
+
+
+def question(called: str, column: str, quantity: str, others: str) -> SceneError:
+    """Return the error for a column that may have another meaning than the usual one."""
+    named = f'columns = {{ {quantity} = "{printable(column)}" }}'
+    return SceneError(
+        f"{called}: column {printable(column)} may be the {quantity}, or {others}; write {named} if it is the "
+        f"{quantity}, or give {quantity} = … for all bodies"
+    )
+
+
+def _refuse_doubtful(quantity: str, column: str, names: Sequence[str], called: str) -> None:
+    """Refuse a name with several meanings unless the rest of the header confirms the usual one."""
+    plain, own = [_plain(name) for name in names], _split(column.strip())[0]
+    others, signs = _MEANINGS.get(_plain(column), ("", frozenset[str]()))
+    if not others or unit_in(column):
+        return
+    place = plain.index(_plain(column))
+    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in names:  # "m, r", as REBOUND has it
+        return
+    if beside := [name for name, known in zip(names, plain, strict=True) if known in signs]:
+        raise question(called, column, quantity, f"{others}, since there is a column {printable(beside[0])}")
+    if own == "M" and not {"X", "R"} & {name.strip() for name in names}:
+        raise question(called, column, quantity, others)
 
 
 def _is_given(section: BodyData, quantity: str) -> bool:
@@ -185,8 +241,8 @@ def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
 
 
 def _plain(name: str) -> str:
-    """Return a name for comparisons: in lower case, and only the last part of a path in HDF5."""
-    return name.rsplit("/", 1)[-1].strip().casefold()
+    """Return a name for comparisons: in lower case, without a unit, and only the last part of a path in HDF5."""
+    return _split(name.strip())[0].rsplit("/", 1)[-1].strip().casefold()
 
 
 def _refuse_rivals(section: BodyData, mapping: ColumnMapping, first: str, second: str, called: str) -> None:
