@@ -62,6 +62,9 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
     "data_formats": {
         "csv": "carom.scene.data.arrow_tables:CSV",
         "tsv": "carom.scene.data.arrow_tables:CSV",
+        "txt": "carom.scene.data.arrow_tables:CSV",
+        "dat": "carom.scene.data.arrow_tables:CSV",
+        "horizons": "carom.scene.data.horizons_tables:HORIZONS",
         "parquet": "carom.scene.data.arrow_tables:PARQUET",
         "arrow": "carom.scene.data.arrow_tables:ARROW",
         "feather": "carom.scene.data.arrow_tables:ARROW",

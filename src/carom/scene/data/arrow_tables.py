@@ -12,6 +12,7 @@ import pyarrow.csv
 import pyarrow.ipc
 import pyarrow.parquet as pq
 
+from carom import registry
 from carom.arrow_claims import claims, unpacked_bytes
 from carom.errors import SceneError
 from carom.scene.data.formats import (
@@ -26,28 +27,22 @@ from carom.scene.data.formats import (
     refuse_many_rows,
 )
 from carom.scene.data.mapping import printable
+from carom.scene.data.text_dialect import dialect_of, refuse_uneven
 
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
+_HORIZONS = b"$$SOE"  # before the rows in an answer of JPL's Horizons
+_HEAD = 1_000_000  # bytes in which it is sought
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open a file of values separated by commas, or by tabs if it is called .tsv; the first line names the columns."""
+    """Open a text file with a row of values for each body, in any usual dialect."""
+    with path.open("rb") as file:
+        if _HORIZONS in file.read(_HEAD):
+            horizons: DataFormat = registry.load("data_formats", "horizons")
+            return horizons.open(path, called, snapshot)
     refuse_large(called, "file", path.stat().st_size)
-    parse = pyarrow.csv.ParseOptions(delimiter="\t" if path.suffix.lower() == ".tsv" else ",")
-    with pyarrow.csv.open_csv(path, parse_options=parse) as reader:
-        names = reader.schema.names
-
-    def read(wanted: list[str], texts: Sequence[str]) -> pa.Table:
-        kinds = dict.fromkeys(texts, pa.binary())  # otherwise 007 would be a number, and null a missing value
-        convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
-        table = pyarrow.csv.read_csv(path, parse_options=parse, convert_options=convert)
-        refuse_many_rows(called, table.num_rows)
-        for text in texts:
-            table = table.set_column(table.column_names.index(text), text, _without_fractions(table[text]))
-        return table
-
-    return _ArrowTable(called, names, read, snapshot)
+    return _TextTable(path, called, snapshot)
 
 
 def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -167,6 +162,42 @@ class _ArrowTable(DataTable):
         if pa.types.is_decimal(kind) or (column.null_count and pa.types.is_integer(kind)):
             column = column.cast(pa.float64(), safe=False)
         return np.asarray(column.to_numpy())
+
+
+class _TextTable(_ArrowTable):
+    """Columns of a text file."""
+
+    def __init__(self, path: Path, called: str, snapshot: int) -> None:
+        self._path = path
+        self._dialect = dialect_of(path, called)
+        super().__init__(called, self._dialect.names, self._read_text, snapshot)
+        self.notes = (self._dialect.note,) if self._dialect.note else ()
+        self.unnamed = 0 if self.names else self._dialect.columns
+
+    def rename(self, names: Sequence[str]) -> None:
+        """Name all columns."""
+        if len(names) != self._dialect.columns:
+            raise SceneError(f"{self.called}: it has {self._dialect.columns} columns, and columns names {len(names)}")
+        self.names, self.unnamed = list(names), 0
+
+    def _read_text(self, wanted: list[str], texts: Sequence[str]) -> pa.Table:
+        rows = self._dialect.rows
+        source = self._path if rows is None else pa.BufferReader(rows)
+        skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
+        options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
+        parse = pyarrow.csv.ParseOptions(delimiter=separator)
+        kinds = dict.fromkeys(texts, pa.binary())  # otherwise 007 would be a number, and null a missing value
+        convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
+        try:
+            table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)
+        except pa.ArrowInvalid:
+            if rows is None:
+                refuse_uneven(self._path, self._dialect, self.called)
+            raise
+        refuse_many_rows(self.called, table.num_rows)
+        for text in texts:
+            table = table.set_column(table.column_names.index(text), text, _without_fractions(table[text]))
+        return table
 
 
 CSV = DataFormat("a table of values", open_csv)

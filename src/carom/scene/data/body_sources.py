@@ -89,7 +89,7 @@ class DataFiles:
                 f"{section.file} has changed: its sha256 is {digest[:12]}… and that of the scene "
                 f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
             )
-        table = open_table(path, section.file, section.snapshot)
+        table = open_table(path, section.file, section.snapshot, section.columns.header)
         columns, notes = read_columns(section, table, wanted.units, wanted.material)
         return SourcedBodies(columns, digest, wanted.material, notes, table.law)
 

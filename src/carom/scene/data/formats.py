@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,12 +20,16 @@ from carom.scene.wording import suggestion
 MOST_ROWS = 50_000_000  # a run takes 1 kB a body
 MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
 
+MOST_COLUMNS = 10_000
+
 ROOMY = 200_000_000  # bytes to which any file may decompress: 3 million identical bodies
 NUMBER = 8  # bytes of every number in memory
 MOST_TIMES = 100  # largest ratio to the size of the file: distinct positions hardly compress
 
 STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
 
+_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, and 1.0-101 where D has no room
+_LONGEST_NUMBER = 60  # characters
 _EXACT = 2**53  # whole numbers below it are floats without rounding
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
@@ -44,6 +49,7 @@ class DataTable:
 
     called: str  # its name in messages
     names: Sequence[str]  # of its columns
+    unnamed: int = 0  # number of its columns if they have no names
     units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if not known
     law: MotionLaw | None = None  # None if not known
     notes: tuple[str, ...] = ()  # sentences on columns that are not used or are read in another way
@@ -51,6 +57,13 @@ class DataTable:
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names. A format without types reads the columns in ``texts`` as texts."""
         raise NotImplementedError
+
+    def rename(self, names: Sequence[str]) -> None:
+        """Name all columns, for a text file without a header."""
+        raise SceneError(
+            f"{self.called}: columns = […] names all columns of a text file, and this format has names; write "
+            "columns = { position = … } for those that differ"
+        )
 
 
 class DataFormat(NamedTuple):
@@ -79,6 +92,12 @@ def refuse_many_rows(called: str, rows: int) -> None:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
 
 
+def refuse_many_columns(called: str, columns: int) -> None:
+    """Refuse a table of more columns than any table of bodies has."""
+    if columns > MOST_COLUMNS:
+        raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
+
+
 def refuse_large(called: str, column: str, size: int) -> None:
     """Refuse a column of so many bytes."""
     if size > MOST_BYTES:
@@ -103,12 +122,26 @@ def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
         return raw.astype(np.float64)
     if raw.dtype.kind not in "OSU":
         raise SceneError(f"{called}: column {column} holds values of type {raw.dtype}, and numbers are needed")
+    numbers = np.empty(raw.size)
     for row, value in enumerate(raw.ravel().tolist()):
-        try:
-            float(value)
-        except (TypeError, ValueError):
-            raise SceneError(f"{called}: column {column}, row {row}: {_shown(value)} is not a number") from None
-    return raw.astype(np.float64)
+        number = number_in(value)
+        if number is None:
+            raise SceneError(f"{called}: column {column}, row {row}: {_shown(value)} is not a number")
+        numbers[row] = number
+    return numbers.reshape(raw.shape)
+
+
+def number_in(value: Any) -> float | None:
+    """Return a value as a number, in Fortran's forms, too (1.0D-01); None if it is none."""
+    try:
+        return float(value)
+    except (TypeError, ValueError):
+        text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+    fortran = _FORTRAN.fullmatch(text.strip()) if len(text) <= _LONGEST_NUMBER else None
+    try:
+        return float(f"{fortran[1]}E{fortran[2]}") if fortran else None
+    except ValueError:
+        return None
 
 
 def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
@@ -147,7 +180,7 @@ def _shown(value: Any) -> str:
 _LONGEST_REASON = 200  # characters of the message of a library
 
 
-def open_table(path: Path, called: str, snapshot: int) -> DataTable:
+def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | None = None) -> DataTable:
     """Open a data file.
 
     Parameters
@@ -158,6 +191,8 @@ def open_table(path: Path, called: str, snapshot: int) -> DataTable:
         Its name in messages.
     snapshot
         Index of the step in a file with several.
+    header
+        The names of all columns of a text file, if the scene has them.
 
     Raises
     ------
@@ -170,7 +205,16 @@ def open_table(path: Path, called: str, snapshot: int) -> DataTable:
         raise SceneError(f'{called}: no format has the ending "{path.suffix}"; {suggestion(path.suffix, known)}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
-        return _Guarded(form.open(path, called, snapshot), form)
+        table = form.open(path, called, snapshot)
+        if header is not None:
+            table.rename(header)
+        if table.unnamed:
+            raise SceneError(
+                f"{called}: no line names its {table.unnamed} columns; name them all, such as "
+                'columns = ["x", "y", "z", "radius", …]'
+            )
+        refuse_many_columns(called, len(table.names))
+        return _Guarded(table, form)
 
 
 class _Guarded(DataTable):

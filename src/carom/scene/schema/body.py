@@ -91,6 +91,22 @@ class Columns(Section):
     inertia: Name | None = Field(None, description="kg m², moment of inertia, in place of inertia_factor")
     fixed: Name | None = Field(None, description="true or 1: the body neither moves nor turns")
     name: Name | None = Field(None, description="names of the bodies")
+    header: tuple[Name, ...] | None = Field(
+        None, description="names of all columns, for a text file without a header; also columns = [...]"
+    )
+
+
+def _list_as_header(value: Any) -> Any:
+    """Read a list of names as those of all columns."""
+    return {"header": value} if isinstance(value, list | tuple) else value
+
+
+class _OrNames:
+    """States in the JSON schema that a list of names may stand in place of a section."""
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
+        """Describe a section, or a list of names."""
+        return {"anyOf": [handler(core), {"type": "array", "items": {"type": "string", "minLength": 1}}]}
 
 
 class BodyData(Matter):
@@ -98,9 +114,13 @@ class BodyData(Matter):
 
     name: str = Field("", description="shown in the recording with a number for each body")
     file: Name | None = Field(
-        None, description=".csv, .tsv, .parquet, .arrow, .feather, .npz, .h5 or .bin (REBOUND); relative to the scene"
+        None,
+        description=".csv, .txt, .parquet, .arrow, .npz, .h5, .bin (REBOUND) or another of docs/data.md; relative to "
+        "the scene",
     )
-    columns: Columns = Field(Columns(), description="names of the columns; by default the usual ones are found")
+    columns: Annotated[Columns, _OrNames(), BeforeValidator(_list_as_header)] = Field(
+        Columns(), description="names of the columns; by default the usual ones are found"
+    )
     snapshot: Annotated[int, Field(strict=True)] = Field(
         -1, description="which step of a file of several, counted from 0, or from the end with -1, the last"
     )
@@ -123,7 +143,7 @@ class BodyData(Matter):
 
     @model_validator(mode="after")
     def _one_source_for_each_quantity(self) -> Self:
-        for quantity in sorted(self.columns.model_fields_set - {"name"}):
+        for quantity in sorted(self.columns.model_fields_set - {"name", "header"}):
             for given in (quantity, _RIVALS.get(quantity)):
                 if given in self.model_fields_set:
                     raise ValueError(f"{given} and columns.{quantity} are both given; leave one out")

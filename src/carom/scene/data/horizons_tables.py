@@ -1,0 +1,120 @@
+"""Vector tables of JPL's Horizons: a body for each block between $$SOE and $$EOE, at one of its epochs."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.errors import SceneError
+from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large
+from carom.scene.data.mapping import printable
+
+_BEGIN, _END = "$$SOE", "$$EOE"
+_TARGET = re.compile(r"Target body name:\s*(.*?)(?:\s{2,}|\s*\{|\s*$)", re.MULTILINE)
+_CENTRE = re.compile(r"Center body name:\s*(.*?)(?:\s{2,}|\s*\{|\s*$)", re.MULTILINE)
+_UNITS = re.compile(r"Output units\s*:\s*([A-Z]+)-([A-Z]+)")
+_FRAME = re.compile(r"Reference frame\s*:\s*(\S.*?)\s*$", re.MULTILINE)
+_NAMES = {"AU": "au", "KM": "km", "D": "day", "S": "s"}  # of units, in Horizons and here
+_LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # of a table that is not CSV
+_EPOCH = re.compile(r"\s*(\d{7}\.\d+)\s*=", re.MULTILINE)
+_VECTOR = ("X", "Y", "Z", "VX", "VY", "VZ")
+_LARGEST = 200_000_000  # bytes
+
+
+class _Block(NamedTuple):
+    """A body."""
+
+    name: str
+    epoch: str  # Julian day
+    values: list[float]  # position and velocity
+    units: tuple[str, str]  # of lengths and times
+    circumstances: str
+
+
+def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open an answer of Horizons, or several in one file; ``snapshot`` selects the epoch."""
+    size = path.stat().st_size
+    if size > _LARGEST:
+        refuse_large(called, "file", size)
+    parts = path.read_text(encoding="utf-8", errors="replace").split(_BEGIN)
+    blocks, before = list[_Block](), parts[0]
+    for part in parts[1:]:
+        rows, found, after = part.partition(_END)
+        if not found:
+            raise SceneError(f"{called}: a block begins with {_BEGIN} and has no {_END}; the file ends early")
+        blocks.append(_block(before, rows, called, snapshot, len(blocks)))
+        before = after
+    if not blocks:
+        raise SceneError(f"{called}: no block between {_BEGIN} and {_END}")
+    first = blocks[0]
+    for block in blocks:
+        for what, own, others in (
+            ("epoch", first.epoch, block.epoch),
+            ("units", first.units, block.units),
+            ("frame", first.circumstances, block.circumstances),
+        ):
+            if own != others:
+                raise SceneError(f"{called}: {first.name} and {block.name} differ in {what}: {own} and {others}")
+    length, time = first.units
+    values = np.array([block.values for block in blocks])
+    names = [f"{axis} [{length}]" for axis in "xyz"] + [f"v{axis} [{length}/{time}]" for axis in "xyz"]
+    arrays: dict[str, Raw] = {"name": np.array([block.name for block in blocks], dtype=object)}
+    table = Arrays(arrays | dict(zip(names, values.T, strict=True)), called)
+    table.notes = (f"{called}: read as vectors of Horizons at JD {first.epoch}, {first.circumstances}",)
+    return table
+
+
+def _block(before: str, rows: str, called: str, snapshot: int, index: int) -> _Block:
+    """Read the vector at one epoch of a block."""
+
+    def stated(pattern: re.Pattern[str]) -> str:
+        found = pattern.findall(before)
+        return printable(found[-1]) if found else ""
+
+    name = stated(_TARGET) or f"body {index}"
+    units = _UNITS.findall(before)
+    if not units or not all(unit in _NAMES for unit in units[-1]):
+        raise SceneError(f"{called}: no line of {name} states the output units as AU-D, KM-D or KM-S")
+    title = [line for line in before.splitlines() if line.strip() and not line.startswith("*")][-1:]
+    vectors = _table(title[0], rows) if title and "," in title[0] else _labelled(rows)
+    if not vectors:
+        raise SceneError(
+            f"{called}: the block of {name} has no vectors (X, Y, Z, VX, VY, VZ); ask Horizons for VECTORS"
+        )
+    if not -len(vectors) <= snapshot < len(vectors):
+        raise SceneError(f"{called}: there is no snapshot {snapshot}: {name} has {len(vectors)}")
+    epoch, texts = vectors[snapshot]
+    values = [number for number in map(number_in, texts) if number is not None]
+    if len(values) != len(_VECTOR):
+        raise SceneError(f"{called}: the block of {name} has values that are not numbers at JD {epoch}")
+    where = f"relative to {stated(_CENTRE) or '?'}, in {stated(_FRAME) or 'an unnamed frame'}"
+    return _Block(name, epoch, values, (_NAMES[units[-1][0]], _NAMES[units[-1][1]]), where)
+
+
+def _table(title: str, rows: str) -> list[tuple[str, Sequence[str]]]:
+    """Read a table with commas."""
+    names = [name.strip() for name in title.split(",")]
+    if not set(_VECTOR) <= set(names):
+        return []
+    places = [names.index(name) for name in _VECTOR]
+    cells = [row for row in csv.reader(rows.splitlines()) if len(row) >= len(_VECTOR)]
+    return [(row[0].strip(), [row[place].strip() for place in places]) for row in cells if max(places) < len(row)]
+
+
+def _labelled(rows: str) -> list[tuple[str, Sequence[str]]]:
+    """Read vectors whose values have labels, below a line with each epoch."""
+    pieces = _EPOCH.split(rows)[1:]
+    found = list[tuple[str, Sequence[str]]]()
+    for epoch, text in zip(pieces[::2], pieces[1::2], strict=True):
+        values = dict(_LABELLED.findall(text))
+        if set(_VECTOR) <= set(values):
+            found.append((epoch, [values[name] for name in _VECTOR]))
+    return found
+
+
+HORIZONS = DataFormat("an answer of Horizons", open_horizons)
