@@ -13,7 +13,7 @@ from carom.scene.schema import Scene
 from carom.show.picture import render
 from carom.show.request import Request
 from needs import PICTURES
-from picture_pixels import Pixels, hue_mask, of_colour, of_hue, view
+from picture_pixels import Pixels, of_colour, of_hue, view
 
 SIZE = (1600, 1000)
 SHARES = (3.0, 2.2, 2.0, 1.7)  # widths of the views of bodies, graph, close-up, and of the legend
@@ -171,19 +171,3 @@ def test_bodies_far_smaller_than_a_pixel_are_seen_as_dots(tmp_path: Path) -> Non
     assert filled(pixels) > 0.5
     for hue in palette.BODIES[1:5]:
         assert of_hue(pixels, hue) > 100, "a dot and a trail"
-
-
-@pytest.mark.slow
-@pytest.mark.needs(PICTURES)
-def test_equal_balls_look_equal_and_the_picture_has_no_empty_half(tmp_path: Path) -> None:
-    pixels = picture(Scene.load("newtons-cradle", ["time.duration=0.3"]), tmp_path, view="bodies")
-    coloured = np.ptp(pixels, axis=2) > 40
-    columns = np.flatnonzero(coloured.sum(axis=0) > 10)  # of balls; trails are thinner
-    assert columns[0] > 0 and columns[-1] < SIZE[0] - 1, "all balls are inside"
-    assert abs(np.mean(columns[[0, -1]]) / SIZE[0] - 0.5) < 0.15, "no empty half"
-    heights = []
-    for colour in (palette.SKY, palette.ORANGE, palette.GREEN, palette.YELLOW):
-        rows = np.flatnonzero(hue_mask(pixels, colour).sum(axis=1) > 10)
-        heights.append(int(np.ptp(rows)))
-    assert min(heights) > 30
-    assert max(heights) <= 1.05 * min(heights) + 2, "5 %, and a pixel at each end"

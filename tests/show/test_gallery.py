@@ -1,0 +1,60 @@
+"""The pictures of docs/gallery.md can be made by its commands, and show what a person would check in each of them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from carom.recording.schema import palette
+from gallery import FOLDER, entries, make
+from needs import PICTURES
+from picture_pixels import Pixels, hue_mask
+
+MOST_BYTES = 1_500_000  # of all pictures, so that a clone stays small
+LARGEST = 1000  # pixels: the page shows pictures 800 pixels wide, where smaller letters cannot be read
+FEW = ("bounce", "cradle", "explosion", "incline", "materials", "orbits")  # bodies, all of which must be inside
+DRAWN = 56  # sum of the differences of the channels from the ground
+Made = dict[str, Pixels]
+
+
+def pixels_of(path: Path) -> Pixels:
+    return np.asarray(Image.open(path).convert("RGB"), dtype=np.int64)
+
+
+def test_every_picture_of_the_page_is_there_and_all_are_small() -> None:
+    names = {entry.name for entry in entries()}
+    files = {path.stem: path for path in FOLDER.glob("*.png")}
+    assert len(names) >= 12 and files.keys() == names
+    assert sum(path.stat().st_size for path in files.values()) < MOST_BYTES
+    for path in files.values():
+        with Image.open(path) as image:
+            assert image.width <= LARGEST, path
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Made:
+    """All pictures, as they are made now."""
+    folder, done = tmp_path_factory.mktemp("gallery"), set[str]()
+    return {entry.name: pixels_of(make(entry, folder, done)) for entry in entries()}
+
+
+@pytest.mark.slow
+@pytest.mark.needs(PICTURES, "matplotlib", "mujoco")
+def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_balls_of_one_size(made: Made) -> None:
+    for name in (*FEW, "pile"):
+        pixels = made[name]
+        drawn = np.abs(pixels - np.median(pixels, axis=(0, 1))).sum(axis=2) > DRAWN
+        height, width = drawn.shape
+        halves = (drawn[: height // 2], drawn[height // 2 :], drawn[:, : width // 2], drawn[:, width // 2 :])
+        assert min(int(half.sum()) for half in halves) > 0.02 * drawn.sum(), f"{name}: an empty half"
+        if name in FEW:  # of more than 40 bodies, up to 5 % may be outside
+            coloured = np.ptp(pixels, axis=2) > 40  # bodies and paths; floors, walls and letters are grey
+            inner = coloured[2:-2, 2:-2]
+            assert inner.sum() == coloured.sum(), f"{name}: a body leaves the picture"
+    heights = []
+    for colour in (palette.SKY, palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
+        rows = np.flatnonzero(hue_mask(made["cradle"], colour).sum(axis=1) > 10)  # trails are thinner
+        heights.append(int(np.ptp(rows)))
+    assert min(heights) > 30
+    assert max(heights) <= 1.05 * min(heights) + 2, "5 %, and a pixel at each end"
