@@ -104,6 +104,8 @@ OPTIONAL = {  # module → one of its names in scenes and commands
     "scene/data/numpy_tables.py": "npz",
     "scene/data/hdf5_tables.py": "h5",
     "scene/data/horizons_tables.py": "horizons",
+    "scene/data/lammps_tables.py": "dump",
+    "scene/data/xyz_tables.py": "xyz",
     "scene/data/rebound_tables.py": "bin",
     "recording/export/csv_parquet.py": "csv",
     "recording/export/npz.py": "npz",

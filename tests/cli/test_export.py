@@ -11,9 +11,11 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.physics.placement import place
+from carom.recording.export.export import snapshots
 from carom.recording.read.recording import Recording
 from carom.scene.schema import Scene
 from carom_command import carom
+from data_scenes import scene_of
 
 BALLS = 7
 
@@ -46,6 +48,21 @@ def test_every_format_has_the_bits_of_the_state(cradle: Path, tmp_path: Path) ->
     vtk = (tmp_path / "one.vtk").read_bytes()
     _, _, points = vtk.partition(b"POINTS 7 double\n")
     assert np.array_equal(np.frombuffer(points[: 24 * BALLS], ">f8").reshape(BALLS, 3), position)
+
+
+@pytest.mark.parametrize("ending", ["parquet", "csv", "npz", "extxyz"])
+def test_what_is_exported_is_read_back_bit_for_bit(cradle: Path, tmp_path: Path, ending: str) -> None:
+    done = carom("export", str(cradle), "--all", "-o", f"all.{ending}", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    recording = Recording.open(cradle)
+    times = recording.fingerprints()["time"].to_numpy()
+    for snapshot in (0, 3, -1):
+        bodies = scene_of(tmp_path, f"all.{ending}", f"snapshot = {snapshot}").data[0]
+        state = next(snapshots(recording, float(times[snapshot]), everything=False))
+        for name, values in state.vectors.items():
+            if name != "orientation":
+                assert np.array_equal(getattr(bodies, name), values), name
+        assert np.array_equal(bodies.mass, state.mass) and np.array_equal(bodies.radius, state.radius)
 
 
 def test_extended_xyz_has_the_periodic_box(tmp_path: Path) -> None:

@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from carom.errors import SceneError
-from carom.scene.schema import Scene
-
-SAMPLES = Path(__file__).with_name("samples")
-
-
-def scene_of(folder: Path, file: str, more: str = "", top: str = "") -> Scene:
-    if (SAMPLES / file).exists():
-        shutil.copy(SAMPLES / file, folder)
-    (folder / "scene.toml").write_text(f'{top}\n[[bodies]]\nfile = "{file}"\n{more}\n', encoding="utf-8")
-    return Scene.load(folder / "scene.toml")
-
-
-def refusal(folder: Path, file: str, more: str = "") -> str:
-    with pytest.raises(SceneError) as caught:
-        scene_of(folder, file, more)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
+from data_scenes import SAMPLES, refusal, scene_of
 
 
 def test_a_table_of_a_german_spreadsheet_is_read(tmp_path: Path) -> None:

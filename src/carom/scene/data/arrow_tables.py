@@ -30,17 +30,19 @@ from carom.scene.data.mapping import printable
 from carom.scene.data.text_dialect import dialect_of, refuse_uneven
 
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
-_HORIZONS = b"$$SOE"  # before the rows in an answer of JPL's Horizons
-_HEAD = 1_000_000  # bytes in which it is sought
+_SIGNS = {b"$$SOE": "horizons", b"ITEM: TIMESTEP": "dump"}  # in text files of other formats, whatever they are called
+_HEAD = 1_000_000  # bytes in which they are sought
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a text file with a row of values for each body, in any usual dialect."""
     with path.open("rb") as file:
-        if _HORIZONS in file.read(_HEAD):
-            horizons: DataFormat = registry.load("data_formats", "horizons")
-            return horizons.open(path, called, snapshot)
+        head = file.read(_HEAD)
+    for sign, name in _SIGNS.items():
+        if sign in head:
+            other: DataFormat = registry.load("data_formats", name)
+            return other.open(path, called, snapshot)
     refuse_large(called, "file", path.stat().st_size)
     return _TextTable(path, called, snapshot)
 

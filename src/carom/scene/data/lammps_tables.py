@@ -1,0 +1,202 @@
+"""Text files of LAMMPS and LIGGGHTS: dumps (dump custom) and data files (write_data).
+
+A reader of our own: lammpsio and ASE leave out the radii, spins and densities of spheres.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.errors import SceneError
+from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, numbers_of, refuse_large, refuse_many_rows
+from carom.scene.data.mapping import printable
+from carom.scene.data.text_rows import LARGEST_STEP, TextRows
+
+_STEP = b"ITEM: TIMESTEP"
+_UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # of LAMMPS, and here
+_MOST_STEPS = 10_000_000
+
+
+def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open a dump at one of its steps."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        if content[: len(_STEP)] != _STEP:
+            raise SceneError(f'{called}: a dump begins with "{_STEP.decode()}"; a binary or compressed one is not read')
+        begins, place = list[int](), 0
+        while place >= 0 and len(begins) < _MOST_STEPS:
+            begins.append(place)
+            place = content.find(b"\n" + _STEP, place)
+            place += place >= 0
+        if not -len(begins) <= snapshot < len(begins):
+            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {len(begins)}")
+        index = snapshot % len(begins)
+        begin, end = begins[index], ([*begins, len(content)])[index + 1]
+        if end - begin > LARGEST_STEP:
+            refuse_large(called, "step", end - begin)
+        line = content[:begin].count(b"\n") + 1
+        text = content[begin:end].decode("utf-8", "surrogateescape")
+    return _Dump(called, text, line)
+
+
+class _Dump(DataTable):
+    """The atoms of one step, in the order of their ids; scaled positions become lengths."""
+
+    def __init__(self, called: str, text: str, line: int) -> None:
+        self.called = called
+        head, found, body = text.partition("ITEM: ATOMS")
+        if not found:
+            raise SceneError(f'{called}: the step from line {line} on has no "ITEM: ATOMS"; the file ends early')
+        items = dict[str, list[str]]()
+        for item in head.split("ITEM: ")[1:]:
+            title, *rows = item.splitlines()
+            items[title.strip()] = rows
+        step = "".join(items.get("TIMESTEP", [])[:1]).strip()
+        count = "".join(items.get("NUMBER OF ATOMS", [])[:1]).strip()
+        if not count.isdecimal():
+            raise SceneError(f'{called}: the step from line {line} on has no "ITEM: NUMBER OF ATOMS"')
+        refuse_many_rows(called, int(count))
+        names, _, rows_text = body.partition("\n")
+        self._written = names.split()
+        rows = rows_text.splitlines()
+        if len(rows) != int(count):
+            raise SceneError(
+                f"{called}: step {printable(step)} has {len(rows)} of its {count} atoms; the file ends early"
+            )
+        self._rows = TextRows(called, self._written, rows, line + head.count("\n") + 1)
+        bounds = next(((title, rows) for title, rows in items.items() if title.startswith("BOX BOUNDS")), ("", []))
+        self._box = _box(called, bounds[1])
+        self._skewed = "xy" in bounds[0]
+        self._scaled = {f"{axis}{end}": axis for axis in "xyz" for end in ("s", "su") if axis not in self._written}
+        self.names = [f"{self._scaled[name]}" if name in self._scaled else name for name in self._written]
+        units = "".join(items.get("UNITS", [])[:1]).strip()
+        self.units = _UNITS.get(units, "")
+        self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
+        if "pp" in bounds[0].split() or bounds[0].split()[-1:] == ["p"]:
+            self.notes += (_periodic(called, self._box),)
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns by their names."""
+        written = dict(zip(self.names, self._written, strict=True))
+        wanted = [written[name] for name in names]
+        raw = self._rows.read([*wanted, *(["id"] if "id" in self._written else [])], [written[name] for name in texts])
+        order = np.argsort(numbers_of(self.called, "id", raw["id"]), kind="stable") if "id" in raw else slice(None)
+        return {name: self._length(column, raw[column])[order] for name, column in zip(names, wanted, strict=True)}
+
+    def _length(self, column: str, raw: Raw) -> Raw:
+        """Return a column, a scaled position as a length."""
+        if column not in self._scaled:
+            return raw
+        if self._skewed or self._box is None:
+            raise SceneError(
+                f"{self.called}: {column} is scaled by a box that is not a cuboid; dump x, y and z instead"
+            )
+        low, high = self._box["xyz".index(self._scaled[column])]
+        return np.asarray(low + numbers_of(self.called, column, raw) * (high - low))
+
+
+def _box(called: str, rows: Sequence[str]) -> FloatArray | None:
+    """Return the bounds (3, 2) of a cuboid box."""
+    try:
+        bounds = np.array([[float(value) for value in row.split()[:2]] for row in rows[:3]])
+    except ValueError:
+        raise SceneError(f"{called}: the bounds of its box are not numbers") from None
+    return bounds if bounds.shape == (3, 2) else None
+
+
+def _periodic(called: str, box: FloatArray | None) -> str:
+    size = "" if box is None else f" of {' × '.join(f'{length:g}' for length in (box[:, 1] - box[:, 0]).tolist())}"
+    return f'{called}: its box{size} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
+
+
+class _Section(NamedTuple):
+    """A section of a data file."""
+
+    style: str  # in the comment after its name
+    line: int  # of its first row
+    rows: list[str]
+
+
+_TITLE = re.compile(r"([A-Z][A-Za-z /]*[A-Za-z])\s*(?:#\s*(.*?)\s*)?")
+_COLUMNS = {  # of the section Atoms, by style
+    "atomic": "id type x y z",
+    "charge": "id type q x y z",
+    "molecular": "id molecule type x y z",
+    "bond": "id molecule type x y z",
+    "full": "id molecule type q x y z",
+    "sphere": "id type diameter density x y z",
+    "granular": "id type diameter density x y z",
+    "bpm/sphere": "id molecule type diameter density x y z",
+}
+_LARGEST_DATA = 1_000_000_000  # bytes
+
+
+def open_data(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open a data file: the sections Atoms, Velocities and Masses."""
+    if path.stat().st_size > _LARGEST_DATA:
+        refuse_large(called, "file", path.stat().st_size)
+    sections = _sections(path.read_text(encoding="utf-8", errors="surrogateescape").splitlines())
+    if "Atoms" not in sections:
+        raise SceneError(f'{called}: no section "Atoms", which a data file of LAMMPS has')
+    atoms = sections["Atoms"]
+    if atoms.style not in _COLUMNS:
+        styles = ", ".join(_COLUMNS)
+        raise SceneError(
+            f'{called}: line {atoms.line}: write the atom style after the title, such as "Atoms # sphere"; carom reads '
+            f"{styles}"
+        )
+    refuse_many_rows(called, len(atoms.rows))
+    table = _rows(called, _COLUMNS[atoms.style].split(), atoms, optional=("ix", "iy", "iz"))
+    arrays = table.read([name for name in table.names if name not in ("ix", "iy", "iz")])
+    order = np.argsort(numbers_of(called, "id", arrays["id"]), kind="stable")
+    arrays = {name: values[order] for name, values in arrays.items()}
+    if "diameter" in arrays:
+        points = numbers_of(called, "diameter", arrays["diameter"]) == 0.0
+        if points.any():
+            row = int(np.argmax(points))
+            raise SceneError(f"{called}: atom {arrays['id'][row]} is a point (diameter 0); give it a diameter")
+    elif "Masses" in sections:
+        masses = _rows(called, ["type", "mass"], sections["Masses"])
+        of_type = masses.read(["type", "mass"])
+        known = dict(zip(of_type["type"].tolist(), numbers_of(called, "mass", of_type["mass"]).tolist(), strict=True))
+        if missing := set(arrays["type"].tolist()) - set(known):
+            raise SceneError(f"{called}: no mass of the type {printable(str(missing.pop()))} in its section Masses")
+        arrays["mass"] = np.array([known[each] for each in arrays["type"].tolist()])
+    if "Velocities" in sections:
+        moving = _rows(called, ["id", "vx", "vy", "vz"], sections["Velocities"], optional=("wx", "wy", "wz"))
+        velocities = moving.read(moving.names)
+        order = np.argsort(numbers_of(called, "id", velocities["id"]), kind="stable")
+        if not np.array_equal(velocities["id"][order], arrays["id"]):
+            raise SceneError(f"{called}: the sections Atoms and Velocities have other ids")
+        arrays |= {name: velocities[name][order] for name in moving.names if name != "id"}
+    result = Arrays(arrays, called)
+    result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}",)
+    return result
+
+
+def _sections(lines: Sequence[str]) -> dict[str, _Section]:
+    """Find the sections of a data file; its first line is a title."""
+    found, current = dict[str, _Section](), None
+    for number, line in enumerate(lines[1:], start=2):
+        title = _TITLE.fullmatch(line.strip())
+        if title:
+            current = found[title[1]] = _Section(title[2] or "", number, [])
+        elif current is not None and (text := line.partition("#")[0].strip()):
+            current.rows.append(text)
+    return found
+
+
+def _rows(called: str, names: Sequence[str], section: _Section, optional: Sequence[str] = ()) -> TextRows:
+    """Read the rows of a section; optional columns are in all rows or in none."""
+    more = bool(section.rows) and len(section.rows[0].split()) == len(names) + len(optional)
+    return TextRows(called, [*names, *(optional if more else ())], section.rows, section.line + 2)
+
+
+DUMP = DataFormat("a dump of LAMMPS", open_dump)
+DATA = DataFormat("a data file of LAMMPS", open_data)
