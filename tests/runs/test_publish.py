@@ -9,27 +9,29 @@ import json
 import os
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from browser import chromium, settled, wait_until_loaded
-from carom.errors import RecordingError
+from carom.recording.read.recording import Recording
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs import publish as publishing
-from carom.show.web import site
+from carom.show.picture import Shot
+from carom.show.web import index_page, site
 from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
 
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
+SCENE = "#:schema scene.json\n# A ride.\n#\n# Look for: <b>circles</b>\n# that cross.\n# Change: nothing.\nseed = 1\n"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
 
 
 def record(path: Path, title: str = TITLE) -> Path:
-    scripted = ScriptedRun(8, title=title)
+    scripted = ScriptedRun(8, title=title, scene_toml=SCENE)
     impact: dict[str, float | str] = {"value": 3.0, "step": 40, "time": 2.0, "bodies": "1,2", "between": BETWEEN}
     most: dict[str, float | str] = {"value": 7.0, "step": 40, "time": 2.0}
     error: dict[str, float | str] = {"value": 1e-6, "step": 20, "time": 1.0}
@@ -42,14 +44,17 @@ def record(path: Path, title: str = TITLE) -> Path:
     return path
 
 
-def draw(path: object, request: object, png: Path, size: tuple[int, int]) -> None:
-    Image.new("RGB", size, "orange").save(png)
+def draw(recording: Recording, shots: Sequence[Shot], size: tuple[int, int]) -> str:
+    """Draw something, at no cost, in place of pictures."""
+    for shot in shots:
+        Image.new("RGB", size, "orange").save(shot.out_png)
+    return ""
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A recording, with pictures and a viewer that cost nothing."""
-    monkeypatch.setattr("carom.show.picture.render", draw)
+    monkeypatch.setattr(publishing, "try_to_render", draw)
     monkeypatch.setattr(site, "_copy_web_viewer", lambda folder: None)
     return record(tmp_path / "my run.rrd")
 
@@ -70,29 +75,37 @@ class Texts(html.parser.HTMLParser):
         self.text += data
 
 
-def test_the_page_has_the_summary_and_a_picture_with_a_link_for_each_moment(run: Path) -> None:
+def test_the_page_has_the_summary_and_pictures_with_a_link_for_each_moment(run: Path) -> None:
     done = carom("publish", run.name, cwd=run.parent)
     assert done.returncode == 0, done.stderr
     folder = run.parent / "my run-page"
-    assert "2 moments" in done.stdout and "-d 'my run-page'" in done.stdout
+    assert "3 moments" in done.stdout and "-d 'my run-page'" in done.stdout
     assert (folder / "recording.rrd").read_bytes() == run.read_bytes()
     page = Texts((folder / "index.html").read_text(encoding="utf-8"))
     links = [attributes["href"] for tag, attributes in page.tags if tag == "a"]
     assert [link for link in links if link and "#" in link] == [
-        "viewer.html#at=1000000000&show=moment-1",
-        "viewer.html#at=2000000000&show=moment-2",
+        "viewer.html#at=1500000000&show=moment-1",
+        *2 * ["viewer.html#at=2000000000&show=moment-2"],
+        "viewer.html#at=2950000000&show=moment-3",
     ]
-    for picture in ("moment-1.png", "moment-2.png"):
-        assert picture in [attributes.get("src") for tag, attributes in page.tags if tag == "img"]
-        assert Image.open(folder / picture).size == (1600, 1000)
+    pictures = [attributes["src"] for tag, attributes in page.tags if tag == "img"]
+    assert pictures == [
+        "moment-1-bodies.png",
+        *("moment-2-bodies.png", "moment-2-close-up.png"),
+        *("moment-3-bodies.png", "moment-3-energy.png"),
+    ]
+    for picture in pictures:
+        assert picture is not None and Image.open(folder / picture).size == (1000, 640)
     for text in (
         TITLE,
+        *("A ride.", "Look for: <b>circles</b> that cross.", "Change: nothing."),
         f"Hardest impact, 3 J of approach (½ μ v_n²), {BETWEEN}",
         "Most contacts, 7",
         "8 bodies",
         "completed",
     ):
         assert text in page.text
+    assert page.text.index("t = 1.5 s: something at step 30") < page.text.index("A ride."), "warnings first"
 
 
 def test_no_text_of_the_recording_becomes_a_tag_of_a_page(run: Path) -> None:
@@ -125,7 +138,7 @@ def test_a_folder_that_exists_is_replaced_only_when_forced(run: Path) -> None:
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]
 
 
-@pytest.mark.parametrize("name", ["notes.txt", "index.html", "recording.rrd", "moment-1.png"])
+@pytest.mark.parametrize("name", ["notes.txt", "index.html", "recording.rrd", "moment-1-bodies.png"])
 def test_a_folder_with_a_file_of_another_program_is_never_replaced(run: Path, name: str) -> None:
     folder = run.parent / "out"
     folder.mkdir()
@@ -203,12 +216,12 @@ def test_a_folder_that_cannot_be_renamed_is_published_to_again_and_again(run: Pa
 def test_a_publication_that_fails_leaves_the_old_folder(
     run: Path, monkeypatch: pytest.MonkeyPatch, error: BaseException
 ) -> None:
-    def fail(*_: object) -> None:
+    def fail(*_: object, **__: object) -> None:
         raise error
 
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     before = {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()}
-    monkeypatch.setattr(site, "write_index", fail)
+    monkeypatch.setattr(index_page, "write_page", fail)
     assert carom("publish", run.name, "-o", "out", "--force", cwd=run.parent).returncode != 0
     assert {path.name: path.read_bytes() for path in (run.parent / "out").iterdir()} == before
     assert sorted(path.name for path in run.parent.iterdir()) == ["my run.rrd", "out"]
@@ -217,15 +230,13 @@ def test_a_publication_that_fails_leaves_the_old_folder(
 def test_without_a_driver_the_page_has_no_pictures_and_the_command_says_why(
     run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*_: object) -> None:
-        raise RecordingError("it needs a Vulkan driver")
-
-    monkeypatch.setattr("carom.show.picture.render", fail)
+    monkeypatch.setattr(publishing, "try_to_render", lambda *_: "it needs a Vulkan driver")
     done = carom("publish", run.name, "-o", "out", "--json", cwd=run.parent)
     assert done.returncode == 0 and json.loads(done.stdout)["picture"] == "it needs a Vulkan driver"
     page = Texts((run.parent / "out" / "index.html").read_text(encoding="utf-8"))
     assert not [tag for tag, _ in page.tags if tag == "img"]
-    assert page.text.count("Open this moment in the viewer") == 2
+    assert page.text.count("Open this moment in the viewer") == 3
+    assert "Without pictures: it needs a Vulkan driver" in page.text
 
 
 @pytest.mark.parametrize(

@@ -100,6 +100,10 @@ SceneArgument = Annotated[
         metavar="SCENE", help="A scene file (.toml) or the name of a bundled scene.", autocompletion=bundled
     ),
 ]
+RecordingsArgument = Annotated[
+    list[Path],
+    typer.Argument(metavar="FILE...", help="Recordings (.rrd).", callback=lambda files: [*map(not_a_folder, files)]),
+]
 RecordingArgument = Annotated[Path, typer.Argument(metavar="FILE", help="A recording (.rrd).", callback=not_a_folder)]
 ThreadsOption = Annotated[
     int | None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from carom.cli.options import JsonOption, RecordingArgument, seconds, simulated
+from carom.cli.options import JsonOption, RecordingArgument, RecordingsArgument, seconds, simulated
 from carom.cli.printing import say, say_json
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import counted
@@ -252,33 +252,48 @@ def pixels_of(size: str) -> tuple[int, int]:
 
 
 def publish(
-    file: RecordingArgument,
+    files: RecordingsArgument,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Folder to write. Default: FILE-page, beside FILE."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder to write. Default: FILE-page, beside FILE; of several recordings, recordings-page.",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a folder that carom published before.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve."""
+    """Write a web page with pictures, the viewer and the recording to a folder that any static host can serve.
+
+    Several recordings get a page each, and an index with a card for each. FILE may be the zip that `carom report` made.
+    """
     import shlex
+    from contextlib import ExitStack
     from dataclasses import asdict
 
     from carom.cli.compiling import announce_compilation
     from carom.cli.printing import bytes_text
+    from carom.recording.edit.bundle import opened
     from carom.recording.read.recording import Recording
     from carom.runs.publish import publish as make
     from carom.runs.publish import refuse_folder
 
-    recording = Recording.open(file)
-    folder = output or file.with_name(f"{file.stem}-page")
-    refuse_folder(folder, force)
-    announce_compilation()
-    made = make(recording, folder, lambda what: say(f"Writing {what} …", err=True))
+    one = files[0]
+    folder = output or one.with_name(f"{one.stem}-page" if len(files) == 1 else "recordings-page")
+    with ExitStack() as stack:
+        recordings = [Recording.open(stack.enter_context(opened(file))) for file in files]
+        for recording in recordings:
+            recording.refuse_overlay()
+        refuse_folder(folder, force)
+        announce_compilation()
+        made = make(recordings, folder, lambda what: say(f"Writing {what} …", err=True))
     if as_json:
         say_json({**asdict(made), "path": str(folder)})
         return
-    say(f"{folder} written, {bytes_text(made.size)}: {counted(made.moments, 'moment')}.")
+    pages = f"{counted(len(files), 'page')}, " if len(files) > 1 else ""
+    say(f"{folder} written, {bytes_text(made.size)}: {pages}{counted(made.moments, 'moment')}.")
     if made.picture:
         say(f"Without pictures: {made.picture}", err=True)
     say("Upload it to any web host. To look at it here, run this and open http://127.0.0.1:8000:")

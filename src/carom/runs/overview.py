@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import Any
 
 from carom.contact_table import ROUNDED_OVERLAP
 from carom.recording.read.recording import Recording
+from carom.scene.scene_file import starter
 from carom.scene.units.dimension import ENERGY, RATE, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import counted
@@ -168,3 +172,48 @@ def _promise(verdict: dict[str, Any]) -> str:
     if not verdict.get("judged", True):
         kept = "not judged, the run ended elsewhere"
     return f"{promise_text(verdict)}: {kept}"
+
+
+def headline(recording: Recording) -> list[tuple[str, str]]:
+    """Return the numbers by which a reader tells recordings apart: names and texts."""
+    whole, units = recording.summary(), recording.units
+    impacts = whole["contacts"].get("impacts")
+    first, last = (units.text(whole["energy"][when], ENERGY, ".4g") for when in ("initial", "final"))
+    return [
+        ("bodies", str(whole["bodies"])),
+        ("simulated", units.text(whole["sim_time"], TIME)),
+        *([] if impacts is None else [("impacts", str(impacts))]),
+        ("energy", first if first == last else f"{first} → {last}"),
+    ]
+
+
+def description(scene: str) -> str:
+    """Return the description in a scene's text or, without one, the comment at its head, as paragraphs of lines."""
+    try:
+        own = tomllib.loads(scene).get("description")
+    except tomllib.TOMLDecodeError:
+        return ""
+    comment = _head_comment(scene)
+    return str(own or "").strip() or ("" if comment == _head_comment(starter()) else comment)
+
+
+def _head_comment(scene: str) -> str:
+    """Return the comment lines before the first key; a line that begins like "Look for: " begins a paragraph."""
+    lines = takewhile(lambda line: line.startswith("#"), scene.splitlines())
+    text = "\n".join(line.removeprefix("#").strip() for line in lines if not line.startswith("#:"))
+    return re.sub(r"\n+(?=[A-Z][a-z ]+: )", "\n\n", text).strip()
+
+
+def problems(recording: Recording, most: int) -> list[str]:
+    """Return what went wrong in a run: how it ended, missed promises, and warnings, of which at most ``most``."""
+    promises = recording.summary()["expect"]
+    missed = [
+        f"promise {name} missed: {promise_text(verdict)}"
+        for name, verdict in promises.items()
+        if verdict.get("judged", True) and not verdict["met"]
+    ]
+    ended = [] if recording.outcome == "completed" or missed else [in_words(recording.outcome)]
+    warnings = recording.warnings()
+    warned = [f"t = {recording.units.text(event.time, TIME)}: {event.text}" for event in warnings[:most]]
+    more = [f"… and {len(warnings) - most} more warnings"] if len(warnings) > most else []
+    return [*ended, *missed, *warned, *more]

@@ -1,4 +1,4 @@
-"""Publishes a recording as a folder for any static host: a page with its moments, the viewer and the recording."""
+"""Publishes recordings as a folder for any static host: pages with their moments, the viewer and the recordings."""
 
 from __future__ import annotations
 
@@ -9,27 +9,32 @@ import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import count
 from pathlib import Path
 
 import xxhash
 
 from carom.errors import RecordingError
+from carom.recording.layout.blueprint import CLOSE_UP
 from carom.recording.read.recording import Recording
 from carom.recording.write.whole_file import Claim, write_whole
 from carom.runs.output import is_link_of_another
-from carom.runs.overview import Moment, moments, overview
+from carom.runs.overview import description, headline, overview, problems
+from carom.runs.telling_moments import telling_moments
 from carom.scene.units.dimension import TIME
-from carom.show.picture import try_to_render
+from carom.scene.wording import counted
+from carom.show.picture import Shot, try_to_render
 from carom.show.presentation import asked
-from carom.show.request import Request
-from carom.show.web import site
-from carom.show.web.site import Figure
+from carom.show.web import index_page, site
+from carom.show.web.index_page import About, Card, Figure
+from carom.show.web.site import PageNames
 
 LIST = "carom-page.json"  # the list of a publication's files, with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
+MOST_PROBLEMS = 20  # on a page
+_BODIES, _ENERGY = "bodies", "energy"  # views
 _PART = re.compile(r"\.[0-9a-f]{8}\.part")
-_SIZE = (1600, 1000)  # pixels of a picture
+_TAKEN = {"index", "viewer", "layout", "recording"}  # stems of other files
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,15 +45,16 @@ class Published:
     size: int  # bytes
     moments: int
     picture: str  # empty, or the reason for missing pictures
+    pages: Sequence[str]  # one for each recording, in their order
 
 
-def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
+def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str], None] = lambda _: None) -> Published:
     """Write the folder; an earlier one by carom is replaced once the new one is complete.
 
     Parameters
     ----------
-    recording
-        A whole run, or a clip.
+    recordings
+        Whole runs, or clips. Of several, each has its page, and the index has a card for each.
     folder
         The folder to write.
     watch
@@ -57,33 +63,85 @@ def publish(recording: Recording, folder: Path, watch: Callable[[str], None] = l
     Raises
     ------
     RecordingError
-        If the recording has no frame, or the folder cannot be written.
+        If a recording has no frame, or the folder cannot be written.
     """
-    summary = recording.summary()
-    units = recording.units
-    found = moments(summary, units) or [_fullest(recording)]
+    several = len(recordings) > 1
+    all_names = _all_names(recordings) if several else [site.ONLY]
+    title = counted(len(recordings), "recording") if several else recordings[0].title
+    cards: list[Card] = []
     missing = ""
     with Claim(folder), _replacing(folder) as part:
-        watch("the recording")
-        shutil.copyfile(recording.path, part / site.RECORDING)
         watch("the viewer")
-        site.write_viewer(recording, part)
-        figures = []
-        for number, together in enumerate(_together(found), 1):
-            name, time = f"moment-{number}", together[0].time
-            watch(f"the moment at {units.text(time, TIME)}")
-            impact = any(moment.name == "impact" for moment in together)
-            wanted = Request(event="impact") if impact else Request(time)
-            shown = asked(recording, wanted)
-            link = site.write_moment(recording, shown.time, shown.supplement, part, name)
-            if not missing:
-                missing = try_to_render(recording.path, wanted, part / f"{name}.png", _SIZE)
-            lines = [f"{moment.text[0].upper()}{moment.text[1:]}" for moment in together]
-            lines.append(f"t = {units.text(shown.time, TIME, '.9g')}")
-            figures.append(Figure(lines, link, "" if missing else f"{name}.png"))
-        site.write_index(part, recording.title, recording.path.name, overview(recording), figures)
+        site.write_viewer(part, title)
+        for recording, names in zip(recordings, all_names, strict=True):
+            about = _write_recording(recording, part, names, missing, watch)
+            missing = missing or about.missing
+            index_page.write_page(part / names.page, about, back=several)
+            pictures = [figure.pictures[0] for figure in about.figures if figure.pictures]
+            impacts = [figure.pictures[0] for figure in about.figures if len(figure.pictures) > 1]
+            cards.append(Card(names.page, about, next(iter([*impacts, *pictures[-1:]]), "")))
+        if several:
+            index_page.write_cards(part, title, cards)
+        index_page.write_style(part)
         size = sum(file.stat().st_size for file in part.iterdir())
-    return Published(folder, size, len(figures), missing)
+    moments = sum(len(card.about.figures) for card in cards)
+    return Published(folder, size, moments, missing, [names.page for names in all_names])
+
+
+def _all_names(recordings: Sequence[Recording]) -> list[PageNames]:
+    """Return the names of several recordings' files, which no two share."""
+    stems: list[str] = []
+    for recording in recordings:
+        stem = re.sub(r"[^a-z0-9]+", "-", recording.path.stem.lower()).strip("-")[:60] or "run"
+        numbered = (stem if number == 1 else f"{stem}-{number}" for number in count(1))
+        stems.append(next(name for name in numbered if name not in (*stems, *_TAKEN)))
+    return [PageNames(stem) for stem in stems]
+
+
+def _write_recording(
+    recording: Recording, folder: Path, names: PageNames, missing: str, watch: Callable[[str], None]
+) -> About:
+    """Write the files of a recording, with pictures unless it is known why these are ``missing``."""
+    name, units = recording.path.name, recording.units
+    watch(name)
+    shutil.copyfile(recording.path, folder / names.recording)
+    site.write_layout(recording, folder / names.layout)
+    moments, shots, links = telling_moments(recording), list[Shot](), list[str]()
+    for number, moment in enumerate(moments, 1):
+        shown = asked(recording, moment.request)
+        site.write_moment(recording, shown.supplement, folder, names.moment(number))
+        links.append(names.viewer(recording, shown.time, names.moment(number)))
+        views = (_BODIES, CLOSE_UP) if moment.close else (_BODIES,)
+        shots += [Shot(moment.request, view, folder / f"{names.moment(number)}-{view}.png") for view in views]
+    shots.append(Shot(moments[-1].request, _ENERGY, folder / f"{names.moment(len(moments))}-{_ENERGY}.png"))
+    if not missing:
+        watch(f"{counted(len(shots), 'picture')} of {name}")
+        missing = try_to_render(recording, shots, index_page.SIZE)
+    made = [shot.out_png for shot in shots if shot.out_png.exists()]
+    figures = [
+        Figure(
+            moment.heading,
+            [f"t = {units.text(moment.time, TIME)}", *moment.details],
+            link,
+            [png.name for png in made if png.name.startswith(f"{names.moment(number)}-") and shots[-1].out_png != png],
+        )
+        for number, (moment, link) in enumerate(zip(moments, links, strict=True), 1)
+    ]
+    return About(
+        title=recording.title,
+        file=name,
+        recording=names.recording,
+        size=recording.path.stat().st_size,
+        viewer=names.viewer(recording),
+        problems=problems(recording, MOST_PROBLEMS),
+        description=description(recording.scene_toml),
+        headline=list(headline(recording)),
+        rows=overview(recording),
+        scene=recording.scene_toml,
+        figures=figures,
+        energy=shots[-1].out_png.name if shots[-1].out_png in made else "",
+        missing=missing,
+    )
 
 
 def refuse_folder(folder: Path, force: bool) -> None:
@@ -138,19 +196,6 @@ def _digest(path: Path) -> str:
         while piece := file.read(1 << 20):
             whole.update(piece)
     return whole.hexdigest()
-
-
-def _fullest(recording: Recording) -> Moment:
-    """Return the moments of a run that has no contacts or was killed."""
-    time = recording.moment()
-    table = recording.fingerprints()
-    row = int(abs(table["time"].to_numpy() - time).argmin())
-    return Moment("", "the moment to look at", int(table["step"][row].as_py()), time)
-
-
-def _together(found: Sequence[Moment]) -> Iterator[list[Moment]]:
-    """Group the moments of one step, in order of time."""
-    return (list(group) for _, group in groupby(sorted(found, key=lambda moment: moment.step), lambda one: one.step))
 
 
 @contextmanager

@@ -17,17 +17,24 @@ from carom.physics.contact.statistics import OVERLAPS
 from carom.private_folder import temporary_folder
 from carom.recording.edit import bundle
 from carom.recording.edit.clip import Clip, clip
-from carom.recording.read.recorded_scene import recorded_scene
 from carom.recording.read.recording import Recording
 from carom.recording.schema.paths import STEP
 from carom.runs.environment import environment
-from carom.runs.overview import energy_texts, in_words, is_worth_a_look, overview, promise_text, value_shown
+from carom.runs.overview import (
+    description,
+    energy_texts,
+    in_words,
+    is_worth_a_look,
+    overview,
+    promise_text,
+    value_shown,
+)
 from carom.runs.replay import Replay, replay
 from carom.scene.forces import FORCES
 from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, escaped
-from carom.show.picture import try_to_render
+from carom.show.picture import Shot, try_to_render
 from carom.show.request import Request
 
 FRAMES = 120  # largest number in the clip, half of them before the time in question
@@ -86,7 +93,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         replayed = _replay(small)
         picture = folder / "picture.png"
         hardest = why.startswith(WORST["impact"].partition("{")[0])
-        missing = try_to_render(cut, Request(event="impact") if hardest else Request(moment), picture)
+        shown = Request(event="impact") if hardest else Request(moment)
+        missing = try_to_render(small, [Shot(shown, "bodies", picture)])
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
         text = _summary(recording, small, moment, why, replayed, not missing, path.name)
         members: dict[str, bytes | Path] = {
@@ -230,11 +238,8 @@ def _ledger(clip: Recording) -> list[str]:
 
 def _description(recording: Recording) -> list[str]:
     """Quote the description of the scene."""
-    try:
-        description = recorded_scene(recording).description.strip()
-    except (SceneError, RecordingError):  # a recording of another engine, or of a newer version
-        return []
-    return [*(f"> {_literal(line)}".rstrip() for line in description.splitlines()), ""] if description else []
+    lines = description(recording.scene_toml).splitlines()
+    return [*(f"> {_literal(line)}".rstrip() for line in lines), ""] if lines else []
 
 
 def _warned(recording: Recording) -> list[str]:

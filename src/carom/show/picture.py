@@ -9,7 +9,7 @@ import struct
 import tempfile
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -124,26 +124,51 @@ def render(
         viewer.go_to(recording, moment)
         if extra is not None:
             viewer.add(extra)
-        viewer.outlast_note()
-        png = stable_picture(viewer, None if whole else viewer.only_view())
-        reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
-    if reports:
-        raise RecordingError(f"the viewer cannot show all of {path}: " + "; ".join(reports))
-    try:
-        with whole_file(Path(out_png)) as part:
-            part.write_bytes(_marked(png))
-    except OSError as error:
-        raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
+        _save(viewer, recording, None if whole else viewer.only_view(), Path(out_png))
     return Picture(moment, missing)
 
 
-def try_to_render(path: Path, request: Request, out_png: Path, size: tuple[int, int] = (1600, 1000)) -> str:
-    """Render a moment of a recording; return the reason if that fails, such as a missing driver, else nothing."""
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One of several pictures of a recording."""
+
+    request: Request
+    view: str  # a single one
+    out_png: Path
+
+
+def try_to_render(recording: Recording, shots: Sequence[Shot], size: tuple[int, int] = (1000, 640)) -> str:
+    """Render moments of a recording, in order of time, with one viewer.
+
+    Return the reason if a picture fails, such as a missing driver, else nothing. The pictures before it exist.
+    """
+    canvas, last = Canvas(*size, framed=False, rendered=True), ""
     try:
-        render(path, request, out_png, size)
+        with headless(recording, window_of(size, whole=False), canvas.theme) as viewer:
+            viewer.show(recording)
+            for shot in shots:
+                shown = asked(recording, shot.request, canvas, shot.view)
+                viewer.go_to(recording, shown.time)
+                viewer.add(shown.supplement)
+                last = viewer.only_view(before=last)
+                _save(viewer, recording, last, shot.out_png)
     except RecordingError as error:
         return str(error)
     return ""
+
+
+def _save(viewer: Viewer, recording: Recording, view: str | None, out_png: Path) -> None:
+    """Write a picture of a view, or of the whole window, once it is stable."""
+    viewer.outlast_note()
+    png = stable_picture(viewer, view)
+    reports = [f"{one.name}: {report}" for one in viewer.client.get_state().views for report in one.reports]
+    if reports:
+        raise RecordingError(f"the viewer cannot show all of {recording.path}: " + "; ".join(reports))
+    try:
+        with whole_file(out_png) as part:
+            part.write_bytes(_marked(png))
+    except OSError as error:
+        raise RecordingError(f"cannot write {out_png}: {error.strerror}") from error
 
 
 def is_picture_of_carom(path: Path) -> bool:

@@ -139,10 +139,16 @@ class Viewer:
         """Return a PNG of a view, or of the whole window."""
         return self._ask(lambda: self.client.take_screenshot(view))
 
-    def only_view(self) -> str:
-        """Wait until a layout with a single view is laid out; return the view's id."""
-        self.until("lay out the view", _LOAD, lambda: len(self._ask(self.client.get_state).views) == 1)
-        return str(self._ask(self.client.get_state).views[0].view_id)
+    def only_view(self, before: str = "") -> str:
+        """Wait until a layout with a single view is laid out; return the view's id, which is not that of `before`."""
+        shown: list[str] = []
+
+        def is_laid_out() -> bool:
+            shown[:] = [str(view.view_id) for view in self._ask(self.client.get_state).views]
+            return len(shown) == 1 and shown[0] != before
+
+        self.until("lay out the view", _LOAD, is_laid_out)
+        return shown[0]
 
     def wait(self) -> None:
         """Wait until the window is closed."""

@@ -84,7 +84,7 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
     RecordingError
         If the impact is not recorded; the message gives the recorded numbers.
     """
-    numbers, table = impacts_by_number(recording)
+    numbers, rows = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
     if not len(found):
         has = "it records no impacts"
@@ -92,10 +92,21 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
             first, last = numbers[0], numbers[-1]
             has = f"its impacts have numbers from {first} to {last}" if first < last else f"its only one is {first}"
         raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
-    with reading(recording.path):
-        chunk = Chunk(paths.IMPACTS, table.slice(int(found[0]), 1).to_batches()[0])
-        row = _table(recording, chunk, _times(recording, chunk)).to_pylist()[0]
+    row = _measured(recording, rows.slice(int(found[0]), 1)).to_pylist()[0]
     return row["time"], row["step"], row["i"], row["j"]
+
+
+def numbered_impacts(recording: Recording) -> tuple[IntArray, pa.Table]:
+    """Return the numbers (k,) of all recorded impacts, from 1 and rising, and their table; see `Recording.impacts`."""
+    numbers, rows = impacts_by_number(recording)
+    return numbers, _measured(recording, rows) if len(numbers) else table_of({STEP: numbers}, "")
+
+
+def _measured(recording: Recording, rows: pa.Table) -> pa.Table:
+    """Return the table of recorded rows of impacts, at least one."""
+    with reading(recording.path):
+        chunk = Chunk(paths.IMPACTS, rows.to_batches()[0])
+        return _table(recording, chunk, _times(recording, chunk))
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:

@@ -67,10 +67,12 @@ def hosted(recording: Recording, at: float, supplement: Supplement | None = None
         If the port is in use.
     """
     with temporary_folder() as folder, _listening(port) as server:
-        site.write_viewer(recording, folder)
-        page = site.paused_page(recording, at)
+        site.write_viewer(folder, recording.title)
+        site.write_layout(recording, folder / site.LAYOUT)
+        shown = "" if supplement is None else "moment"
         if supplement is not None:
-            page = site.write_moment(recording, at, supplement, folder, "moment")
+            site.write_moment(recording, supplement, folder, shown)
+        page = site.ONLY.viewer(recording, at, shown)
         secret, entrance = secrets.token_urlsafe(16), secrets.token_urlsafe(16)
         files = {path.name: path for path in folder.iterdir()} | {site.RECORDING: recording.path.resolve()}
         server.files = {f"/{secret}/{name}": path for name, path in files.items()}

@@ -1,20 +1,14 @@
-"""Writes the files of a page that shows a recording in Rerun's web viewer, and the index page of a published folder.
-
-The pages make no requests to other hosts.
-"""
+"""Writes the files of a page that shows recordings in Rerun's web viewer. It makes no requests to other hosts."""
 
 from __future__ import annotations
 
 import gzip
 import html
 import mmap
-import shlex
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from string import Template
 
 from carom.errors import RecordingError
 from carom.recording.edit.repair import new_layout
@@ -37,35 +31,75 @@ _LAST_SECTION = 13
 _NO_WEB_VIEWER = "the installed rerun-sdk holds no web viewer that carom can read; install the version that carom names"
 
 
-def write_viewer(recording: Recording, folder: Path) -> None:
-    """Write `FILES` into a folder; the recording is expected beside them as `RECORDING`.
+@dataclass(frozen=True, slots=True)
+class PageNames:
+    """The names of a recording's files in a folder.
+
+    Parameters
+    ----------
+    stem
+        Of the files of one of several recordings, of letters, digits and hyphens; empty for the only one.
+    """
+
+    stem: str = ""
+
+    @property
+    def page(self) -> str:
+        """The page about the recording."""
+        return f"{self.stem or 'index'}.html"
+
+    @property
+    def recording(self) -> str:
+        """The recording."""
+        return f"{self.stem}.rrd" if self.stem else RECORDING
+
+    @property
+    def layout(self) -> str:
+        """The layout in which the viewer shows it."""
+        return f"{self.stem}.rbl" if self.stem else LAYOUT
+
+    def moment(self, number: int) -> str:
+        """Return the stem of the files of a moment. No stem of a recording has an underscore."""
+        return f"{self.stem}_{number}" if self.stem else f"moment-{number}"
+
+    def viewer(self, recording: Recording, at: float | None = None, show: str = "") -> str:
+        """Return the address of the viewer, paused at a time (s), with what is shown of a moment."""
+        at_ns = None if at is None else TimeScale(float(recording.info["time_scale"])).nanoseconds([at])[0]
+        given = {"of": self.stem or None, "at": at_ns, "show": show or None}
+        asked = "&".join(f"{key}={value}" for key, value in given.items() if value is not None)
+        return f"{PAGE}#{asked}" if asked else PAGE
+
+
+ONLY = PageNames()
+
+
+def write_viewer(folder: Path, title: str) -> None:
+    """Write the viewer and its page into a folder; layouts and recordings are expected beside them.
 
     RecordingError if the installed Rerun has no web viewer; OSError if the folder cannot be written.
     """
     page = resources.files(__package__) / "page"
     text = (page / PAGE).read_text(encoding="utf-8")
-    title = f"<title>{html.escape(recording.title)}</title>"
-    (folder / PAGE).write_text(text.replace("<title>carom</title>", title), encoding="utf-8")
+    text = text.replace("<title>carom</title>", f"<title>{html.escape(title)}</title>")
+    (folder / PAGE).write_text(text, encoding="utf-8")
     for name in ("viewer.css", "viewer.js"):
         (folder / name).write_bytes((page / name).read_bytes())
-    chunks = recording.layout()
-    layout = StoredLayout(chunks) if chunks else new_layout(recording)
-    layout.save(recording.store.application_id, folder / LAYOUT)
     _copy_web_viewer(folder)
     shutil.copyfile(Path(binary()).with_name(NOTICES), folder / NOTICES)
 
 
-def write_moment(recording: Recording, at: float, supplement: Supplement, folder: Path, name: str) -> str:
-    """Write the files of a time (s), ``NAME.rbl`` and ``NAME.rrd``; return the page's address, paused there."""
+def write_layout(recording: Recording, path: Path) -> None:
+    """Write the layout in which a viewer shows a recording as a whole."""
+    chunks = recording.layout()
+    layout = StoredLayout(chunks) if chunks else new_layout(recording)
+    layout.save(recording.store.application_id, path)
+
+
+def write_moment(recording: Recording, supplement: Supplement, folder: Path, name: str) -> None:
+    """Write the files of a moment, ``NAME.rbl`` and ``NAME.rrd``."""
     application, recording_id = recording.store.application_id, recording.store.store_id
     supplement.layout.save(application, folder / f"{name}.rbl")
     supplement.save(folder / f"{name}.rrd", application, recording_id)
-    return f"{paused_page(recording, at)}&show={name}"
-
-
-def paused_page(recording: Recording, at: float) -> str:
-    """Return the address of the page, relative to its folder, paused at a time (s) in the recording's own layout."""
-    return f"{PAGE}#at={TimeScale(float(recording.info['time_scale'])).nanoseconds([at])[0]}"
 
 
 def _copy_web_viewer(folder: Path) -> None:
@@ -108,56 +142,3 @@ def _web_assembly(program: mmap.mmap) -> slice:
             break
         end = place + size
     return slice(start, end)
-
-
-INDEX, STYLE = "index.html", "index.css"
-
-
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """A moment on the page."""
-
-    lines: Sequence[str]  # its description
-    link: str  # to the viewer, paused at the moment
-    picture: str  # name of its file; empty without one
-
-
-def write_index(
-    folder: Path, title: str, name: str, rows: Sequence[tuple[str, str]], figures: Sequence[Figure]
-) -> None:
-    """Write the page and its style into a folder that has the recording.
-
-    Parameters
-    ----------
-    folder
-        The folder of the recording and the viewer.
-    title
-        Of the scene.
-    name
-        File name of the recording when it is downloaded.
-    rows
-        Names and texts of a table.
-    figures
-        The moments.
-    """
-    page = resources.files(__package__) / "page"
-    size = (folder / "recording.rrd").stat().st_size
-    text = Template((page / INDEX).read_text(encoding="utf-8")).substitute(
-        title=html.escape(title),
-        file=html.escape(name),
-        quoted=html.escape(shlex.quote(name)),
-        size=f"{size / 1e6:.3g} MB",
-        rows="\n".join(f"      <tr><th>{html.escape(row)}</th><td>{html.escape(text)}</td></tr>" for row, text in rows),
-        moments="\n".join(map(_figure, figures)),
-    )
-    (folder / INDEX).write_text(text, encoding="utf-8")
-    (folder / STYLE).write_bytes((page / STYLE).read_bytes())
-
-
-def _figure(figure: Figure) -> str:
-    link = html.escape(figure.link)
-    lines = "".join(f"<p>{html.escape(line)}</p>" for line in figure.lines)
-    alt = html.escape(figure.lines[0])
-    picture = f'<img src="{html.escape(figure.picture)}" alt="{alt}" width="1600" height="1000" />'
-    shown = picture if figure.picture else "Open this moment in the viewer"
-    return f'      <figure><a href="{link}">{shown}</a><figcaption>{lines}</figcaption></figure>'

@@ -1,6 +1,7 @@
 // Shows recording.rrd in Rerun's web viewer. The address may end in "#at=42900000&show=moment-1": the time at which
 // it is paused, in ns of its timeline, and the name of two files for it: moment-1.rbl, a layout, and moment-1.rrd, the
-// same layout and what is to be added to the recording.
+// same layout and what is to be added to the recording. "of=ball" shows ball.rrd, one of several recordings, whose
+// layout is ball.rbl.
 "use strict";
 
 const PATIENCE = 200; // ms between two looks at what the viewer has loaded
@@ -96,7 +97,10 @@ const pause = () => new Promise((resolve) => setTimeout(resolve, PATIENCE));
 
 const wanted = new URLSearchParams(location.hash.slice(1));
 const time = /^-?\d+$/.test(wanted.get("at")) ? BigInt(wanted.get("at")) : null;
-const moment = /^[\w-]+$/.test(wanted.get("show")) ? wanted.get("show") : null;
+const named = (key) => (/^[\w-]+$/.test(wanted.get(key)) ? wanted.get(key) : null);
+const moment = named("show");
+const recording = `${named("of") ?? "recording"}.rrd`;
+const layout = named("of") ?? "layout";
 
 // The viewer takes up what it is given in its next frame, and without an event it may not paint one for ever: after a
 // reload on a busy machine it waited for the mouse to move. It repaints when its page is shown.
@@ -115,8 +119,8 @@ async function send(viewer, name) {
 }
 
 async function load(viewer) {
-  await send(viewer, `${moment ?? "layout"}.rbl`); // a recording without a layout would be shown with one of the viewer's own
-  viewer.add_receiver(new URL("recording.rrd", location.href).href);
+  await send(viewer, `${moment ?? layout}.rbl`); // a recording without a layout would be shown with one of the viewer's own
+  viewer.add_receiver(new URL(recording, location.href).href);
   for (let there = false; !there; ) {
     wake();
     await pause();
