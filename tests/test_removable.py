@@ -233,6 +233,14 @@ def test_a_scene_that_needs_a_removed_part_of_the_physics_names_it(part: str, wi
     assert named in said and "this installation" in said
 
 
+def test_contact_laws_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("laws")
+    assert run("--help").returncode == 0
+    given = ("--set", "contact.law=walton")
+    assert 'no contact law "walton"' in refusal(run("explain", "two-spheres", *given))
+    assert run("explain", "two-spheres").returncode == 0
+
+
 def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:
     ended = bare("run", "two-spheres", *SHORT, *LATE, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr

@@ -50,7 +50,13 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "gauss-radau15": "carom.physics.integrators.gauss_radau.gauss_radau15:make",
         "wisdom-holman": "carom.physics.integrators.wisdom_holman.wisdom_holman:make",
     },
-    "contact_laws": {"coulomb": "carom.scene.contact_laws:COULOMB"},
+    "contact_laws": {
+        "coulomb": "carom.scene.contact_laws:COULOMB",
+        "rolling_resistance": "carom.laws.rolling_resistance:LAW",
+        "viscoelastic": "carom.laws.viscoelastic:LAW",
+        "restitution_table": "carom.laws.restitution_table:LAW",
+        "walton": "carom.laws.walton:LAW",
+    },
     "placements": {  # arrangements of groups, and the region shape with its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",
         "compressed": "carom.physics.placement.growth:COMPRESSED",

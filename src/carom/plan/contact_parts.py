@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from carom.plan.pulls import differing, pushing
-from carom.scene.contact_laws import law_of
+from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.matter import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
@@ -96,6 +96,8 @@ def resting(scene: Scene, contact: Part) -> Part:
 def restitution(scene: Scene, contact: Part) -> Part:
     """Decide whether anything bounces."""
     name, kinds = "restitution", kinds_of_contacts(scene)
+    if "restitution" in functions_of(scene.contact.laws):
+        return where_bodies_meet(name, contact, scene.contact.law_key)
     if contact.modelled and all(kind.coefficients.restitution == 0 for kind in kinds):
         return Part(name, False, "every coefficient is 0: no bounce")
     return where_bodies_meet(name, contact, f"e = {_range(kinds, 'restitution')}")
@@ -104,8 +106,8 @@ def restitution(scene: Scene, contact: Part) -> Part:
 def friction(scene: Scene, contact: Part) -> Part:
     """Decide whether contacts resist sliding."""
     name, kinds = "friction", kinds_of_contacts(scene)
-    if contact.modelled and law_of(scene).exerts_torque:
-        return Part(name, True, f'contact.law = "{scene.contact.law}" resists rolling')
+    if contact.modelled and exerts_torque(scene.contact.laws):
+        return Part(name, True, f"{scene.contact.law_key} resists rolling")
     if contact.modelled and all(kind.coefficients.static_friction == 0 for kind in kinds):
         return Part(name, False, "both coefficients are 0")
     why = f"μs = {_range(kinds, 'static_friction')}, μk = {_range(kinds, 'kinetic_friction')}"

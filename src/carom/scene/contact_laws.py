@@ -1,21 +1,19 @@
 """Contact laws: how a contact rebounds, slides, rolls and twists.
 
-`COULOMB` is the law of scenes that choose none. A scene chooses another law by ``contact.law``. Its coefficients are in
-the section ``[contact.NAME]``, or in a section of that name of a material, a pair of materials or a plane.
+`COULOMB` is the law of scenes that choose none. A scene chooses another law by ``contact.law``, or several that define
+different functions, such as a restitution and a resistance to rolling. The coefficients of a law are in the section
+``[contact.NAME]``, or in a section of that name of a material, a pair of materials or a plane.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any
 
 from carom import registry
 from carom.scene.forces import numbers_of
-
-if TYPE_CHECKING:
-    from carom.scene.schema import Scene
 
 Numbers = Mapping[str, float]  # coefficients of a law, in SI units, by name
 
@@ -63,6 +61,9 @@ class ContactLaw:
 
 COULOMB = ContactLaw(None)
 DEFAULT_LAW = "coulomb"
+FUNCTIONS = tuple(
+    field.name for field in fields(ContactLaw) if field.name not in ("section", "coefficients", "combined")
+)
 
 
 def law_called(name: str) -> ContactLaw:
@@ -71,6 +72,28 @@ def law_called(name: str) -> ContactLaw:
     return law
 
 
-def law_of(scene: Scene) -> ContactLaw:
-    """Return the contact law that a scene chooses."""
-    return law_called(scene.contact.law)
+def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
+    """Return the functions that laws define together, by name; the others are Coulomb's.
+
+    Raises
+    ------
+    ValueError
+        If two laws define the same function.
+    """
+    functions: dict[str, Callable[..., Any]] = {}
+    owner: dict[str, str] = {}
+    for name in laws:
+        law = law_called(name)
+        for key in FUNCTIONS:
+            function = getattr(law, key)
+            if function is None:
+                continue
+            if key in functions:
+                raise ValueError(f'"{owner[key]}" and "{name}" both define the {key} of a contact; choose one of them')
+            functions[key], owner[key] = function, name
+    return functions
+
+
+def exerts_torque(laws: Iterable[str]) -> bool:
+    """Return whether contacts under these laws resist rolling or twisting."""
+    return any(law_called(name).exerts_torque for name in laws)

@@ -21,7 +21,7 @@ def extensions_of(scene: Scene) -> dict[str, str]:
 
 def _used(scene: Scene) -> Iterator[tuple[str, str]]:
     yield from (("forces", name) for name in scene.forces.given)
-    yield "contact_laws", scene.contact.law
+    yield from (("contact_laws", name) for name in scene.contact.laws)
     yield from (("series", name) for name in scene.record.series)
     if scene.time.integrator in registry.installed("integrators"):
         yield "integrators", scene.time.integrator

@@ -15,6 +15,8 @@ from typing import Any, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from carom import registry
+from carom.scene.contact_laws import law_called
 from carom.scene.conversion import members_of_list, parts_of
 from carom.scene.schema import Scene
 from carom.scene.schema.scene import know_installed_parts
@@ -70,13 +72,21 @@ check scenes. Write the schema with `carom scenes --schema > scene.schema.json`,
 
 def page() -> str:
     """Return the page."""
-    parts = [INTRODUCTION, _table(Scene, "At the top"), *(part for part in _sections(Scene, ""))]
-    return "\n".join(parts)
+    return "\n".join([INTRODUCTION, _table(Scene, "At the top"), *_sections(Scene, ""), *_contact_laws()])
+
+
+def _contact_laws() -> Iterator[str]:
+    """Return a part for each contact law of carom that has coefficients."""
+    for name in registry.HOUSE["contact_laws"]:
+        section = law_called(name).section
+        if section is not None:
+            where = "Also a section of a material, a pair and a plane."
+            yield _table(section, f"`contact.{name}`", f"{inspect.getdoc(section)} {where}")
 
 
 def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
     """Return a part for each section of a model, and for the tables in it."""
-    for key, info in model.model_fields.items():
+    for key, info in _keys(model):
         for inner in _models(info):
             title = f"{above}{key}"
             is_list = typing.get_origin(info.annotation) is tuple
@@ -85,11 +95,16 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
             yield from _sections(inner, f"{title}.")
 
 
+def _keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
+    """Return the keys of a section without those of contact laws, which models have once a scene has been read."""
+    return [(key, info) for key, info in model.model_fields.items() if key not in registry.names("contact_laws")]
+
+
 def _table(model: type[BaseModel], heading: str, text: str = "") -> str:
     sentence = text.partition(": ")[2] or text if heading != "At the top" else ""
     lines = [f"## {heading}", "", *([sentence[0].upper() + sentence[1:], ""] if sentence else [])]
     lines += ["| key | value | unit | default | |", "|---|---|---|---|---|"]
-    return "\n".join([*lines, *(_row(key, info) for key, info in model.model_fields.items()), ""])
+    return "\n".join([*lines, *(_row(key, info) for key, info in _keys(model)), ""])
 
 
 def _row(key: str, info: FieldInfo) -> str:

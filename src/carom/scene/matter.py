@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.scene.contact_laws import DEFAULT_LAW, Numbers, law_of
+from carom.scene.contact_laws import ContactLaw, Numbers, law_called
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
 from carom.scene.schema.body import Matter, StaticPlane
@@ -89,8 +89,8 @@ class PairCoefficients:
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
     bodies: int  # n
     places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # (n + p, 2); else no rows
-    law: str = DEFAULT_LAW
-    names: tuple[str, ...] = ()  # of further coefficients of the law
+    laws: tuple[str, ...] = ()  # of the contacts, without Coulomb's
+    names: tuple[str, ...] = ()  # of further coefficients of the laws
     further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) values of these
 
     def of(self, i: int, j: int) -> Coefficients:
@@ -130,7 +130,7 @@ def pair_coefficients(scene: Scene) -> PairCoefficients:
     names, further = _names(scene), tuple(_of_law(scene, DEFAULT, DEFAULT))
     table, own = _table(scene, names), len(Coefficients._fields)
     bodies, planes = scene.count, table.shape[1] - len(names)
-    law, no_places = (scene.contact.law, further), np.zeros((0, 2), dtype=np.int64)
+    law, no_places = (scene.contact.laws, further), np.zeros((0, 2), dtype=np.int64)
     if (table[:, : len(names)] == table[0, 0]).all() and (table[:, len(names) :] == table[:1, len(names) :]).all():
         one = np.concatenate((table[0, :1], table[0, len(names) :]))
         return PairCoefficients(one[:, :own], bodies, no_places, *law, one[:, own:])
@@ -203,26 +203,31 @@ def _names(scene: Scene) -> list[str]:
 
 
 def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
-    """Return the further coefficients of the contact law for two materials.
+    """Return the further coefficients of the contact laws for two materials.
 
     ``plane`` may have its own. A coefficient missing from a section of a material, a pair or a plane has the value
     without that section.
     """
-    law, default = law_of(scene), scene.contact.law_section
-    if default is None:
-        return {}
-
-    def completed(numbers: Numbers, given: Surface | None) -> dict[str, float]:
-        own = None if given is None else getattr(given, scene.contact.law)
-        if own is None:
-            return dict(numbers)
-        implied = type(own).model_fields.keys() - own.model_fields_set
-        return {**numbers, **{key: value for key, value in law.coefficients(own).items() if key not in implied}}
-
-    common = law.coefficients(default)
-    mine, others = (completed(common, material_called(scene, name)) for name in (one, other))
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
-    return completed(completed(law.combined(mine, others), pair), plane)
+    coefficients: dict[str, float] = {}
+    for law_name in scene.contact.laws:
+        law, default = law_called(law_name), scene.contact.law_section(law_name)
+        if default is None:
+            continue
+
+        def completed(
+            numbers: Numbers, given: Surface | None, law: ContactLaw = law, name: str = law_name
+        ) -> dict[str, float]:
+            own = None if given is None else getattr(given, name)
+            if own is None:
+                return dict(numbers)
+            implied = type(own).model_fields.keys() - own.model_fields_set
+            return {**numbers, **{key: value for key, value in law.coefficients(own).items() if key not in implied}}
+
+        common = law.coefficients(default)
+        mine, others = (completed(common, material_called(scene, name)) for name in (one, other))
+        coefficients |= completed(completed(law.combined(mine, others), pair), plane)
+    return coefficients
 
 
 def _table(scene: Scene, names: list[str]) -> FloatArray:

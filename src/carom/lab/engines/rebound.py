@@ -21,7 +21,6 @@ from carom import Scene, Space
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
-    DEFAULT_LAW,
     DOMINANT,
     TIME,
     WITHOUT,
@@ -300,7 +299,7 @@ def _refuse(scene: Scene) -> None:
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
         f"the force {force}": force != "",
-        f'contact.law = "{scene.contact.law}"': parts.contact.modelled and scene.contact.law != DEFAULT_LAW,
+        scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
         "fixed bodies": bool(np.any(start.fixed)),
         "bodies without gravity and contacts": not parts.gravity.modelled and not parts.contact.modelled,
     }

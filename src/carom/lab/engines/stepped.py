@@ -14,7 +14,6 @@ from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.errors import ExperimentError, RecordingError
 from carom.extend import (
-    DEFAULT_LAW,
     SI,
     SPHERE,
     TIME,
@@ -80,7 +79,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "a periodic box": scene.domain.boundary == "periodic",
         "drag": scene.drag is not None,
         f"the force {force}": force != "",
-        f'contact.law = "{scene.contact.law}"': parts.contact.modelled and scene.contact.law != DEFAULT_LAW,
+        scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
         "bodies of several materials": len(coefficients.places) > 0,
     }
     refuse(engine, lacks)

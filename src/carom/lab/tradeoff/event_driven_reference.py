@@ -26,7 +26,6 @@ from scipy.integrate import DOP853, OdeSolution
 from carom import Scene, Space
 from carom.arrays import FloatArray
 from carom.extend import (
-    DEFAULT_LAW,
     LAW,
     TIME,
     Bodies,
@@ -71,8 +70,8 @@ def why_not(scene: Scene) -> str:
         return "no exact solution with fixed bodies"
     if scene.contact.allow_overlap:
         return "bodies may overlap at the start"
-    if scene.contact.enabled and scene.contact.law != DEFAULT_LAW:
-        return f'no exact solution with contact.law = "{scene.contact.law}"'
+    if scene.contact.enabled and scene.contact.laws:
+        return f"no exact solution with {scene.contact.law_key}"
     return ""
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from carom.arrays import IntArray, Records
 from carom.physics.contact import coulomb
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, unowned
-from carom.scene.contact_laws import ContactLaw, law_called
+from carom.scene.contact_laws import FUNCTIONS, functions_of
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
@@ -48,7 +48,7 @@ class Materials(NamedTuple):
 def materials_of(pairs: PairCoefficients) -> Materials:
     """Return the coefficients of each pair as records."""
     own = np.ascontiguousarray(pairs.rows, dtype=np.float64).view(MATERIAL)[:, 0]
-    mark = _mark_of(pairs.law, law_called(pairs.law))
+    mark = _mark_of(pairs.laws)
     if not mark:
         return Materials(own, pairs.places)
     fields = [mark, *Coefficients._fields, *pairs.names]
@@ -60,12 +60,12 @@ def materials_of(pairs: PairCoefficients) -> Materials:
     return Materials(rows, pairs.places)
 
 
-def _mark_of(name: str, law: ContactLaw) -> str:
-    """Return the name of the field that stands for a law; empty for Coulomb's. Prepare its functions for kernels."""
-    own = {key: getattr(law, key) for key in _FUNCTIONS if getattr(law, key) is not None}
+def _mark_of(laws: tuple[str, ...]) -> str:
+    """Return the name of the field that stands for laws; empty for Coulomb's. Prepare their functions for kernels."""
+    own = functions_of(laws)
     if not own:
         return ""
-    mark = f"{_MARK}{name}_{identity_of(*own.values())}_{'_'.join(own)}"
+    mark = f"{_MARK}{'_'.join(laws)}_{identity_of(*own.values())}_{'_'.join(own)}"
     if mark not in _laws:
         _laws[mark] = own
     return mark
@@ -176,7 +176,7 @@ _STUBS = (
     *(restitution, dissipates, impact_friction, lasting_friction, sliding_friction, sticks, slides),
     *(rolling, twisting),
 )
-_FUNCTIONS = tuple(stub.__name__ for stub in _STUBS)
+assert {stub.__name__ for stub in _STUBS} == set(FUNCTIONS)
 
 
 def _offer(stub: Callable[..., Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from functools import cache
@@ -11,7 +12,7 @@ from pydantic import AfterValidator, Field, ValidationError, model_validator
 from pydantic.fields import FieldInfo
 
 from carom import registry
-from carom.scene.contact_laws import DEFAULT_LAW
+from carom.scene.contact_laws import DEFAULT_LAW, functions_of
 from carom.scene.schema.force_settings import section_of
 from carom.scene.schema.quantity import AnyReal, Count, Friction, Positive, Section, SectionError
 from carom.scene.units.dimension import DENSITY, TIME, VELOCITY
@@ -130,11 +131,14 @@ class MaterialPair(Surface):
 Sweeps = Literal["auto", "as-needed", "quick"]
 
 
-def _known_law(name: str) -> str:
+def _known_law(law: str | list[str]) -> str | list[str]:
     known = registry.names("contact_laws")
-    if name not in known:
-        raise ValueError(f'no contact law "{name}"; {suggestion(name, known)}')
-    return name
+    for name in [law] if isinstance(law, str) else law:
+        if name not in known:
+            raise ValueError(f'no contact law "{name}"; {suggestion(name, known)}')
+    if not law:
+        raise ValueError(f'names no law; leave it out for "{DEFAULT_LAW}"')
+    return law
 
 
 class Sleep(Section):
@@ -150,9 +154,11 @@ class ContactSettings(Section):
     """[contact]: how contacts are modelled."""
 
     enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
-    law: Annotated[str, AfterValidator(_known_law)] = Field(
+    law: Annotated[str | list[str], AfterValidator(_known_law)] = Field(
         DEFAULT_LAW,
-        description="contact law: coulomb, or one of an installed package, with its coefficients in [contact.NAME]",
+        description="contact law: coulomb, rolling_resistance, viscoelastic, restitution_table, walton, or one of an "
+        "installed package, with its coefficients in [contact.NAME]; or a list of laws that define different impulses, "
+        'such as ["viscoelastic", "rolling_resistance"]',
     )
     restitution: AnyReal = Field(
         0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"
@@ -230,20 +236,35 @@ class ContactSettings(Section):
     def _has_the_coefficients_of_its_law(self) -> Self:
         """Refuse the coefficients of other laws; a law whose coefficients all have defaults needs no section."""
         for name in law_sections(self):
-            if name != self.law:
+            if name not in self.laws:
                 raise SectionError((name,), f'needs contact.law = "{name}"; set it, or leave this out')
+        for name in self.laws:
+            try:
+                _ = self.law_section(name)
+            except ValidationError as error:
+                needed = ", ".join(str(each["loc"][-1]) if each["loc"] else each["msg"] for each in error.errors())
+                raise SectionError(("law",), f"needs the section [contact.{name}]: {needed}") from None
         try:
-            _ = self.law_section
-        except ValidationError as error:
-            needed = ", ".join(str(detail["loc"][-1]) if detail["loc"] else detail["msg"] for detail in error.errors())
-            raise SectionError(("law",), f"needs the section [contact.{self.law}]: {needed}") from None
+            functions_of(self.laws)
+        except ValueError as error:
+            raise SectionError(("law",), str(error)) from None
         return self
 
     @property
-    def law_section(self) -> Any:
-        """The coefficients of the contact law of bodies and planes without a material; None if it has none."""
-        kind = None if self.law == DEFAULT_LAW else section_of("contact_laws", self.law)
-        given = None if kind is None else getattr(self, self.law, None)
+    def laws(self) -> tuple[str, ...]:
+        """The names of the contact laws, without Coulomb's; none if that is the only one."""
+        names = [self.law] if isinstance(self.law, str) else self.law
+        return tuple(name for name in dict.fromkeys(names) if name != DEFAULT_LAW)
+
+    @property
+    def law_key(self) -> str:
+        """The key ``law`` with its value, as messages name it."""
+        return f"contact.law = {json.dumps(self.law)}"
+
+    def law_section(self, name: str) -> Any:
+        """Return the coefficients of a law for bodies and planes without a material; None if it has none."""
+        kind = section_of("contact_laws", name)
+        given = None if kind is None else getattr(self, name, None)
         return kind() if kind is not None and given is None else given
 
     @property

@@ -347,7 +347,7 @@ def check_materials(scene: Scene) -> None:
     for section, surfaces in (("material", scene.material), ("pair", scene.pair), ("plane", scene.plane)):
         for index, surface in enumerate(surfaces):
             for name in law_sections(surface):
-                if name != scene.contact.law:
+                if name not in scene.contact.laws:
                     raise SectionError(
                         (section, index, name), f'needs contact.law = "{name}"; set it, or leave this out'
                     )

@@ -1,0 +1,86 @@
+"""Measured and published values of the contact laws beside Coulomb's.
+
+Foerster, Louge, Chang & Allia, Phys. Fluids 6, 1108 (1994): binary impacts of spheres of soda lime glass have
+e = 0.97, μ = 0.092, β₀ = 0.44, of cellulose acetate e = 0.87, μ = 0.25, β₀ = 0.43. With Ψ = v_t/v_n of the contact
+point before the impact, their data follow Ψ' = -β₀ Ψ where the contact sticks, and Ψ' = Ψ - (7/2)(1 + e) μ where it
+slides, from Ψ = (7/2)(1 + e) μ/(1 + β₀) on.
+
+Brilliantov & Pöschel, Phys. Rev. E 61, 5573 (2000): a granular gas of viscoelastic spheres cools as t^{-5/3}, one with
+a constant coefficient of restitution as t⁻² (Haff 1983).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from carom.physics.space import Space
+from periodic_gas import gas, temperature
+from small_scenes import scene_of
+
+
+@pytest.mark.parametrize("psi", [0.1, 0.3, 0.43, 0.45, 1.0, 1.1, 1.2, 3.0])
+@pytest.mark.parametrize(("e", "mu", "beta"), [(0.97, 0.092, 0.44), (0.87, 0.25, 0.43)], ids=["glass", "acetate"])
+def test_spheres_reverse_the_slip_as_measured_by_foerster(e: float, mu: float, beta: float, psi: float) -> None:
+    # One step of 1/16 s closes the gap without round-off, as in test_oblique_impact.
+    dt = 1 / 16
+    left = {"position": [-1.0 - dt / 2, 0.0, 0.0], "velocity": [0.5, 0.0, 0.0], "mass": 1.0}
+    right = {"position": [1.0 + dt / 2, -psi * dt, 0.0], "velocity": [-0.5, psi, 0.0], "mass": 1.0}
+    contact = {"restitution": e, "static_friction": mu, "kinetic_friction": mu, "timing": "end-of-step"}
+    law = {"law": "walton", "walton": {"tangential_restitution": beta}}
+    space = Space(
+        scene_of([left, right], gravity={"constant": 0.0}, contact=contact | law, time={"fixed_dt": dt, "duration": dt})
+    )
+    space.compute_dynamics(1)
+    closing = space.state.velocity[1] - space.state.velocity[0]
+    slip = closing - np.cross(space.state.angular_velocity.sum(axis=0), [1.0, 0.0, 0.0])
+    expected = -beta * psi if psi <= 3.5 * (1 + e) * mu / (1 + beta) else psi - 3.5 * (1 + e) * mu
+    assert float(slip[1]) == pytest.approx(expected, abs=1e-14 * (1 + psi))  # some ten operations
+
+
+@pytest.mark.slow
+def test_a_ball_rolls_to_rest_in_the_distance_that_its_rolling_friction_gives() -> None:
+    # A solid ball decelerates by 5/7 μ_r g, over v²/(2 · 5/7 μ_r g). The force of a step acts at its end: the distance
+    # is right to v dt.
+    v, mu, g, dt = 1.0, 0.05, 9.81, 0.001
+    ball = {
+        "position": [0.0, 0.0, 0.1],
+        "radius": 0.1,
+        "velocity": [v, 0.0, 0.0],
+        "angular_velocity": [0.0, v / 0.1, 0.0],
+    }
+    law = {"law": "rolling_resistance", "rolling_resistance": {"rolling_friction": mu}}
+    distance = v**2 / (2 * 5 / 7 * mu * g)
+    space = Space(
+        scene_of(
+            [ball],
+            plane=[{}],
+            gravity={"constant": 0.0, "uniform": [0, 0, -g]},
+            contact={"static_friction": 0.5, "kinetic_friction": 0.5, **law},
+            time={"duration": 1.2 * v / (5 / 7 * mu * g), "fixed_dt": dt},
+        )
+    )
+    *_, frame = space.run()
+    assert frame.position[0, 0] == pytest.approx(distance, abs=2 * v * dt)
+    assert abs(frame.velocity[0, 0]) < 1e-12
+
+
+@pytest.mark.slow
+def test_a_gas_of_viscoelastic_spheres_cools_with_the_exponent_five_thirds() -> None:
+    # T^{-1/p} is a straight line in time. Seeds scatter by 0.05 about 1.68; a constant coefficient gives 2.00 ± 0.01.
+    # 0.15: three times the scatter.
+    law = {"law": "viscoelastic", "viscoelastic": {"restitution": 0.9, "speed": 1.5}}
+    space = gas(5, 0.05, 0, contact={"static_friction": 0.0, **law}, time={"cfl": 0.03})
+    times, temperatures = [0.0], [1.0]
+    while temperatures[-1] > 0.01:
+        space.compute_dynamics(50)
+        times.append(space.time)
+        temperatures.append(temperature(space))
+    time, late = np.array(times), np.array(temperatures) < 0.5
+
+    def bend(power: float) -> float:
+        line = np.array(temperatures)[late] ** (-1 / power)
+        return float(np.std(np.polyval(np.polyfit(time[late], line, 1), time[late]) / line))
+
+    powers = np.linspace(1.2, 2.6, 141)
+    assert powers[np.argmin([bend(power) for power in powers])] == pytest.approx(5 / 3, abs=0.15)
