@@ -108,6 +108,27 @@ def test_the_page_has_the_summary_and_pictures_with_a_link_for_each_moment(run: 
     assert page.text.index("t = 1.5 s: something at step 30") < page.text.index("A ride."), "warnings first"
 
 
+def test_several_recordings_get_a_page_each_and_a_card_in_the_index(run: Path) -> None:
+    """Files of the same name in two folders, or with names of other files of a page, do not get in each other's way."""
+    (run.parent / "b").mkdir()
+    others = [record(run.parent / name, "Another") for name in ("b/my run.rrd", "viewer.rrd")]
+    done = carom("publish", run.name, *map(str, others), "-o", "class", cwd=run.parent)
+    assert done.returncode == 0, done.stderr
+    folder = run.parent / "class"
+    index = Texts((folder / "index.html").read_text(encoding="utf-8"))
+    links = [attributes["href"] for tag, attributes in index.tags if tag == "a"][:3]
+    assert links == ["my-run.html", "my-run-2.html", "viewer-2.html"]
+    assert index.text.count("Another") == 2 and index.text.count("something at step 30") == 3
+    assert [tag for tag, _ in index.tags].count("img") == 3
+    for link, recording in zip(links, (run, *others), strict=True):
+        assert link is not None
+        stem = link.removesuffix(".html")
+        assert (folder / f"{stem}.rrd").read_bytes() == recording.read_bytes()
+        page = (folder / link).read_text(encoding="utf-8")
+        assert f"viewer.html#of={stem}&amp;at=2000000000&amp;show={stem}_2" in page and f"{stem}_2-close-up.png" in page
+        assert 'href="index.html"' in page and (folder / f"{stem}.rbl").exists()
+
+
 def test_no_text_of_the_recording_becomes_a_tag_of_a_page(run: Path) -> None:
     carom("publish", run.name, "-o", "out", cwd=run.parent)
     for name in ("index.html", "viewer.html"):

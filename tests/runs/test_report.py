@@ -41,7 +41,8 @@ def test_a_report_has_all_that_its_reader_asks_for(rubble: Recording, made: Repo
     assert made.size == made.path.stat().st_size < 10_000_000
     assert "same bits" in made.replayed and made.picture == ""
     with zipfile.ZipFile(made.path) as packed:
-        assert sorted(packed.namelist()) == ["README.md", "clip.rrd", "environment.json", "picture.png", "scene.toml"]
+        pictures = ["close-up.png", "environment.json", "picture.png"]
+        assert sorted(packed.namelist()) == ["README.md", "clip.rrd", *pictures, "scene.toml"]
         text = packed.read("README.md").decode()
         assert packed.read("scene.toml").decode() == rubble.scene_toml
         assert packed.read("picture.png").startswith(b"\x89PNG")
@@ -154,6 +155,14 @@ def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, mo
     made = report(recording, tmp_path / "warned.zip")
     with zipfile.ZipFile(made.path) as packed:
         text = packed.read("README.md").decode()
+    order = (
+        "The deepest overlap",
+        "## Warnings (1)",
+        "carom replay warned.zip",
+        "carom view warned.zip --at 1",
+        "versions",
+    )
+    assert [text.index(part) for part in order] == sorted(text.index(part) for part in order), "the worst first"
     assert "\n> Look at the overlap.\n> It is deep.\n" in text
     assert "## Warnings (1)" in text and "t = 1 s: Bodies overlap by more than 10% of the smaller radius;" in text
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import shlex
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -42,6 +41,7 @@ ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
 MOST_WARNINGS = 50
+PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # of views; the second for an impact
 NOT_FINITE = "law-not-finite"  # found by the audit of another engine; a run of carom fails instead
 LAWS = ("energy", "law-")  # beginnings of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
@@ -91,20 +91,20 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         excerpt(recording, moment, cut, FRAMES, ROOM)
         small = Recording.open(cut)
         replayed = _replay(small)
-        picture = folder / "picture.png"
         hardest = why.startswith(WORST["impact"].partition("{")[0])
         shown = Request(event="impact") if hardest else Request(moment)
-        missing = try_to_render(small, [Shot(shown, "bodies", picture)])
+        shots = [Shot(shown, view, folder / name) for view, name in list(PICTURES.items())[: 2 if hardest else 1]]
+        missing = try_to_render(small, shots)
+        pictures = {shot.out_png.name: shot.out_png for shot in shots if shot.out_png.exists()}
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
-        text = _summary(recording, small, moment, why, replayed, not missing, path.name)
+        text = _summary(recording, small, moment, why, replayed, list(pictures), path.name)
         members: dict[str, bytes | Path] = {
             "README.md": text.encode(),
             "scene.toml": recording.scene_toml.encode(),
             "environment.json": json.dumps(surroundings, indent=2).encode(),
             bundle.CLIP: cut,
+            **pictures,
         }
-        if not missing:
-            members["picture.png"] = picture
         size = bundle.pack(path, members)
         if size > bundle.LARGEST:
             path.unlink()
@@ -185,41 +185,41 @@ def _in_words(result: Replay, units: UnitSystem) -> str:
 
 
 def _summary(
-    recording: Recording, clip: Recording, moment: float, why: str, replayed: str, picture: bool, name: str
+    recording: Recording, clip: Recording, moment: float, why: str, replayed: str, pictures: list[str], name: str
 ) -> str:
+    """Write the summary: what went wrong, its picture, warnings, how to repeat it, and then all else."""
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
-    shown = units.shown(moment, TIME)
-    lines = [
-        f"# {_literal(recording.title)}",
-        "",
-        f"**{_literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
-        "",
-        *_description(recording),
-        *(["![The moment](picture.png)", ""] if picture else []),
-        "| | |",
-        "|---|---|",
-        *(
-            f"| {_literal(name)} | {_code(text) if name == 'command' else _literal(text)} |"
-            for name, text in overview(recording)
-        ),
-        "",
-        f"The clip: {counted(clip.frames, 'frame')} from {units.span(times[0], times[-1], TIME, '.9g')}. {replayed}",
-        "",
-        *_ledger(clip),
-        *_warned(recording),
-        "## Look at it",
-        "",
-        "```sh",
-        *(
-            []
-            if clip.engine or clip.is_partial
-            else [f"{command('replay', name)}    # are the bits the same on your machine?"]
-        ),
-        f"unzip {shlex.quote(name)} {bundle.CLIP} && {command('view', bundle.CLIP, '--at', f'{shown:.9g}')}",
-        "```",
-        "",
-    ]
-    return "\n".join(lines)
+    span = units.span(times[0], times[-1], TIME, ".9g")
+    repeat = f"{command('replay', name)}    # are the bits the same on your machine?"
+    return "\n".join(
+        [
+            f"# {_literal(recording.title)}",
+            "",
+            f"**{_literal(why[0].upper() + why[1:].splitlines()[0])}**, t = {units.text(moment, TIME, '.9g')}.",
+            "",
+            *(f"![The moment]({picture})" for picture in pictures),
+            *([""] if pictures else []),
+            *_warned(recording),
+            "## Repeat it",
+            "",
+            "```sh",
+            *([] if clip.engine or clip.is_partial else [repeat]),
+            command("view", name, "--at", f"{units.shown(moment, TIME):.9g}"),
+            "```",
+            "",
+            f"The clip: {counted(clip.frames, 'frame')} from {span}. {replayed}",
+            "",
+            *_description(recording),
+            "| | |",
+            "|---|---|",
+            *(
+                f"| {_literal(name)} | {_code(text) if name == 'command' else _literal(text)} |"
+                for name, text in overview(recording)
+            ),
+            "",
+            *_ledger(clip),
+        ]
+    )
 
 
 def _ledger(clip: Recording) -> list[str]:
