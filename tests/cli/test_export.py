@@ -11,8 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from carom.physics.placement import place
-from carom.recording.export.export import snapshots
+from carom.recording.export.export import Snapshot, snapshots
 from carom.recording.read.recording import Recording
+from carom.scene.data.body_columns import BodyColumns
 from carom.scene.schema import Scene
 from carom_command import carom
 from data_scenes import scene_of
@@ -59,10 +60,21 @@ def test_what_is_exported_is_read_back_bit_for_bit(cradle: Path, tmp_path: Path,
     for snapshot in (0, 3, -1):
         bodies = scene_of(tmp_path, f"all.{ending}", f"snapshot = {snapshot}").data[0]
         state = next(snapshots(recording, float(times[snapshot]), everything=False))
-        for name, values in state.vectors.items():
-            if name != "orientation":
-                assert np.array_equal(getattr(bodies, name), values), name
-        assert np.array_equal(bodies.mass, state.mass) and np.array_equal(bodies.radius, state.radius)
+        assert_same(bodies, state)
+
+
+def test_a_vtk_that_is_exported_is_read_back_bit_for_bit(cradle: Path, tmp_path: Path) -> None:
+    done = carom("export", str(cradle), "--at", "0.1", "-o", "one.vtk", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    state = next(snapshots(Recording.open(cradle), 0.1, everything=False))
+    assert_same(scene_of(tmp_path, "one.vtk").data[0], state)
+
+
+def assert_same(bodies: BodyColumns, state: Snapshot) -> None:
+    for name, values in state.vectors.items():
+        if name != "orientation":
+            assert np.array_equal(getattr(bodies, name), values), name
+    assert np.array_equal(bodies.mass, state.mass) and np.array_equal(bodies.radius, state.radius)
 
 
 def test_extended_xyz_has_the_periodic_box(tmp_path: Path) -> None:

@@ -19,7 +19,9 @@ PICTURES, BROWSER = "pictures", "browser"
 CHROMIUM = "/usr/bin/chromium"  # Debian's; Playwright's own browser is not downloaded
 PACKAGES = {  # by what CAROM_REQUIRE calls them
     "engines": ("mujoco", "newton", "rebound"),
-    "extras": ("datafusion", "distributed", "h5py", "imageio_ffmpeg", "matplotlib", "nbclient", "rerun_notebook"),
+    "extras": (
+        *("datafusion", "distributed", "gsd", "h5py", "imageio_ffmpeg", "matplotlib", "nbclient", "rerun_notebook"),
+    ),
 }
 GROUPS = {PICTURES: PICTURES, BROWSER: BROWSER} | {name: group for group, names in PACKAGES.items() for name in names}
 _REQUIRED = set(filter(None, os.environ.get("CAROM_REQUIRE", "").split(",")))

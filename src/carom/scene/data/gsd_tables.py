@@ -1,0 +1,59 @@
+"""GSD files of HOOMD-blue, by the package gsd."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carom.errors import SceneError
+from carom.install import install_extra
+from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, refuse_bomb, refuse_many_rows
+
+_CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia", "typeid", "charge", "orientation")
+
+
+def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
+    """Open a GSD file at one of its frames.
+
+    HOOMD leaves out what is the same as in the first frame, and what has its default: a mass or a diameter of 1, which
+    the scene has to state.
+    """
+    try:
+        from gsd import fl  # noqa: PLC0415 - an extra
+    except ModuleNotFoundError:
+        raise SceneError(f"{called}: GSD needs gsd: {install_extra('gsd')}") from None
+    with fl.open(str(path), "r") as file:
+        frames = int(file.nframes)
+        if file.schema != "hoomd":
+            raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}", and "hoomd" is needed')
+        if not -frames <= snapshot < frames:
+            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {frames}")
+        frame = snapshot % frames
+
+        def chunk(name: str) -> Any:
+            which = next((each for each in (frame, 0) if file.chunk_exists(each, name)), None)
+            return None if which is None else np.asarray(file.read_chunk(which, name))
+
+        count = chunk("particles/N")
+        if count is None:
+            raise SceneError(f"{called}: frame {frame} has no particles")
+        refuse_many_rows(called, int(count[0]))
+        refuse_bomb(called, 12 * int(count[0]), path.stat().st_size)
+        arrays: dict[str, Raw] = {
+            name: values for name in _CHUNKS if (values := chunk(f"particles/{name}")) is not None
+        }
+        box, step = chunk("configuration/box"), chunk("configuration/step")
+    table = Arrays(arrays, called)
+    notes = [f"frame {frame} of HOOMD, step {0 if step is None else int(step[0])}, in single precision"]
+    if box is not None:
+        size = " × ".join(f"{length:g}" for length in box[:3].tolist())
+        notes.append(
+            f'its box of {size} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
+        )
+    table.notes = tuple(f"{called}: {note}" for note in notes)
+    return table
+
+
+GSD = DataFormat("a GSD file", open_gsd)
