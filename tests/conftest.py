@@ -18,6 +18,7 @@ from hypothesis import settings
 
 from carom.cli.compiling import start_on_a_new_installation
 from needs import missing_though_required, need
+from other_processor import other_processor  # noqa: F401 - a fixture
 from seeds import VARIABLE, chosen_seed, is_random
 
 settings.register_profile("same", deadline=None, derandomize=True, database=None)

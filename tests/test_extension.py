@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -13,6 +14,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+
+import carom_command
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "examples" / "extension"
@@ -93,8 +96,19 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+# Several commands in one process: each loads carom, and compiles kernels with what the package adds, in seconds.
+TOGETHER = """
+import json, sys
+from pathlib import Path
+from carom_command import carom
+ended = [carom(*command, cwd=Path()) for command in json.loads(sys.argv[1])]
+print(json.dumps([(command.returncode, command.stdout, command.stderr) for command in ended]))
+"""
+
+
 def environment(site: Path | None) -> dict[str, str]:
     paths = [str(site)] if site else []
+    paths.append(str(Path(carom_command.__file__).parent))
     paths += [os.environ["PYTHONPATH"]] if os.environ.get("PYTHONPATH") else []
     return os.environ | {"PYTHONPATH": os.pathsep.join(paths)}
 
@@ -104,18 +118,28 @@ def carom(folder: Path, site: Path | None, *arguments: str) -> subprocess.Comple
     return subprocess.run(command, cwd=folder, env=environment(site), capture_output=True, text=True, check=False)
 
 
-def said(folder: Path, site: Path, *arguments: str) -> str:
-    done = carom(folder, site, *arguments)
-    assert done.returncode == 0, done.stderr + done.stdout
-    return done.stdout
+def ended(folder: Path, site: Path | None, *commands: str) -> list[tuple[int, str, str]]:
+    """Run commands one after the other; return the exit code of each, and what it said."""
+    started = [sys.executable, "-c", TOGETHER, json.dumps([shlex.split(command) for command in commands])]
+    done = subprocess.run(started, cwd=folder, env=environment(site), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return [tuple(end) for end in json.loads(done.stdout)]
 
 
-def run(folder: Path, site: Path, name: str, *overrides: str) -> dict[str, Any]:
-    """Record the scene; return the summary of the recording."""
-    sets = [word for override in overrides for word in ("--set", override)]
-    said(folder, site, "run", "scene.toml", "-o", name, "--force", *sets)
-    summary: dict[str, Any] = json.loads(said(folder, site, "inspect", name, "--json"))
-    return summary
+def said(folder: Path, site: Path, *commands: str) -> list[str]:
+    """Run commands that succeed; return what each said."""
+    ends = ended(folder, site, *commands)
+    for command, (code, stdout, stderr) in zip(commands, ends, strict=True):
+        assert code == 0, f"{command}: {stderr}{stdout}"
+    return [stdout for _, stdout, _ in ends]
+
+
+def run(folder: Path, site: Path, name: str, *overrides: str, then: str = "") -> tuple[dict[str, Any], str]:
+    """Record the scene; return the summary of the recording, and what a further command said."""
+    sets = " ".join(f"--set {override}" for override in overrides)
+    commands = [f"run scene.toml -o {name} --force {sets}", f"inspect {name} --json", *([then] if then else [])]
+    _, summary, *further = said(folder, site, *commands)
+    return json.loads(summary), "".join(further)
 
 
 @pytest.mark.parametrize(
@@ -130,21 +154,20 @@ def run(folder: Path, site: Path, name: str, *overrides: str) -> dict[str, Any]:
 def test_forces_of_a_package_keep_the_energy_bounce_and_replay(
     folder: Path, site: Path, name: str, overrides: tuple[str, ...], error: float
 ) -> None:
-    summary = run(folder, site, name, *overrides)
+    summary, replayed = run(folder, site, name, *overrides, then=f"replay {name}")
     assert summary["energy"]["max_error"] < error
     assert summary["contacts"]["impacts"] >= 1
-    assert "same bits" in said(folder, site, "replay", name)
+    assert "same bits" in replayed
 
 
 def test_a_resumed_run_has_the_bits_of_one_that_was_not_interrupted(folder: Path, site: Path) -> None:
     run(folder, site, "half.rrd", "time.integrator=gauss-radau15", "time.duration=1.5")
-    said(folder, site, "resume", "half.rrd", "--until", "3", "-o", "resumed.rrd", "--force")
-    assert "same bits" in said(folder, site, "replay", "resumed.rrd")
+    resumed = said(folder, site, "resume half.rrd --until 3 -o resumed.rrd --force", "replay resumed.rrd")
+    assert "same bits" in resumed[-1]
 
 
 def test_gauss_radau_agrees_with_the_exact_reference_to_rounding(folder: Path, site: Path) -> None:
-    sets = ("--set", "time.integrator=gauss-radau15", "--vary", "step=1", "--repeats", "1", "-o", "study")
-    said(folder, site, "tradeoff", "scene.toml", *sets)
+    said(folder, site, "tradeoff scene.toml --set time.integrator=gauss-radau15 --vary step=1 --repeats 1 -o study")
     study = json.loads((folder / "study" / "tradeoff.json").read_text(encoding="utf-8"))
     assert study["reference"]["kind"] == "exact"
     assert max(setting["errors"]["position"] for setting in study["settings"]) < 1e-12  # DOP853's tolerance is 1e-13
@@ -156,12 +179,12 @@ def test_an_integrator_of_a_package_has_its_order_and_replays(folder: Path, site
         "[[body]]\nposition = [1.0, 0, 0]\nvelocity = [0, 0.5, 0]\nradius = 0.1\nmass = 1.0\n",
         encoding="utf-8",
     )
-    errors = []
-    for dt in ("0.4", "0.2"):
-        said(folder, site, "run", "orbit.toml", "--set", f"time.fixed_dt={dt}", "-o", "pefrl.rrd", "--force")
-        errors.append(json.loads(said(folder, site, "inspect", "pefrl.rrd", "--json"))["energy"]["max_error"])
+    runs = [f"run orbit.toml --set time.fixed_dt={dt} -o pefrl.rrd --force" for dt in ("0.4", "0.2")]
+    inspect = "inspect pefrl.rrd --json"
+    _, coarse, _, fine, replayed = said(folder, site, runs[0], inspect, runs[1], inspect, "replay pefrl.rrd")
+    errors = [json.loads(summary)["energy"]["max_error"] for summary in (coarse, fine)]
     assert errors[0] / errors[1] == pytest.approx(2.0**4, rel=0.2)  # the next order adds (ω dt)², 0.16
-    assert "same bits" in said(folder, site, "replay", "pefrl.rrd")
+    assert "same bits" in replayed
     without = carom(folder, None, "replay", "pefrl.rrd")
     assert without.returncode == 2 and 'the integrator "pefrl" of the package carom-example 0.1.0' in without.stderr
 
@@ -179,11 +202,11 @@ def test_formats_and_commands_of_a_package_work_like_those_of_carom(folder: Path
     (folder / "xyz.toml").write_text(
         'time.duration = 1.0\n[[bodies]]\nfile = "three.xyz"\nradius = 1.0\ndensity = 1.0\n'
     )
-    said(folder, site, "run", "xyz.toml", "-o", "xyz.rrd", "--force")
-    assert json.loads(said(folder, site, "centre", "xyz.rrd", "--json"))["start"] == [1.0, 1.0, 0.0]
-    said(folder, site, "export", "xyz.rrd", "-o", "xyz.positions", "--force")
+    commands = ("centre xyz.rrd --json", "export xyz.rrd -o xyz.positions --force", "--help")
+    _, centre, _, help_text = said(folder, site, "run xyz.toml -o xyz.rrd --force", *commands)
+    assert json.loads(centre)["start"] == [1.0, 1.0, 0.0]
     assert len((folder / "xyz.positions").read_text().splitlines()) == 4
-    assert "centre" in said(folder, site, "--help")
+    assert "centre" in help_text
 
 
 ROLLING = """
@@ -223,20 +246,27 @@ def test_a_ball_that_rolls_and_spins_slows_down_as_in_closed_form_and_stops(
     """With torques τ = μ_r m g r and τ_t = μ_t m g r, and I = 2/5 m r²: m a = F and I a/r = τ - F r, so a = 5/7 μ_r g;
     and dω/dt = 5/2 μ_t g/r. The impulses are those of whole steps, so both hold to rounding until the ball stops.
     """
-    said(rolling, site, "run", "rolling.toml", "-o", "ball.rrd", "--force", "--set", f"contact.timing={timing}")
-    summary = json.loads(said(rolling, site, "inspect", "ball.rrd", "--json"))
-    assert summary["energy"]["max_error"] < 1e-13
-    assert "same bits" in said(rolling, site, "replay", "ball.rrd")
     script = (
-        "import json, carom; "
+        f"{TOGETHER}import carom; "
         f"space = carom.Space(carom.Scene.load('rolling.toml', ['contact.timing={timing}']), threads=1); "
         "moments = [(f.time, f.velocity[0, 0], *f.angular_velocity[0, 1:], *f.torque[0, 1:]) for f in space.run()]; "
         "print(json.dumps([*zip(*moments), space.energy().ledger.friction]))"
     )
+    recorded = f"run rolling.toml -o ball.rrd --force --set contact.timing={timing}"
+    commands = json.dumps([command.split() for command in (recorded, "inspect ball.rrd --json", "replay ball.rrd")])
     done = subprocess.run(
-        [sys.executable, "-c", script], cwd=rolling, env=environment(site), capture_output=True, text=True, check=True
+        [sys.executable, "-c", script, commands],
+        cwd=rolling,
+        env=environment(site),
+        capture_output=True,
+        text=True,
+        check=True,
     )
-    *moments, lost = json.loads(done.stdout)
+    ends, computed = done.stdout.splitlines()
+    _, (_, summary, _), (_, replayed, _) = json.loads(ends)
+    assert json.loads(summary)["energy"]["max_error"] < 1e-13
+    assert "same bits" in replayed
+    *moments, lost = json.loads(computed)
     time, velocity, spin, twist, torque, twisting = map(np.array, moments)
     a, rate = 5 / 7 * 0.1 * 10.0, 5 / 2 * 0.05 * 10.0 / 0.5
     np.testing.assert_allclose(velocity, np.maximum(0.0, 1.0 - a * time), atol=1e-12)
@@ -249,36 +279,42 @@ def test_a_ball_that_rolls_and_spins_slows_down_as_in_closed_form_and_stops(
 
 def test_a_heap_under_a_law_of_a_package_rests_and_resumes_with_the_same_bits(rolling: Path, site: Path) -> None:
     (rolling / "heap.toml").write_text(HEAP, encoding="utf-8")
-    said(rolling, site, "run", "heap.toml", "-o", "whole.rrd", "--force")
-    summary = json.loads(said(rolling, site, "inspect", "whole.rrd", "--json"))
-    assert summary["energy"]["max_error"] < 1e-12  # rounding
-    said(rolling, site, "run", "heap.toml", "-o", "half-heap.rrd", "--force", "--set", "time.duration=0.5")
-    said(rolling, site, "resume", "half-heap.rrd", "--until", "1", "-o", "heap.rrd", "--force")
-    assert "same bits" in said(rolling, site, "replay", "heap.rrd")
+    _, summary, *_, replayed = said(
+        rolling,
+        site,
+        "run heap.toml -o whole.rrd --force",
+        "inspect whole.rrd --json",
+        "run heap.toml -o half-heap.rrd --force --set time.duration=0.5",
+        "resume half-heap.rrd --until 1 -o heap.rrd --force",
+        "replay heap.rrd",
+    )
+    assert json.loads(summary)["energy"]["max_error"] < 1e-12  # rounding
+    assert "same bits" in replayed
 
 
 def test_what_knows_coulombs_law_only_refuses_another(rolling: Path, site: Path) -> None:
-    wrong = carom(rolling, site, "explain", "rolling.toml", "--set", "contact.law=roling")
-    assert wrong.returncode == 2 and 'no contact law "roling"; did you mean "rolling"?' in wrong.stderr
-    wrong = carom(rolling, site, "explain", "rolling.toml", "--set", "contact.law=coulomb")
-    assert wrong.returncode == 2 and 'needs contact.law = "rolling"' in wrong.stderr
-    wrong = carom(rolling, None, "explain", "rolling.toml")
-    assert wrong.returncode == 2 and 'no contact law "rolling"' in wrong.stderr
-    wrong = carom(rolling, site, "crosscheck", "rolling.toml", "--engine", "mujoco", "-o", "crosscheck")
-    assert wrong.returncode == 2 and 'contact.law = "rolling"' in wrong.stderr
+    wrong = {
+        "explain rolling.toml --set contact.law=roling": 'no contact law "roling"; did you mean "rolling"?',
+        "explain rolling.toml --set contact.law=coulomb": 'needs contact.law = "rolling"',
+        "crosscheck rolling.toml --engine mujoco -o crosscheck": 'contact.law = "rolling"',
+    }
+    for (code, _, message), expected in zip(ended(rolling, site, *wrong), wrong.values(), strict=True):
+        assert code == 2 and expected in message
+    without = carom(rolling, None, "explain", "rolling.toml")
+    assert without.returncode == 2 and 'no contact law "rolling"' in without.stderr
 
 
 def test_misspelt_keys_and_wrong_units_have_the_usual_messages(folder: Path, site: Path) -> None:
-    wrong = carom(folder, site, "explain", "scene.toml", "--set", "forces.trap.frequncy=1")
-    assert wrong.returncode == 2 and 'unknown key forces.trap.frequncy; did you mean "frequency"?' in wrong.stderr
-    wrong = carom(folder, site, "explain", "scene.toml", "--set", "forces.trap.frequency=3 km")
-    assert wrong.returncode == 2 and "angular velocity" in wrong.stderr
-    assert '"trap"' in said(folder, site, "scenes", "--schema")
+    misspelt = "explain scene.toml --set forces.trap.frequncy=1"
+    unit = "explain scene.toml --set 'forces.trap.frequency=3 km'"
+    misspelt_end, unit_end, (_, schema, _) = ended(folder, site, misspelt, unit, "scenes --schema")
+    assert misspelt_end[0] == 2 and 'unknown key forces.trap.frequncy; did you mean "frequency"?' in misspelt_end[2]
+    assert unit_end[0] == 2 and "angular velocity" in unit_end[2]
+    assert '"trap"' in schema
 
 
 def test_without_the_package_every_command_says_what_to_install(folder: Path, site: Path) -> None:
     run(folder, site, "alone.rrd")
-    for command in ("replay", "resume", "inspect"):
-        done = carom(folder, None, command, "alone.rrd")
-        assert done.returncode == 2 and len(done.stderr.splitlines()) == 1
-        assert "pip install carom-example==0.1.0" in done.stderr
+    for code, _, message in ended(folder, None, *(f"{name} alone.rrd" for name in ("replay", "resume", "inspect"))):
+        assert code == 2 and len(message.splitlines()) == 1
+        assert "pip install carom-example==0.1.0" in message

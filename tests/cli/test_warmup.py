@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import importlib
 import json
-import os
 import pkgutil
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,6 +14,7 @@ import pytest
 from numba.core.dispatcher import Dispatcher
 
 import carom
+from other_processor import OtherProcessor, environment_of
 
 PLAIN = {f"taylor.{name}_in_turn" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
 OF_PACKAGES = {"kernel_forces._add", "kernel_forces._energy"}  # compiled for the forces of each package that has any
@@ -32,15 +33,14 @@ def kernels() -> set[str]:
 def warmup(cache: Path, *options: str) -> str:
     """Compile what is missing in a folder; return what the command says."""
     command = [sys.executable, "-m", "carom", "warmup", *options]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run(command, cwd=cache.parent, env=environment, stdout=subprocess.PIPE, text=True, check=True)
-    return done.stdout
+    return subprocess.run(command, env=environment_of(cache), stdout=subprocess.PIPE, text=True, check=True).stdout
 
 
 @pytest.mark.slow
-def test_after_a_warmup_nothing_is_left_to_compile_but_what_is_damaged(tmp_path: Path) -> None:
-    cache = tmp_path / "cache"
-    warmth = json.loads(warmup(cache, "--json"))
+def test_after_a_warmup_nothing_is_left_to_compile_but_what_is_damaged(
+    other_processor: OtherProcessor, tmp_path: Path
+) -> None:
+    warmth, cache = other_processor.warmth, other_processor.kernels
     assert warmth["compiled"] > 50 and warmth["seconds"] > 0.0
     assert Path(warmth["cache"]).is_relative_to(cache)
     cached = {path.name.split("-")[0] for path in cache.rglob("*.nbc")}
@@ -48,6 +48,7 @@ def test_after_a_warmup_nothing_is_left_to_compile_but_what_is_damaged(tmp_path:
     missing = needed - cached
     assert len(needed) > 50 and missing == set()
     assert warmup(cache).startswith("0 kernels compiled in ")
+    cache = Path(shutil.copytree(cache, tmp_path / "damaged"))
     files = sorted(cache.rglob("*.nbc"))
     damaged = files[:: len(files) // 10]
     for file, other in zip(damaged[::2], damaged[1::2], strict=False):

@@ -18,6 +18,7 @@ from carom.physics.jit import cores
 from carom.physics.space import Space
 from carom.runs.warmup import SCENES
 from carom.scene.schema import Scene
+from other_processor import OtherProcessor, written
 
 PILE = {"title": "a pile", **SCENES["a pile, recorded"]}
 STEPS = 5
@@ -94,13 +95,11 @@ def test_on_a_new_installation_the_second_process_starts_at_once(
 
 
 @pytest.mark.slow
-def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    ahead = [sys.executable, "-m", "carom.runs.compile_ahead"]
-    with subprocess.Popen(ahead, stdin=subprocess.PIPE, env=environment) as second:
-        assert second.wait() == 0
-    taken = {path.name.split("-")[0].rpartition(".")[2] for path in tmp_path.rglob("*.nbc")}
-    run = subprocess.run([sys.executable, "-c", RUN], env=environment, stdout=subprocess.PIPE, check=True)
+def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(other_processor: OtherProcessor) -> None:
+    taken = {Path(file).name.split("-")[0].rpartition(".")[2] for file in other_processor.ahead}
+    run = subprocess.run(
+        [sys.executable, "-c", RUN], env=other_processor.environment, stdout=subprocess.PIPE, check=True
+    )
     fingerprint, compiled = json.loads(run.stdout)
     phases = {
         "project",
@@ -113,6 +112,7 @@ def test_a_run_uses_what_another_process_compiled_and_ends_with_the_same_bits(tm
     }
     assert phases | {"search", "_sum_blocks", "rotate_rows", "_join", "write_contacts", "draw_edges"} <= taken
     assert not phases & set(compiled)
+    assert other_processor.ahead.items() <= written(other_processor.kernels).items()  # nobody compiled them again
     space = Space(Scene.from_dict(PILE))
     for step in range(STEPS):
         space.compute_dynamics(step + 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import time
@@ -30,6 +29,7 @@ from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from carom.scene.units.system import UnitSystem
 from edited_recordings import changed, mapped
+from other_processor import OtherProcessor
 from small_scenes import bundled, cloud
 
 # parts of their durations
@@ -283,8 +283,10 @@ for path, until in zip(sys.argv[1::2], map(float, sys.argv[2::2])):
 
 
 @pytest.mark.slow
-def test_every_bundled_scene_replays_and_resumes_with_the_same_bits_on_another_cpu(tmp_path: Path) -> None:
-    """Not even the instructions are the same: "generic" has no AVX. One process, since it compiles all kernels anew."""
+def test_every_bundled_scene_replays_and_resumes_with_the_same_bits_on_another_cpu(
+    other_processor: OtherProcessor, tmp_path: Path
+) -> None:
+    """Not even the instructions are the same: "generic" has no AVX."""
     runs = {}  # file → the scene from its start, and when it ends
     for name in bundled_scenes():
         scene, path = Scene.load(name), tmp_path / f"{name}.rrd"
@@ -295,8 +297,7 @@ def test_every_bundled_scene_replays_and_resumes_with_the_same_bits_on_another_c
         runs[path] = Scene.load(name, [every, f"time.duration={until}"]), until
     done = subprocess.run(
         [sys.executable, "-c", AGAIN, *(str(word) for path, (_, until) in runs.items() for word in (path, until))],
-        env=os.environ
-        | {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}
+        env=other_processor.environment
         | {"OPENBLAS_CORETYPE": "Prescott", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4"},
         capture_output=True,
         text=True,
