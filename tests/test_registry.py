@@ -51,7 +51,7 @@ def test_a_part_of_an_installed_package_is_found_by_its_name() -> None:
         ("engines", "unity", 'no engine "unity"'),
         ("commands", "dance", 'no command "dance"; no installed package has a command'),
         ("series", "twice", 'the packages one and other both define a recorded series "twice"; uninstall one of them'),
-        ("data_formats", "csv", 'the package one defines a data format "csv", a name that carom has itself'),
+        ("data_formats", "csv", 'the package one defines a data format "csv", which carom already has'),
         ("series", "broken", 'the recorded series "broken" of the package one 1.0 cannot be loaded: ModuleNotFound'),
     ],
 )

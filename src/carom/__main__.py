@@ -14,7 +14,7 @@ RESERVED = "64M"  # addresses that an allocator of Rerun or Arrow reserves at a 
 def main() -> None:
     """Run the command; an interrupt during its import ends it without a traceback."""
     if os.name != "posix":
-        sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL")
+        sys.exit("carom: runs on Linux, macOS and other POSIX systems only; on Windows, use WSL")
     fit_into_address_space()
     fit_into_descriptors()
     # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time

@@ -117,7 +117,7 @@ def _make() -> tuple[Path, int]:
     fit = [place for place in places if os.access(place, os.W_OK | os.X_OK) and is_fixed(place / PREFIX)]
     if not fit:
         raise PermissionError(
-            f"other users can exchange the files in {places[0]}; set TMPDIR to a folder in which only you can write"
+            f"other users can replace files in {places[0]}; set TMPDIR to a folder that only you can write to"
         )
     _remove_left(fit[0])
     folder = Path(tempfile.mkdtemp(prefix=PREFIX, dir=fit[0]))

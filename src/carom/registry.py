@@ -154,8 +154,8 @@ def origin(kind: str, name: str) -> PartOrigin | None:
     own = HOUSE.get(kind, {}).get(name)
     if origins and own:
         raise ExtensionError(
-            f'the package {origins[0].package} defines a {KINDS[kind]} "{name}", a name that carom has itself; '
-            "rename it there, or uninstall the package"
+            f'the package {origins[0].package} defines a {KINDS[kind]} "{name}", which carom already has; '
+            "rename it in the package, or uninstall the package"
         )
     if len(origins) > 1:
         both = " and ".join(each.package for each in origins)

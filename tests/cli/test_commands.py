@@ -117,10 +117,10 @@ def test_the_commands_that_inspect_names_take_the_zip_of_a_report(
         name, *options = command.split()
         done = carom(name, "x.zip", *options, cwd=tmp_path)
         assert "is not a recording" not in done.stderr
-        assert "99 s is not in it" in done.stderr if "99" in options else done.returncode == 0, done.stderr
+        assert "99 s is outside" in done.stderr if "99" in options else done.returncode == 0, done.stderr
     assert Recording.open(tmp_path / "x-clip.rrd").frames > 1
     assert carom("diff", "x.zip", "x.rrd", cwd=tmp_path).returncode == 0
-    assert carom("contacts", "x.zip", "--at", "99", cwd=tmp_path).stderr.startswith("carom: x.zip goes from ")
+    assert carom("contacts", "x.zip", "--at", "99", cwd=tmp_path).stderr.startswith("carom: x.zip covers ")
 
 
 def test_inspect_shows_where_the_time_of_a_step_went(tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_a_folder_given_as_a_recording_is_one_sentence(command: str, folder: str
     (tmp_path / "runs").mkdir()
     done = carom(command, folder, *FOR_A_FOLDER.get(command, []), cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == f"carom: {folder}: a folder, not a recording; name an .rrd file\n"
+    assert done.stderr == f"carom: {folder}: a folder, not a recording; give an .rrd file\n"
 
 
 def test_a_folder_that_cannot_be_written_is_one_message(tmp_path: Path) -> None:
@@ -289,7 +289,7 @@ def test_explain_forces_parts_besides_those_that_the_scene_forces(tmp_path: Path
         ),
         (
             ["run", "kepler-orbits", "--set", "model.force=adaptive-step"],
-            "model.force: adaptive-step cannot be forced on: time.fixed_dt sets the step; leave it out",
+            "model.force: adaptive-step cannot be forced on: time.fixed_dt sets the step; remove it",
         ),
     ],
 )

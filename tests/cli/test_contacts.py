@@ -71,13 +71,13 @@ def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
     ("options", "message"),
     [
         (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; known endings: .parquet, .csv'),
-        (("--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
+        (("--at", "7"), "covers 0 to 2 s; 7 s is outside"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
         (("--body", "0", "--body", "1", "--at", "0.5"), "body 0 and body 1 do not touch at t = 0.5 s"),
         (("--body", "1", "--body", "1"), "a body has no contact with itself"),
-        (("--json", "--csv"), "choose one of --json, --csv and -o"),
+        (("--json", "--csv"), "give only one of --json, --csv and -o"),
         (("--from", "1"), "add --impacts"),
-        (("--impacts", "--from", "8"), "goes from 0 to 2 s, 8 to inf s is not in it"),
+        (("--impacts", "--from", "8"), "covers 0 to 2 s; 8 to inf s is outside"),
         (("-o", "nowhere/c.parquet"), "there is no folder nowhere"),
     ],
 )

@@ -70,8 +70,8 @@ def test_distances_of_many_forks_are_told_with_their_time(folder: Path) -> None:
     ("options", "message"),
     [
         (("--at", "0.5"), "nothing to change: give --set KEY=VALUE or --perturb 1ulp"),
-        (("--at", "7", "--perturb", "1ulp"), "goes from 0 to 2 s, 7 s is not in it"),
-        (("--at", "0.5", "--set", "body.0.radius=2"), "a fork keeps the bodies of the checkpoint"),
+        (("--at", "7", "--perturb", "1ulp"), "covers 0 to 2 s; 7 s is outside"),
+        (("--at", "0.5", "--set", "body.0.radius=2"), "a fork uses the bodies of the checkpoint"),
         (("--at", "0.5", "--set", "contact.restitutio=0"), 'did you mean "restitution"'),
         (("--at", "0.5", "--set", "contact.restitution=0", "--seeds", "3"), "add --perturb 1ulp"),
         (("--at", "0.5", "--perturb", "1ulp", "--outcome", "x_0 < 0"), "--seeds 100"),

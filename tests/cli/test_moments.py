@@ -15,7 +15,7 @@ def test_a_moment_outside_the_recording_is_refused_with_what_it_covers(
     run_file: Path, tmp_path: Path, command: str
 ) -> None:
     done = carom(command, "run.rrd", "--at", "5.2", cwd=tmp_path)
-    assert done.returncode == 2 and done.stderr == "carom: run.rrd goes from 0 to 4.95 s, 5.2 s is not in it\n"
+    assert done.returncode == 2 and done.stderr == "carom: run.rrd covers 0 to 4.95 s; 5.2 s is outside\n"
     assert list(tmp_path.iterdir()) == [run_file]
 
 

@@ -27,7 +27,7 @@ def test_something_in_the_way_of_the_folder_of_recordings_is_one_sentence(kind: 
         (tmp_path / "recordings").symlink_to("nowhere")
     done = carom(*QUICK, cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr == "carom: recordings: is not a folder, and carom needs a folder of that name; move it away\n"
+    assert done.stderr == "carom: recordings: is not a folder, but carom needs a folder of that name; move it\n"
     assert [path.name for path in tmp_path.iterdir()] == ["recordings"]
 
 
@@ -117,7 +117,7 @@ def test_a_run_without_a_screen_is_recorded_and_says_that_nothing_can_be_shown(
         pytest.skip("a screen cannot be taken away here")
     done = carom(*QUICK, "--live", "-o", "x.rrd", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    assert "carom: the run is recorded, but cannot be shown live: there is no screen" in done.stderr
+    assert "carom: the run is being recorded, but cannot be shown live: there is no screen" in done.stderr
     assert Recording.open(tmp_path / "x.rrd").outcome == "completed"
 
 

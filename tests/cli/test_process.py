@@ -98,7 +98,7 @@ def test_a_second_interrupt_ends_at_once_and_says_what_becomes_of_the_file(tmp_p
     _, stderr = run.communicate(timeout=60)
     assert_silent(stderr)
     assert run.returncode in (1, 130, -signal.SIGINT)
-    said = "carom: x.rrd may not be closed; `carom repair x.rrd` closes it\ncarom: interrupted\n" in stderr
+    said = "carom: x.rrd may lack its footer; `carom repair x.rrd` writes it\ncarom: interrupted\n" in stderr
     assert said or Recording.open(tmp_path / "x.rrd").finished
 
 
@@ -208,7 +208,7 @@ def test_a_system_that_is_not_posix_is_refused_in_one_sentence(tmp_path: Path) -
     started = [sys.executable, "-c", script, "scenes"]
     done = subprocess.run(started, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "carom: runs on Linux, macOS and other POSIX systems only; on Windows use WSL\n"
+    assert done.stderr == "carom: runs on Linux, macOS and other POSIX systems only; on Windows, use WSL\n"
 
 
 def test_an_address_space_that_is_too_small_is_refused_before_a_library_aborts(tmp_path: Path) -> None:

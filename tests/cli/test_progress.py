@@ -16,8 +16,8 @@ from carom_command import carom
 @pytest.mark.parametrize(
     ("time", "said"),
     [
-        ({"duration": 6e7}, "time.max_dt = 1 s, its default, makes at least 6e+07 steps; for fewer, raise it or"),
-        ({"duration": 6e7, "max_dt": 2.0}, "time.max_dt = 2 s makes at least 3e+07 steps; for fewer, raise it or"),
+        ({"duration": 6e7}, "time.max_dt = 1 s, its default, causes at least 6e+07 steps; for fewer steps, raise"),
+        ({"duration": 6e7, "max_dt": 2.0}, "time.max_dt = 2 s causes at least 3e+07 steps; for fewer steps, raise"),
         ({"duration": 6e7, "max_dt": 100.0}, ""),
         ({"duration": 6e7, "integrator": "gauss-radau15"}, ""),
         ({"duration": 6e7, "fixed_dt": 1.0}, ""),
@@ -48,8 +48,11 @@ radius = 1.7e6
 """,
         encoding="utf-8",
     )
-    hint = "334 frames were asked for, but a frame is the end of a step and most steps are longer; time.max_dt = 600 s"
+    hint = (
+        "334 frames were requested, but frames are recorded only at ends of steps, and most steps are longer than "
+        "record.every; time.max_dt = 600 s"
+    )
     shown = " ".join(carom("run", "moon.toml", "-o", "few.rrd", cwd=tmp_path).stdout.split())
     assert hint in shown
     shown = carom("run", "moon.toml", "--set", "time.max_dt=600 s", "-o", "all.rrd", cwd=tmp_path).stdout
-    assert Recording.open(tmp_path / "all.rrd").frames >= 334 and "asked for" not in shown
+    assert Recording.open(tmp_path / "all.rrd").frames >= 334 and "were requested" not in shown

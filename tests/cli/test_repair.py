@@ -61,7 +61,7 @@ def test_a_recording_under_way_is_not_repaired_in_place(run_file: Path, tmp_path
     before = tear(run_file)
     with Claim(run_file):
         done = carom_process("repair", "run.rrd", "--in-place", cwd=tmp_path)
-    assert done.returncode == 2 and "another carom is writing it" in done.stderr
+    assert done.returncode == 2 and "another carom process is writing it" in done.stderr
     assert run_file.read_bytes() == before and [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 

@@ -63,7 +63,7 @@ def test_a_resumed_run_is_the_file_itself_or_another(folder: Path) -> None:
     ("command", "said"),
     [
         (["replay", "nowhere.rrd"], "there is no recording at nowhere.rrd"),
-        (["replay", "ts.rrd", "--every", "day"], 'the only choice is "step"'),
+        (["replay", "ts.rrd", "--every", "day"], 'the only possible value is "step"'),
         (["replay", "ts.rrd", "--from", "2", "--to", "1"], "before --from 2 s"),
         (["resume", "ts.rrd"], "simulated to 2 s already; give a later --until"),
         (["resume", "ts.rrd", "--until", "-1"], "expected a time later than the start"),

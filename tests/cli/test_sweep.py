@@ -136,7 +136,7 @@ def test_a_sweep_is_widened_by_more_values_and_needs_no_workers_when_nothing_is_
         ),
         (["spheres.toml", *VARY, "--plot", "x=a", "z=b"], "expected x=KEY y=KEY"),
         ([], "give one of SCENE, --table DIR and --catalog DIR"),
-        (["--table", "nowhere"], "no sweep here"),
+        (["--table", "nowhere"], "not a sweep"),
         (["--table", "out", "--sort", "energy.finl"], 'did you mean "energy.final"'),
         (["--table", "out", "--filter", "energy.final"], "expected a comparison"),
         (["--table", "out", "--filter", "energy.final<few"], 'column energy.final is numeric; got "few"'),

@@ -73,7 +73,7 @@ def test_the_interrupt_key_keeps_what_is_done_and_the_command_goes_on_with_it(tm
             break
     out, err = process.communicate(timeout=120)
     assert process.returncode == 1 and "Traceback" not in err
-    assert "what is measured is kept" in err and "step × 4" in out
+    assert "the measurements are kept" in err and "step × 4" in out
     kept = json.loads((tmp_path / "study" / "tradeoff.json").read_text(encoding="utf-8"))
     assert len(kept["settings"][0]["costs"]) == 1
     again = carom(*arguments, "1", cwd=tmp_path)

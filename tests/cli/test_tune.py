@@ -22,8 +22,8 @@ def test_the_cheapest_setting_that_keeps_the_limit_is_written_with_its_measureme
     assert done.returncode == 0, done.stderr
     said = done.stdout.splitlines()[-5:]
     assert said[0].startswith("The cheapest of 5 settings tried: integrator = yoshida4, step × 4, ")
-    assert " times as fast as the scene as written (" in said[1]
-    assert said[2].startswith("It keeps energy ") and said[3].startswith("Worse than as written: position ")
+    assert " times as fast as the original scene (" in said[1]
+    assert said[2].startswith("It keeps energy ") and said[3].startswith("Worse than the original scene: position ")
     assert said[4] == "Written to figure-eight-tuned.toml. The measurements stay in recordings/tradeoff/figure-eight."
     text = (tmp_path / "figure-eight-tuned.toml").read_text(encoding="utf-8")
     assert text.startswith("# carom tune: integrator = yoshida4, step × 4\n# measured: energy ")
@@ -41,8 +41,8 @@ def test_a_cheaper_setting_that_loses_frames_is_named_with_its_reason(tmp_path: 
     vary = ("--vary", "step=1,32", "--repeats", "1")
     done = carom("tune", "figure-eight", "--error", "energy=1e-3", *vary, *frames, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    (left_out,) = (line for line in done.stdout.splitlines() if line.startswith("Cheaper, but left out"))
-    assert left_out.startswith("Cheaper, but left out: step × 32, ")
+    (left_out,) = (line for line in done.stdout.splitlines() if line.startswith("Cheaper, but rejected"))
+    assert left_out.startswith("Cheaper, but rejected: step × 32, ")
     assert left_out.endswith(" s; a recording would have 314 frames of 1001.")
 
 
@@ -59,7 +59,7 @@ def test_force_replaces_the_file_and_keeps_the_study_which_another_option_replac
     assert forced.returncode == 0 and "errors" not in forced.stderr and study.read_bytes() == kept
     other = carom(*command, "--force", "--set", "time.duration=2.0", cwd=tmp_path)
     assert other.returncode == 2 and "another scene" in other.stderr
-    assert "give --new-study to begin anew, or another folder with --study" in other.stderr
+    assert "start over with --new-study, or choose another folder with --study" in other.stderr
     anew = carom(*command, "--force", "--new-study", cwd=tmp_path)
     assert anew.returncode == 0 and "errors" in anew.stderr and study.read_bytes() != kept
 
@@ -111,7 +111,7 @@ def test_an_interrupted_search_tells_a_script_what_is_left_of_it(
     monkeypatch.setattr("carom.lab.tradeoff.tune.tuned", interrupted)
     done = carom("tune", "figure-eight", "--error", "energy=1e-8", *QUICK, *SHORT, "--json", cwd=tmp_path)
     told = json.loads(done.stdout)
-    assert done.returncode == 1 and "stopped; what is measured is kept" in done.stderr
+    assert done.returncode == 1 and "stopped; the measurements are kept" in done.stderr
     assert told["best"] is None and told["tried"] == 0 and told["why_none"] == "stopped by the user"
     assert told["limits"] == {"energy": 1e-8} and told["study"] == "recordings/tradeoff/figure-eight"
 

@@ -44,7 +44,10 @@ def test_a_second_run_into_the_file_of_a_first_is_refused_even_with_force(tmp_pa
     with under_way("run", "elastic-gas", *LONG, "-o", "x.rrd", cwd=tmp_path, grows="x.rrd") as first:
         second = carom("run", "two-spheres", "-o", "x.rrd", "--force", cwd=tmp_path)
         assert second.returncode == 2
-        assert second.stderr == "carom: x.rrd: another carom is writing it; wait for its end, or name another file\n"
+        assert (
+            second.stderr
+            == "carom: x.rrd: another carom process is writing it; wait for its end, or name another file\n"
+        )
         first.send_signal(signal.SIGINT)
         first.communicate(timeout=60)
     recording = Recording.open(tmp_path / "x.rrd")
@@ -70,9 +73,9 @@ def test_a_resumed_recording_survives_a_second_resume_and_a_killed_one(tmp_path:
     before = run.read_bytes()
     with under_way("resume", "x.rrd", "--until", "1e5", cwd=tmp_path, grows="x.resumed.rrd"):
         second = carom("resume", "x.rrd", "--until", "2", cwd=tmp_path)
-        assert second.returncode == 2 and "another carom is writing it" in second.stderr
+        assert second.returncode == 2 and "another carom process is writing it" in second.stderr
         clipped = carom("clip", "x.rrd", "--to", "0.5", "-o", "x.resumed.rrd", "--force", cwd=tmp_path)
-        assert clipped.returncode == 2 and "another carom is writing it" in clipped.stderr
+        assert clipped.returncode == 2 and "another carom process is writing it" in clipped.stderr
     assert run.read_bytes() == before
 
     left = (tmp_path / "x.resumed.rrd").read_bytes()

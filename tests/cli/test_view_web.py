@@ -62,7 +62,7 @@ def test_without_a_browser_one_sentence_says_what_to_do(run: Path, monkeypatch: 
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr("webbrowser.open", lambda link: False)
     done = carom("view", "run.rrd", "--web", cwd=run.parent)
-    assert done.stderr == "No browser was found; open the link in one.\n"
+    assert done.stderr == "No browser was found; open the link in a browser.\n"
 
 
 def test_a_port_in_use_is_one_sentence_with_the_remedy(run: Path) -> None:
@@ -77,4 +77,4 @@ def test_a_port_in_use_is_one_sentence_with_the_remedy(run: Path) -> None:
 
 def test_a_moment_that_is_not_in_the_recording_is_refused(run: Path) -> None:
     done = carom("view", "run.rrd", "--web", "--at", "99", cwd=run.parent)
-    assert done.returncode == 2 and "99 s is not in it" in done.stderr
+    assert done.returncode == 2 and "99 s is outside" in done.stderr

@@ -41,7 +41,7 @@ def test_the_first_warnings_of_a_kind_are_shown_with_their_times_and_the_others_
         "step 0, t = 0 s: Energy rose by 0 J.",
         "step 1, t = 0.5 s: Energy rose by 1 J.",
         "step 2, t = 1 s: Energy rose by 2 J.",
-        "… and 97 more like it, the last at step 99, t = 49.5 s",
+        "… and 97 similar ones, the last at step 99, t = 49.5 s",
         "step 7, t = 3.5 s: Too few sweeps.",
     ]
 

@@ -53,12 +53,12 @@ def test_a_body_at_rest_has_no_shares_and_one_that_fell_no_chain(tmp_path: Path)
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ((), "give one of them"),
-        (("--body", "0", "--event", "impact"), "give one of them"),
+        ((), "choose a body with --body"),
+        (("--body", "0", "--event", "impact"), "choose a body with --body"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
-        (("--body", "0", "--at", "7"), "goes from 0 to 2 s, 7 s is not in it"),
-        (("--body", "0", "--at", "0"), "nothing is known before it"),
-        (("--body", "0", "--at", "1", "--from", "1.5"), "is after 1 s, the moment asked about"),
+        (("--body", "0", "--at", "7"), "covers 0 to 2 s; 7 s is outside"),
+        (("--body", "0", "--at", "0"), "earlier causes are unknown"),
+        (("--body", "0", "--at", "1", "--from", "1.5"), "is later than 1 s, the time of the question"),
         (("--event", "bang"), 'has no event "bang"; it has'),
         (("--event", "contacts"), "ask about one with --body"),
         (("--event", "impact:1", "--at", "1"), "give --at or --event, not both"),

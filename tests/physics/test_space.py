@@ -476,7 +476,7 @@ def test_energy_that_baumgarte_creates_is_reported_with_the_bodies_that_collided
     events = [event for frame in Space(scene).run() for event in frame.events if event.level == "WARN"]
     rises = [event.text for event in events if event.text.startswith("Energy rose")]
     assert rises and "from stabilisation" in rises[0]
-    for part in ("Colliding in step 1", 'body 0 "a": v = (', 'body 1 "b": v = (', "ω = (", "added +"):
+    for part in ("Collisions in step 1", 'body 0 "a": v = (', 'body 1 "b": v = (', "ω = (", "added +"):
         assert part in rises[0]
 
 

@@ -32,7 +32,7 @@ def test_the_earths_number_in_another_unit_is_a_doubt(unit: str, doubtful: bool)
     body = {"body": [{"mass": "1 kg", "radius": "0.1 m"}]}
     field = {"gravity": {"uniform": [0, 0, -9.81]}, "units": {"length": unit}}
     found = doubts(Scene.from_dict(field | body))
-    assert [text.endswith('if that is meant, write "9.81 m/s^2"') for text in found] == [True] * doubtful
+    assert [text.endswith('field, write "9.81 m/s^2"') for text in found] == [True] * doubtful
     with_unit = {"gravity": {"uniform": [0, 0, "-9.81 m/s^2"]}, "units": {"length": unit}}
     assert doubts(Scene.from_dict(with_unit | body)) == []
 
@@ -41,7 +41,7 @@ def test_a_ball_of_50_g_without_a_radius_is_named_with_the_density_that_it_gets(
     bodies = [{"name": "ball", "mass": "50 g", "velocity": [1, 0, 0]}, {"mass": 0.05}]
     (text,) = doubts(Scene.from_dict({"body": bodies}))
     assert text == (
-        'body.0 ("ball") has no radius and gets the default, 1 m: with its mass, the density is 0.012 kg/m³; '
+        'body.0 ("ball") has no radius and uses the default, 1 m: with its mass, the density is 0.012 kg/m³; '
         "the same holds for 1 more body"
     )
 

@@ -41,7 +41,7 @@ ROUGH = {"point": [0, 0, -1], "static_friction": 0.5}
 CASES: list[tuple[str, Any, str, bool]] = [
     ("no constant, no gravity", scene_of(MOVING, gravity={"constant": 0}), "gravity", False),
     ("one body pulls nothing", scene_of(MOVING[:1]), "gravity", False),
-    ("two bodies pull", scene_of(MOVING), "gravity", True),
+    ("two bodies attract", scene_of(MOVING), "gravity", True),
     ("nothing moves, nothing meets", scene_of(RESTING, gravity={"constant": 0}), "contact", False),
     ("one moves, so they may meet", scene_of(MOVING, gravity={"constant": 0}), "contact", True),
     ("disabled contact", scene_of(MOVING, contact={"enabled": False}), "contact", False),
@@ -124,14 +124,14 @@ POINTS = {"enabled": False}
 @pytest.mark.parametrize(
     ("scene", "chosen", "why"),
     [
-        (cloud(8, contact=POINTS), "yoshida4", "8 bodies pull each other, and no contact is modelled"),
+        (cloud(8, contact=POINTS), "yoshida4", "8 bodies attract each other, and no contact is modelled"),
         (cloud(100, contact=POINTS, time={"cfl": "auto"}), "gauss-radau15", "100 bodies pull each other"),
-        (cloud(100, contact=POINTS, time={"cfl": "auto", "pull_fraction": 0.01}), "yoshida4", "100 bodies pull"),
-        (cloud(8, contact=POINTS, time={"cfl": "auto"}, gravity={"method": "tree"}), "yoshida4", "8 bodies pull"),
+        (cloud(100, contact=POINTS, time={"cfl": "auto", "pull_fraction": 0.01}), "yoshida4", "100 bodies attract"),
+        (cloud(8, contact=POINTS, time={"cfl": "auto"}, gravity={"method": "tree"}), "yoshida4", "8 bodies attract"),
         (cloud(101, contact=POINTS), "leapfrog", "101 bodies, whose encounters the step does not resolve"),
         (cloud(9, contact=POINTS, time={"fixed_dt": 0.1}), "leapfrog", "9 bodies, whose encounters"),
         (cloud(9, contact=POINTS, time={"target_dx": 0.1}), "leapfrog", "9 bodies, whose encounters"),
-        (cloud(8), "leapfrog", "contacts are found in the one drift of a step"),
+        (cloud(8), "leapfrog", "contacts are detected in the single drift of a step"),
         (cloud(8, contact=POINTS, gravity={"constant": 0.0}), "leapfrog", "exact between impacts"),
         (cloud(8, contact=POINTS, time={"integrator": "euler"}), "euler", 'time.integrator = "euler"'),
         (cloud(8, time={"integrator": "yoshida4"}), "yoshida4", 'time.integrator = "yoshida4"'),
@@ -172,7 +172,7 @@ def test_few_bodies_that_begin_far_apart_are_integrated_to_rounding_up_to_their_
     scene: Scene, chosen: str
 ) -> None:
     assert integrator(scene).name == chosen
-    seldom = "begin far apart and seldom meet" in require(scene).integrator.why
+    seldom = "start far apart and seldom collide" in require(scene).integrator.why
     assert seldom == (chosen == "gauss-radau15")
 
 
@@ -201,13 +201,13 @@ AUTO, NOW = {"timing": "auto"}, {"timing": "time-of-impact"}
 @pytest.mark.parametrize(
     ("scene", "chosen", "why", "step"),
     [
-        (pair(contact=AUTO), "time-of-impact", "impacts are resolved at their own times", 1.0),
-        (pair(contact=AUTO, gravity=FALLING), "time-of-impact", "impacts are resolved at their own times", 1.0),
-        (pair(contact=AUTO, time={"integrator": "euler"}), "time-of-impact", "at their own times", 1.0),
-        (pair(contact=AUTO, time={"cfl": 0.2}), "time-of-impact", "at their own times", 0.2),
-        (scene_of(MOVING, contact=AUTO), "time-of-impact", "impacts are resolved at their own times", 0.5),
-        (cloud(8, contact=AUTO, time={"cfl": "auto"}), "time-of-impact", "at their own times", 0.5),
-        (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "time-of-impact", "at their own times", 0.5),
+        (pair(contact=AUTO), "time-of-impact", "impacts are resolved at their exact times", 1.0),
+        (pair(contact=AUTO, gravity=FALLING), "time-of-impact", "impacts are resolved at their exact times", 1.0),
+        (pair(contact=AUTO, time={"integrator": "euler"}), "time-of-impact", "at their exact times", 1.0),
+        (pair(contact=AUTO, time={"cfl": 0.2}), "time-of-impact", "at their exact times", 0.2),
+        (scene_of(MOVING, contact=AUTO), "time-of-impact", "impacts are resolved at their exact times", 0.5),
+        (cloud(8, contact=AUTO, time={"cfl": "auto"}), "time-of-impact", "at their exact times", 0.5),
+        (pair(contact=AUTO, gravity=FALLING, plane=[{}]), "time-of-impact", "at their exact times", 0.5),
         (pair(contact=AUTO, time={"integrator": "yoshida4"}), "end-of-step", "yoshida4 is more than one drift", 0.5),
         (scene_of(RESTING, gravity={"constant": 0}, contact=AUTO), "end-of-step", "no contact is possible", None),
         (pair(contact={"timing": "end-of-step"}), "end-of-step", 'contact.timing = "end-of-step"', 0.5),
@@ -242,7 +242,7 @@ def forced(*parts: str, **sections: Any) -> dict[str, str]:
 
 
 def test_a_forced_part_says_so_and_why_it_was_left_out() -> None:
-    assert forced("spin") == {"spin": "forced; otherwise not: no friction, and nothing spins at first"}
+    assert forced("spin") == {"spin": "forced; otherwise not: no friction, and nothing spins at the start"}
 
 
 def test_a_forced_part_brings_what_it_cannot_be_without() -> None:
@@ -266,12 +266,12 @@ def test_to_force_what_is_required_changes_nothing() -> None:
     [
         ("contact", {"contact": {"enabled": False}}, "contact.enabled = false; set it to true"),
         ("friction", {"contact": {"enabled": False}}, "friction cannot be forced on: contact.enabled = false"),
-        ("accuracy", {}, "it has no value by itself; set time.accuracy"),
+        ("accuracy", {}, "it needs a value; set time.accuracy"),
         ("gravity", {"gravity": {"method": "none"}}, 'gravity.method = "none"; leave that out'),
         ("tree", {}, 'set gravity.method = "tree"'),
         ("restitution", {"contact": {"restitution": 0}}, "set contact.restitution"),
         ("stabilisation", {"contact": {"stabilisation": "none"}}, 'set it to "split"'),
-        ("adaptive-step", {"time": {"fixed_dt": 0.1}}, "time.fixed_dt sets the step; leave it out"),
+        ("adaptive-step", {"time": {"fixed_dt": 0.1}}, "time.fixed_dt sets the step; remove it"),
     ],
 )
 def test_a_part_that_the_scene_excludes_cannot_be_forced(part: str, sections: dict[str, Any], instead: str) -> None:
@@ -346,7 +346,7 @@ def test_a_second_force_that_depends_on_velocities_is_refused(monkeypatch: pytes
 def test_an_accuracy_by_leapfrog_says_what_gauss_radau_does_not_know(part: dict[str, Any], unknown: str) -> None:
     scene = scene_of(MOVING, **part, time={"accuracy": 1e-6})
     chosen = next(part for part in require(scene).parts if part.name == "integrator")
-    assert chosen.why == f"leapfrog: gauss-radau15 does not know {unknown}"
+    assert chosen.why == f"leapfrog: gauss-radau15 does not support {unknown}"
 
 
 @pytest.mark.parametrize(
@@ -387,4 +387,4 @@ def test_bounces_that_end_at_rest_are_said_where_forces_press() -> None:
     assert ended_bounces(cloud(99, gravity={"constant": 0.0})) == ""
     assert ended_bounces(heap.changed(["contact.restitution=0"])) == ""
     assert "shorter than a step" in ended_bounces(heap)
-    assert "slower than about 2 a dt" in ended_bounces(heap.changed(["contact.timing=end-of-step"]))
+    assert "below about 2 a dt" in ended_bounces(heap.changed(["contact.timing=end-of-step"]))

@@ -216,7 +216,7 @@ def test_what_energy_does_in_contact_is_neither_restitution_nor_an_error_of_the_
     legends = [series.legend for series in series_of(header_of_recording(recording))]
     said = " ".join(" ".join([*texts, *legends, *recording.events()["text"].to_pylist()]).split())
     assert "integration error" not in said and "restitution" not in said and "integrator" not in said
-    assert " J while bodies touched: by contacts and errors of the engine, not told apart" in said
+    assert " J while bodies touched: by contacts and errors of the engine, not distinguished" in said
     assert "without contact, an error: at most" in said
 
 
@@ -279,7 +279,7 @@ def test_clips_and_exports_need_no_second_run(healthy: Path, tmp_path: Path) -> 
     done = command("diff", str(healthy), "clip.rrd", cwd=tmp_path)
     assert done.returncode == 0 and "Same bits in all 21 frames" in done.stdout
     told = command("inspect", str(healthy), cwd=tmp_path).stdout
-    assert "toy 1.0, of which carom saw the states only" in told and "carom replay" not in told
+    assert "toy 1.0; carom recorded only its states" in told and "carom replay" not in told
 
 
 def test_the_last_frames_are_written_when_an_exception_leaves_the_context(tmp_path: Path) -> None:
@@ -360,10 +360,10 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
 @pytest.mark.parametrize(
     ("frames", "message"),
     [
-        ({"last": 2.5}, "last = 2.5: keep a whole number of frames, at least one"),
-        ({"last": 0}, "last = 0: keep a whole number of frames, at least one"),
-        ({"every": 1.5}, "every = 1.5: record each call of `frame`, or each second, and so on"),
-        ({"every": "2"}, "every = '2': record each call of `frame`, or each second, and so on"),
+        ({"last": 2.5}, "last = 2.5: expected a whole number of frames, at least one"),
+        ({"last": 0}, "last = 0: expected a whole number of frames, at least one"),
+        ({"every": 1.5}, "every = 1.5: expected 1 to record each call of `frame`, 2 for every second call, and so on"),
+        ({"every": "2"}, "every = '2': expected 1 to record each call of `frame`, 2 for every second call, and so on"),
         ({"duration": float("nan")}, "duration = nan: expected the time that the run will reach"),
         ({"duration": -1.0}, "duration = -1.0: expected the time that the run will reach"),
     ],
@@ -425,7 +425,7 @@ def test_a_source_that_returns_no_state_is_told_what_to_return(tmp_path: Path, m
     [
         (
             {"position": np.zeros((1, 3))},
-            r"position has the shape \(1, 3\) and had \(3, 3\): a recording keeps its bodies",
+            r"position has the shape \(1, 3\) and had \(3, 3\); a recording has a fixed set",
         ),
         ({"velocity": np.zeros(3)}, r"velocity has the shape \(3,\) and had \(3, 3\)"),
         ({"angular_velocity": None}, r"angular_velocity has the shape \(\) and had \(3, 3\)"),
@@ -465,7 +465,7 @@ def test_whole_numbers_of_numpy_are_numbers_of_frames_and_flags(tmp_path: Path) 
 def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
     toy = Toy()
     with (
-        pytest.raises(carom.errors.RecordingError, match="the time went back"),
+        pytest.raises(carom.errors.RecordingError, match="the time decreased"),
         carom.record.Recorder(toy, tmp_path / "run.rrd") as recorder,
     ):
         toy.step()
@@ -540,7 +540,7 @@ def test_the_loss_of_a_body_which_is_not_judged_is_no_integration_error_and_its_
     lost = energy["total"][0].as_py() - energy["total"][-1].as_py()
     assert lost > 8.0 and energy["restitution"][-1].as_py() == pytest.approx(lost)
     assert summary["contacts"]["impacts"] == 0 and summary["judged"] == 1
-    assert "judged 1 of 2 bodies; the others are not free spheres" in " ".join(
+    assert "judged 1 of 2 bodies; the other bodies are not free spheres" in " ".join(
         command("inspect", "run.rrd", cwd=tmp_path).stdout.split()
     )
 

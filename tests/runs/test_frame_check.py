@@ -83,7 +83,7 @@ def test_one_altered_value_is_found_and_named(entity: str, component: str, whole
 @pytest.mark.parametrize(
     ("entity", "component", "said"),
     [
-        ("state/fingerprint", "fingerprint", "the checkpoint at step 0 does not have the fingerprint of its frame"),
+        ("state/fingerprint", "fingerprint", "the checkpoint at step 0 does not match the fingerprint of its frame"),
         ("state/checkpoint", "velocity", "the checkpoint at step 0 is damaged"),
         ("state/checkpoint", "previous_dt", "the checkpoint at step 0 is damaged"),
     ],
@@ -128,13 +128,13 @@ def test_a_row_where_there_was_no_frame_is_found(whole: Path, tmp_path: Path) ->
 
     changed(whole, tmp_path / "altered.rrd", "state/fingerprint", thinned)
     result = replay(Recording.open(tmp_path / "altered.rrd"))
-    assert result.difference is not None and "where there is no frame" in result.difference.quantity
+    assert result.difference is not None and "without a frame" in result.difference.quantity
 
 
 def test_a_recording_without_digests_replays_and_says_what_it_lacks(whole: Path, tmp_path: Path) -> None:
     old = changed(whole, tmp_path / "old.rrd", "state/checkpoint", lambda batch: without_column(batch, "digest"))
     result = replay(Recording.open(old))
-    assert result.same and result.not_compared == ["digest of /state/checkpoint, which is not there"]
+    assert result.same and result.not_compared == ["digest of /state/checkpoint, which is missing"]
 
 
 def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: Path, tmp_path: Path) -> None:
@@ -143,8 +143,8 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
     later = sorted(steps.values())[len(steps) // 2]
     window = replay(Recording.open(whole), later)
     assert window.same and [said.partition(" (")[0] for said in window.not_compared] == [
-        "how many contacts have arrows, and how many impacts a frame",
-        "what led to the first frame",
+        "the numbers of contacts with arrows and of impacts with frames",
+        "quantities that depend on the steps before the first frame",
         "which frames have a checkpoint",
         "the outcome and its numbers",
     ]
@@ -217,9 +217,9 @@ def altered_scene(whole: Path, out: Path, digest: bool) -> Recording:
 
 def test_a_scene_that_was_altered_is_neither_replayed_nor_resumed(whole: Path, tmp_path: Path) -> None:
     altered = altered_scene(whole, tmp_path / "altered.rrd", digest=True)
-    with pytest.raises(RecordingError, match="its scene is not the one that was recorded"):
+    with pytest.raises(RecordingError, match="its scene was altered after the recording"):
         replay(altered)
-    with pytest.raises(RecordingError, match="its scene is not the one that was recorded"):
+    with pytest.raises(RecordingError, match="its scene was altered after the recording"):
         resumable_run(altered, 2.0)
 
 
@@ -227,7 +227,7 @@ def test_an_older_recording_whose_scene_was_altered_is_compared_before_it_is_res
     whole: Path, tmp_path: Path
 ) -> None:
     run = resumable_run(altered_scene(whole, tmp_path / "altered.rrd", digest=False), 2.0)
-    with pytest.raises(RecordingError, match="cannot be resumed: run again, it differs at step"):
+    with pytest.raises(RecordingError, match="cannot be resumed: a replay differs at step"):
         continue_run(run, run.space())
     untouched = resumable_run(Recording.open(whole), 1.5)
     assert continue_run(untouched, untouched.space(), tmp_path / "longer.rrd").ok

@@ -228,7 +228,7 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
     monkeypatch.setattr("carom.runs.report.ROOM", 450_000)
     made = report(recording, tmp_path / "x.zip")
     assert not made.replays
-    assert "of 3000 bodies, those nearest" in made.replayed
+    assert "of 3000 bodies, the ones nearest" in made.replayed
     with opened(tmp_path / "x.zip") as path:
         small = Recording.open(path)
         assert 1 < len(small.shown) < count
@@ -242,7 +242,7 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
         assert all_drawn is not None
         assert np.array_equal(drawn, all_drawn[small.shown])
         assert small.summary()["clip"]["partial"]
-        with pytest.raises(RecordingError, match="of 3000 bodies without exact states: it cannot be run again"):
+        with pytest.raises(RecordingError, match="of 3000 bodies without exact states: it cannot be rerun"):
             replay(small)
         clip(path, tmp_path / "again.rrd", bodies=small.shown[:3])
     again = Recording.open(tmp_path / "again.rrd")
@@ -252,5 +252,5 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
 
 def test_recorded_bodies_cannot_be_changed_without_their_file(recording: Recording) -> None:
     assert recorded_scene(recording, ["time.duration=3"]).time.duration == 3.0
-    with pytest.raises(SceneError, match=r"bodies\.0: it cannot be changed, because its file is not at hand"):
+    with pytest.raises(SceneError, match=r"bodies\.0: only its name can be changed, because its file is not at hand"):
         recorded_scene(recording, ["bodies.0.radius=2"])

@@ -79,7 +79,7 @@ def test_a_clip_too_large_to_attach_gets_fewer_frames(
     made = report(rubble, tmp_path / "small.zip")
     assert 1 < made.frames < reports.FRAMES and made.size < 1_500_000
     monkeypatch.setattr(bundle, "LARGEST", 1000)
-    with pytest.raises(RecordingError, match="with one frame alone the bundle would have"):
+    with pytest.raises(RecordingError, match="a bundle with a single frame would have"):
         report(rubble, tmp_path / "none.zip")
     assert not (tmp_path / "none.zip").exists()
 
@@ -212,7 +212,7 @@ def packed(path: Path, members: dict[str, bytes], **options: int) -> Path:
         ({"../../evil.rrd": b"x"}, "there must be one clip.rrd in it, not 0"),
         ({"/etc/clip.rrd": b"x"}, "there must be one clip.rrd in it, not 0"),
         ({f"{k}": b"" for k in range(200)}, "200 files in it are too many"),
-        ({"clip.rrd": bytes(300_000_000)}, "says that it unpacks to 300000000 bytes"),
+        ({"clip.rrd": bytes(300_000_000)}, "claims to unpack to 300000000 bytes"),
     ],
     ids=["zip-slip", "absolute", "many", "bomb"],
 )
@@ -232,7 +232,7 @@ def test_a_bundle_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
         at = raw.index(signature) + offset
         raw[at : at + 4] = (100).to_bytes(4, "little")
     path.write_bytes(raw)
-    with pytest.raises(RecordingError, match="not a bundle of carom's, or is damaged"), bundle.opened(path):
+    with pytest.raises(RecordingError, match="not a bundle made by carom, or is damaged"), bundle.opened(path):
         pass
 
 
@@ -240,7 +240,7 @@ def test_a_bundle_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
 def test_a_torn_bundle_is_refused(size: int, tmp_path: Path) -> None:
     path = packed(tmp_path / "torn.zip", {"clip.rrd": np.random.default_rng(1).bytes(5000)})
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(RecordingError, match="not a bundle of carom's, or is damaged"), bundle.opened(path):
+    with pytest.raises(RecordingError, match="not a bundle made by carom, or is damaged"), bundle.opened(path):
         pass
 
 
@@ -268,5 +268,5 @@ def test_a_bundle_packed_by_another_method_is_refused(method: int, tmp_path: Pat
     for place in (content.index(b"PK\x03\x04") + 8, content.index(b"PK\x01\x02") + 10):
         content = content[:place] + method.to_bytes(2, "little") + content[place + 2 :]
     path.write_bytes(content)
-    with pytest.raises(RecordingError, match=f"packed by method {method}, not by deflate"), bundle.opened(path):
+    with pytest.raises(RecordingError, match=f"compressed by method {method} instead of deflate"), bundle.opened(path):
         pass

@@ -158,7 +158,7 @@ def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Pa
 def test_a_clip_of_some_bodies_cannot_be_resumed(tmp_path: Path) -> None:
     whole = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
     clip(whole.path, tmp_path / "few.rrd", 0.0, 0.2, bodies=[0, 1])
-    with pytest.raises(RecordingError, match="does not show all bodies"):
+    with pytest.raises(RecordingError, match="is a clip of selected bodies"):
         resumable_run(Recording.open(tmp_path / "few.rrd"), until=0.4)
 
 
@@ -173,7 +173,7 @@ def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repai
     path = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd").path
     outcome = next(e for e in Recording.open(path).store.entries if e.entity_path == "__properties/outcome")
     os.truncate(path, outcome.offset - 16)  # the header of a message has 16 bytes
-    with pytest.raises(RecordingError, match=r"has all its frames and lacks only its end; `carom repair .*` writes it"):
+    with pytest.raises(RecordingError, match=r"has all its frames and lacks only its footer; `carom repair .*` writes"):
         resumable_run(Recording.open(path))
 
 

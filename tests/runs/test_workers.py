@@ -73,7 +73,7 @@ def test_what_waits_can_be_dropped_and_nobody_hears_of_what_was_dropped_under_wa
 
 def test_workers_that_cannot_start_end_the_wait_with_a_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.runs.workers._START", "import os; os._exit(9)")
-    with LocalWorkers(1) as workers, pytest.raises(ExperimentError, match="end as they start, with exit code 9"):
+    with LocalWorkers(1) as workers, pytest.raises(ExperimentError, match="end while starting, with exit code 9"):
         results(workers, abs, {"never": 1})
 
 

@@ -79,7 +79,7 @@ def test_a_notebook_gets_the_recording_and_pauses_at_the_moment(recording: Recor
 
 
 def test_a_moment_that_is_not_in_the_recording_displays_nothing(recording: Recording, viewers: list[SpyViewer]) -> None:
-    with pytest.raises(RecordingError, match="99 s is not in it"):
+    with pytest.raises(RecordingError, match="99 s is outside"):
         recording.show(at=99.0)
     assert not viewers
 

@@ -278,7 +278,7 @@ def test_an_impact_is_found_by_its_number_on_the_timeline(bounce: Recording) -> 
         found = named_event(bounce, f"impact:{row + 1}")
         assert (found.time, found.step) == (impacts["time"][row].as_py(), impacts["step"][row].as_py())
         assert found.pair == Pair(impacts["i"][row].as_py(), impacts["j"][row].as_py())
-    with pytest.raises(RecordingError, match="no impact 99 on record; its only one is 1"):
+    with pytest.raises(RecordingError, match="has not recorded impact 99; its only impact is 1"):
         named_event(bounce, "impact:99")
     with pytest.raises(RecordingError, match=r"^event impact:last: expected the number of an impact"):
         named_event(bounce, "impact:last")
@@ -302,7 +302,7 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
 @pytest.mark.parametrize(
     ("at", "name", "bodies", "said"),
     [
-        (99.0, None, None, "goes from 0 to 4 s, 99 s is not in it"),
+        (99.0, None, None, "covers 0 to 4 s; 99 s is outside"),
         (None, "bang", None, 'has no event "bang"; it has'),
         (None, None, "0,7", 'has no body "7"'),
         (None, None, "left", "expected two bodies with a comma between them, such as 0,1"),

@@ -110,8 +110,8 @@ class CommandGroup(TyperGroup):
             return super().get_command(ctx, cmd_name)
         if cmd_name in self.commands:
             raise registry.ExtensionError(
-                f'a package that is installed defines a command "{cmd_name}", a name that carom has itself; rename it '
-                "there, or uninstall the package"
+                f'an installed package defines a command "{cmd_name}", which carom already has; rename it in the '
+                "package, or uninstall the package"
             )
         try:
             return _made(cmd_name, registry.load("commands", cmd_name), EXTENSIONS)

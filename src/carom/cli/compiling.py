@@ -19,7 +19,7 @@ from carom.cli.printing import duration_text, say_json
 from carom.physics import jit
 from carom.physics.jit import cores
 
-NO_CACHE = "no folder to keep them in is writable; set NUMBA_CACHE_DIR to one of your own"
+NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
 
 
 def start_compiling() -> subprocess.Popen[bytes] | None:
@@ -87,7 +87,7 @@ def warmup(as_json: JsonOption = False) -> None:
     from carom.runs.warmup import warm_up
 
     if not as_json:
-        typer.echo("Compiling what is not in the cache …", err=True)
+        typer.echo("Compiling the kernels that are not in the cache …", err=True)
     warmth = warm_up()
     if as_json:
         say_json(asdict(warmth))

@@ -62,7 +62,7 @@ def contacts(
         OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts.")
     ] = None,
     again: Annotated[
-        bool, typer.Option("--replay", help="Run the steps again: all rows and columns, in double precision.")
+        bool, typer.Option("--replay", help="Recompute the steps, for all rows and columns in double precision.")
     ] = False,
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print as CSV.")] = False,
@@ -105,13 +105,15 @@ def _refuse_contradictions(
     from carom.errors import RecordingError
 
     if forms > 1:
-        raise RecordingError("choose one of --json, --csv and -o")
+        raise RecordingError("give only one of --json, --csv and -o")
     if bodies is not None and len(bodies) > 2:
-        raise RecordingError(f"--body is given {len(bodies)} times: a contact has two ends")
+        raise RecordingError(
+            f"--body is given {len(bodies)} times; give it at most twice, once for each body of a contact"
+        )
     if impacts and at is not None:
-        raise RecordingError("--at asks for the contacts of one step; with --impacts give --from and --to")
+        raise RecordingError("--at selects the contacts of one step; with --impacts, use --from and --to")
     if not impacts and (start is not None or end is not None):
-        raise RecordingError("--from and --to choose impacts: add --impacts, or ask for one step with --at")
+        raise RecordingError("--from and --to select impacts; add --impacts, or select one step with --at")
 
 
 def _table(
@@ -235,7 +237,7 @@ def _source(table: pa.Table) -> str:
     """Describe the source of the rows, and missing rows."""
     told = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
     left_out = int(told.get("left_out", "0"))
-    more = f"; {left_out} smaller impacts of the run are not, --replay finds them" if left_out else ""
+    more = f"; {left_out} smaller impacts were not recorded, list them with --replay" if left_out else ""
     return f"{told['source']}{more}"
 
 
@@ -267,7 +269,7 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
         shown.add_row(f"{units.shown(row['time'], TIME):.9g}", str(row["step"]), pair, row["mode"], *values)
     print_whole(shown)
     if table.num_rows > MOST_ROWS:
-        say(f"… and {table.num_rows - MOST_ROWS} more; --csv, --json or -o FILE.parquet has all.")
+        say(f"… and {table.num_rows - MOST_ROWS} more; for all rows, use --csv, --json or -o FILE.parquet.")
 
 
 def _in_next_step(recording: Recording, at: float) -> str:

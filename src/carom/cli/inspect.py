@@ -103,12 +103,12 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     scene, clip = summary["scene"], summary.get("clip")
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
     if scene.get("engine"):
-        yield "engine", f"{scene['engine']}, of which carom saw the states only"
+        yield "engine", f"{scene['engine']}; carom recorded only its states"
         if summary["judged"] < summary["bodies"]:
             only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
-            yield "judged", f"{only}; the others are not free spheres"
+            yield "judged", f"{only}; the other bodies are not free spheres"
     if clip:
-        of_all = "energies, momenta and numbers of contacts are those of all bodies"
+        of_all = "energies, momenta and numbers of contacts include all bodies"
         few = "" if len(clip["bodies"]) == summary["bodies"] else f", {in_series(clip['names'])}; {of_all}"
         yield "clip of", f"{clip['source']}, {units.span(clip['from'], clip['to'], TIME)}{few}"
     yield from zip_longest(("data",) if summary.get("data_notes") else (), summary.get("data_notes", ()), fillvalue="")
@@ -129,7 +129,7 @@ def _conservation(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         return
     linear, angular = summary["momentum"]["max_error"], summary["angular_momentum"]["max_error"]
     yield from zip_longest(("energy",), energy_texts(summary, units), fillvalue="")
-    taken_up = "not checked: planes, walls or fixed bodies may take up any"
+    taken_up = "not checked, since planes, walls or fixed bodies may change it"
     if linear is not None and math.isnan(linear):
         yield "momentum", NOT_RECORDED
         return
@@ -150,7 +150,7 @@ def _contacts(summary: dict[str, Any]) -> Iterator[Row]:
     if summary["impacts"]:
         texts.append(f"impacts: {RecordedImpacts(**summary['impacts'])}")
     if contacts["max_overlap"] is None:
-        texts.append("deepest overlap: lost, a piece of the file is missing")
+        texts.append("deepest overlap: lost, since part of the file is missing")
     elif deepest := overlap_text(contacts["max_overlap"]):
         texts.append(deepest + (" in these frames" if contacts["summed_over"] == "frames" else ""))
     yield from zip_longest(("contacts",) if texts else (), texts, fillvalue="")
@@ -165,7 +165,7 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     for name, verdict in summary["expect"].items():
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):
-            kept = "not judged, the run ended elsewhere"
+            kept = "not checked, since the run did not end at its duration"
         bound = verdict.get("bound", "at most")  # older recordings have only this bound
         yield "promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}"
     for law, broken in summary.get("laws", {}).items():

@@ -51,9 +51,9 @@ def movie(
     ] = 10.0,
     fps: Annotated[
         float | None,
-        typer.Option("--fps", parser=seconds, metavar="N", help="Pictures per second. Default: 30, for a GIF 20."),
+        typer.Option("--fps", parser=seconds, metavar="N", help="Frames per second. Default: 30, or 20 for a GIF."),
     ] = None,
-    view: Annotated[MovieView, typer.Option("--view", help="View that fills the picture.")] = MovieView.BODIES,
+    view: Annotated[MovieView, typer.Option("--view", help="View to render.")] = MovieView.BODIES,
     event: Annotated[
         str | None,
         typer.Option("--event", metavar="NAME", help="Event whose bodies a close-up follows, such as impact:3."),
@@ -63,12 +63,15 @@ def movie(
         Camera | None,
         typer.Option(
             "--camera",
-            help="Stand still, follow the middle of the bodies, or orbit it once. Default: still where a plane, a wall "
-            "or a field is, else follow bodies that move away.",
+            help="Keep the camera still, follow the centre of the bodies, or orbit it once. Default: still with a "
+            "plane, a wall or a field; otherwise follow bodies that move away.",
         ),
     ] = None,
     theme: Annotated[
-        Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
+        Theme,
+        typer.Option(
+            "--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
+        ),
     ] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1280x720",
     output: Annotated[
@@ -115,7 +118,7 @@ def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None
     if path.suffix not in FORMATS:
         raise RecordingError(f"{path}: a movie is a {' or a '.join(FORMATS)}")
     if path.suffix == ".mp4" and (size[0] % 2 or size[1] % 2):
-        raise RecordingError(f"--size {size[0]}x{size[1]}: width and height of an .mp4 are even numbers")
+        raise RecordingError(f"--size {size[0]}x{size[1]}: width and height of an .mp4 must be even numbers")
     if not 0.0 < length <= LONGEST:
         raise RecordingError(f"--seconds {length:g}: expected more than 0 and at most {LONGEST:g}")
     if not 0.0 < fps <= FASTEST:
@@ -128,9 +131,9 @@ def _check_view(view: MovieView, event: str | None, bodies: str | None, camera: 
 
     for option, given in (("--event", event), ("--bodies", bodies)):
         if given is not None and view != MovieView.CLOSE_UP:
-            raise RecordingError(f"{option} {given}: chooses the bodies of --view close-up; give that, too")
+            raise RecordingError(f"{option} {given}: selects the bodies of a close-up; add --view close-up")
     if camera is not None and view in (MovieView.CLOSE_UP, MovieView.ENERGY):
-        raise RecordingError(f"--camera {camera}: has no effect on --view {view}; leave one of them out")
+        raise RecordingError(f"--camera {camera}: has no effect on --view {view}; remove one of the two options")
 
 
 def _ends(recording: Recording, start: float | None, end: float | None) -> tuple[float, float]:
@@ -140,6 +143,6 @@ def _ends(recording: Recording, start: float | None, end: float | None) -> tuple
     times = recording.fingerprints()["time"].to_numpy()
     if len(times) < 2:
         raise RecordingError(
-            f"{recording.path} has {len(times)} frames, too few for a movie; `carom picture` takes one"
+            f"{recording.path} has {len(times)} frames, too few for a movie; `carom picture` renders a single frame"
         )
     return float(times[0]) if start is None else start, float(times[-1]) if end is None else end

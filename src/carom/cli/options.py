@@ -76,7 +76,7 @@ def not_a_folder(path: Path) -> Path:
 
     with suppress(OSError):  # such as a name that is too long, which is refused when it is opened
         if path.is_dir():
-            raise RecordingError(f"{path}: a folder, not a recording; name an .rrd file")
+            raise RecordingError(f"{path}: a folder, not a recording; give an .rrd file")
     return path
 
 

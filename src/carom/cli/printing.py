@@ -95,7 +95,7 @@ def warning_lines(warnings: Sequence[Event], units: UnitSystem, *, in_full: bool
         if len(events) > SHOWN:
             last = events[-1]
             ago = f"the last at step {last.step}, t = {units.text(last.time, TIME)}"
-            yield f"… and {len(events) - SHOWN} more like it, {ago}"
+            yield f"… and {len(events) - SHOWN} similar ones, {ago}"
 
 
 def materials_table(materials: list[dict[str, Any]]) -> Table:

@@ -77,7 +77,7 @@ class RunProgress(LiveLine):
         table = Table.grid(padding=(0, 2))
         table.add_row("outcome", Text(in_words(outcome.status), style="green" if outcome.ok else "red"))
         simulated = f"{counted(outcome.steps, 'step')}, {units.text(outcome.sim_time, TIME)} simulated"
-        part = f", the part from t = {units.text(outcome.begin, TIME)} on" if outcome.begin > 0.0 else ""
+        part = f", from t = {units.text(outcome.begin, TIME)} on" if outcome.begin > 0.0 else ""
         table.add_row("run", f"{simulated}{part} in {duration_text(outcome.wall_time)}")
         if moments.energy_error:
             table.add_row(
@@ -86,7 +86,7 @@ class RunProgress(LiveLine):
             )
         linear, angular = moments.momentum_error, moments.angular_momentum_error
         if linear is None:
-            table.add_row("momentum", "not checked: planes, walls or fixed bodies may take up any")
+            table.add_row("momentum", "not checked, since planes, walls or fixed bodies may change it")
         else:
             angular_text = "not conserved in a periodic box" if angular is None else error_text(angular.value)
             table.add_row("momentum", f"error at most {error_text(linear.value)}, angular {angular_text}")
@@ -134,7 +134,7 @@ def preparing(scene: Scene, beside: LiveLine) -> Patience:
     """Announce long work before the first step: placing bodies, or the look-ahead of an accuracy."""
     if scene.time.accuracy is None or scene.promise is not None:
         return Patience(f"preparing {scene.count} bodies …", beside)
-    text = f"looking ahead for the step that keeps accuracy = {scene.time.accuracy:g}:"
+    text = f"choosing the step for accuracy = {scene.time.accuracy:g}:"
     return Patience(text, beside, everywhere=True)
 
 
@@ -143,7 +143,7 @@ def watch_look_ahead(scene: Scene, patience: Patience) -> Watcher:
 
     def watch(budget: WorkBudget) -> None:
         reached = scene.unit_system.text(budget.reached, TIME, ".4g")
-        patience.detail(f"a run ahead at t = {reached}, {min(1.0, budget.spent / budget.total):.0%} of the budget")
+        patience.detail(f"a trial run at t = {reached}, {min(1.0, budget.spent / budget.total):.0%} of the budget")
 
     return watch
 
@@ -156,8 +156,8 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     if outcome.frames >= LEAST_FRAMES * asked:
         return ""
     return (
-        f"{asked:.0f} frames were asked for, but a frame is the end of a step and most steps are longer; "
-        f"time.max_dt = {scene.unit_system.text(scene.record.every, TIME, 'g')} gives all"
+        f"{asked:.0f} frames were requested, but frames are recorded only at ends of steps, and most steps are longer "
+        f"than record.every; time.max_dt = {scene.unit_system.text(scene.record.every, TIME, 'g')} records all frames"
     )
 
 
@@ -169,6 +169,6 @@ def _many_steps(scene: Scene) -> str:
     longest = scene.unit_system.text(largest, TIME, "g")
     default = ", its default," if time.max_dt == "auto" else ""
     return (
-        f"carom: time.max_dt = {longest}{default} makes at least {time.duration / largest:.2g} steps; "
-        "for fewer, raise it or give time.accuracy (`carom explain` says what then limits them)"
+        f"carom: time.max_dt = {longest}{default} causes at least {time.duration / largest:.2g} steps; for fewer "
+        "steps, raise it or set time.accuracy (`carom explain` shows the limit that then applies)"
     )

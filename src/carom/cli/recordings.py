@@ -47,7 +47,7 @@ def clip(
         typer.Option(
             "--bodies",
             metavar="A,B",
-            help="Show these bodies only, by number or name, and the contacts among them.",
+            help="Keep only these bodies, by number or name, and the contacts among them.",
         ),
     ] = None,
     output: OutputOption = None,
@@ -100,7 +100,7 @@ def _interval(
 
     if (around is None) != (window is None) or (around is not None and (start is not None or end is not None)):
         raise RecordingError(
-            "choose what to keep with --from T and --to T (one is enough), or with --around T --window W"
+            "select an interval with --from T and --to T (one is enough), or with --around T --window W"
         )
     if around is not None and window is not None:
         if not window >= 0:
@@ -190,7 +190,7 @@ def export(
         typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet, .csv, .npz, .vtk or .extxyz."),
     ],
     at: StepTimeOption = None,
-    everything: Annotated[bool, typer.Option("--all", help="All recorded frames, not one step.")] = False,
+    everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
 ) -> None:
     """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, those that it shows.

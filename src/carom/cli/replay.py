@@ -51,7 +51,9 @@ def replay(
     ] = None,
     output: Annotated[Path | None, recording_option("File for --every step. Default: FILE-dense.rrd.")] = None,
     threads: ThreadsOption = None,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before replays that take more than a minute.")] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Start replays that take more than a minute without asking.")
+    ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -66,7 +68,7 @@ def replay(
     from carom.runs.replay import replay as run_again
 
     if every not in (None, "step"):
-        raise typer.BadParameter(f'"{every}": the only choice is "step"', param_hint="--every")
+        raise typer.BadParameter(f'"{every}": the only possible value is "step"', param_hint="--every")
     dense = output or file.with_name(f"{file.stem}-dense.rrd") if every or output else None
     if not as_json:
         announce_compilation()
@@ -104,9 +106,9 @@ def _agreed(seconds: float) -> bool:
     """Ask for consent to a long replay; refuse it if there is no terminal."""
     if seconds <= ASKS_ABOVE:
         return True
-    text = f"The rest will take about {duration_text(seconds)}"
+    text = f"The remaining steps will take about {duration_text(seconds)}"
     if not sys.stdin.isatty():
-        say(f"carom: {text}: give --yes to go on, or --to for a shorter window", err=True)
+        say(f"carom: {text}: continue with --yes, or shorten the interval with --to", err=True)
         return False
     return typer.confirm(f"{text}. Go on?", err=True)
 
@@ -119,9 +121,9 @@ def _print(result: Replay, units: UnitSystem) -> None:
     if result.not_compared:
         say(f"Not compared: {'; '.join(result.not_compared)}.")
     for file in result.changed_files:
-        say(f"{file} has changed since the recording, which was replayed with its own bodies.")
+        say(f"{file} has changed since the run was recorded; the replay used the recorded bodies.")
     if result.ended:
-        say(f"It ended early: {result.ended}.")
+        say(f"The replay ended early: {result.ended}.")
     if not result.same or result.recorded_with != result.replayed_with:
         for when, packages in (("recorded", result.recorded_with), ("replayed", result.replayed_with)):
             say(f"{when} with {', '.join(f'{name} {version}' for name, version in sorted(packages.items()))}")

@@ -88,7 +88,7 @@ def telling_of(path: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if path.exists():  # there is no file before the first step
-            say(f"carom: {path} may not be closed; `{command('repair', path)}` closes it", err=True)
+            say(f"carom: {path} may lack its footer; `{command('repair', path)}` writes it", err=True)
         raise
 
 
@@ -113,7 +113,7 @@ def live_viewer() -> str | None:
     try:
         return start_live_viewer()
     except RecordingError as error:
-        typer.echo(f"carom: the run is recorded, but cannot be shown live: {error}", err=True)
+        typer.echo(f"carom: the run is being recorded, but cannot be shown live: {error}", err=True)
         return None
 
 

@@ -101,7 +101,7 @@ def explain(
     parts: Annotated[
         list[str] | None,
         typer.Option(
-            "--model", metavar="PART", help="Switch on a part of the model that the scene does not need. Repeatable."
+            "--model", metavar="PART", help="Switch on a part of the model that the scene does not require. Repeatable."
         ),
     ] = None,
     forced: Annotated[list[str] | None, typer.Option("--force", hidden=True)] = None,  # its former name
@@ -121,7 +121,7 @@ def explain(
     announce_compilation()
     line = LiveLine(quiet=as_json)
     looks = loaded.time.accuracy is not None and loaded.promise is None
-    with preparing(loaded, line) if looks else Patience("running the scene coarsely …", line) as patience:
+    with preparing(loaded, line) if looks else Patience("running the scene with long steps …", line) as patience:
         found = estimate(loaded, watch_look_ahead(loaded, patience))
     materials, notes = ShownMaterials.of(loaded), notes_on(loaded)
     if as_json:
@@ -151,7 +151,7 @@ def explain(
     console.print(_entities(found.entities))
     seen = "the whole run" if cost.looked_until >= loaded.time.duration else "a part of the run"
     console.print(
-        f"\nBy a coarse look at {seen}:\n"
+        f"\nFrom a run of {seen} with long steps:\n"
         f"{_steps(cost, loaded)}\n"
         f"  about {bytes_text(cost.memory)} of memory for the bodies\n"
         f"  about {bytes_text(cost.size)} of recording: {counted(cost.frames, 'frame')}, each of which takes "
@@ -178,7 +178,7 @@ def _steps(cost: Cost, scene: Scene) -> str:
         )
     shares = ", ".join(f"{limit} {_percent(share)}" for limit, share in cost.limits.items() if share >= 0.005)
     remedy = remedies_of(scene).get(next(iter(cost.limits)))  # none if the integrator's own error sets the step
-    return f"{count}\n  set by: {shares}" + (f"; for fewer steps raise {remedy}" if remedy else "")
+    return f"{count}\n  set by: {shares}" + (f"; for fewer steps, raise {remedy}" if remedy else "")
 
 
 def _with_parts(scene: str, overrides: list[str], parts: list[str]) -> Scene:

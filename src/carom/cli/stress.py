@@ -93,7 +93,7 @@ def _table(trials: list[Trial]) -> Table:
     from carom.runs.overview import in_words
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_lines=True)
-    for heading in ("extreme", "what is extreme, and its recording"):
+    for heading in ("extreme", "description and recording"):
         table.add_column(heading, overflow="fold")
     for heading in ("criterion", "measured", "met", "time"):
         table.add_column(heading, no_wrap=True)

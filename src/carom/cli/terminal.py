@@ -164,7 +164,7 @@ def replaying(recording: Recording) -> Iterator[Callable[[StepStatus], None]]:
     class Line(LiveLine):
         def update(self, status: StepStatus) -> None:
             done = min(1.0, status.time / length) if length else 1.0
-            self._show(lambda now: f"{bar(done)} {done:4.0%}  run again to t = {text(status)}")
+            self._show(lambda now: f"{bar(done)} {done:4.0%}  rerun up to t = {text(status)}")
 
     with Line() as line:
         yield line.update

@@ -61,7 +61,11 @@ class ColourBy(StrEnum):
 
 ColourOption = Annotated[
     ColourBy | None,
-    typer.Option("--colour-by", "--color-by", help="What the colours of the bodies show. Default: as the scene says."),
+    typer.Option(
+        "--colour-by",
+        "--color-by",
+        help="Quantity shown by the colours of the bodies. Default: record.colour_by of the scene.",
+    ),
 ]
 SMALLEST, LARGEST = 100, 8192  # pixels; textures of software renderers end at 8192
 
@@ -92,7 +96,7 @@ def view(
     plot: PlotOption = None,
     colour_by: ColourOption = None,
     web: Annotated[
-        bool, typer.Option("--web", help="Show it in a browser; the server listens on 127.0.0.1 only.")
+        bool, typer.Option("--web", help="Show the recording in a browser; the server listens on 127.0.0.1 only.")
     ] = False,
     port: Annotated[
         int,
@@ -152,10 +156,10 @@ def _view_in_browser(file: Path, request: Request, port: int) -> None:
         say(page.link)
         if not has_screen():
             taken = urlsplit(page.link).port
-            say("There is no display here. On the machine with the browser, run this and open the link there:")
+            say("This machine has no display. On the machine with the browser, run this command and open the link:")
             say(f"    ssh -N -L {taken}:127.0.0.1:{taken} {getpass.getuser()}@{socket.gethostname()}")
         elif not webbrowser.open(page.command_line):
-            say("No browser was found; open the link in one.", err=True)
+            say("No browser was found; open the link in a browser.", err=True)
         say("Ctrl-C ends it.")
         while True:
             sleep(1.0)
@@ -169,7 +173,7 @@ def picture(
             "-o",
             "--output",
             metavar="PNG",
-            help="Picture to write. Default: FILE with .png, or with -picture.png where another command made that.",
+            help="Picture to write. Default: FILE.png, or FILE-picture.png if another command wrote FILE.png.",
         ),
     ] = None,
     at: AtOption = None,
@@ -177,9 +181,12 @@ def picture(
     bodies: BodiesOption = None,
     plot: PlotOption = None,
     colour_by: ColourOption = None,
-    view: Annotated[PictureView, typer.Option("--view", help="View that fills the picture.")] = PictureView.ALL,
+    view: Annotated[PictureView, typer.Option("--view", help="View to render.")] = PictureView.ALL,
     theme: Annotated[
-        Theme, typer.Option("--theme", help="Theme of the viewer; light, like names in other scripts, needs Xvfb.")
+        Theme,
+        typer.Option(
+            "--theme", help="Theme of the viewer. The light theme needs Xvfb, as do names in non-Latin scripts."
+        ),
     ] = Theme.DARK,
     size: Annotated[str, typer.Option("--size", metavar="WxH", help="Width and height in pixels.")] = "1600x1000",
     force: Annotated[bool, typer.Option("--force", help="Replace a file that `carom picture` did not write.")] = False,
@@ -229,12 +236,15 @@ def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> No
     if needs_replay(asked_quantities(recording, plot, one_unit=alone)):
         took = recording.closing.get("wall_time")
         known = f", which took {duration_text(float(took))}" if took else ""
-        typer.echo(f"Velocities and spins are not recorded at every frame: running the scene again{known} …", err=True)
+        typer.echo(f"Velocities and spins are not recorded at every frame: rerunning the scene{known} …", err=True)
 
 
 def _say_missing(reason: str) -> None:
     if reason:
-        typer.echo(f"This shows the last frame before that moment; its step could not be run again: {reason}", err=True)
+        typer.echo(
+            f"This shows the last frame before that moment, because its step could not be recomputed: {reason}",
+            err=True,
+        )
 
 
 def pixels_of(size: str) -> tuple[int, int]:
@@ -296,5 +306,5 @@ def publish(
     say(f"{folder} written, {bytes_text(made.size)}: {pages}{counted(made.moments, 'moment')}.")
     if made.picture:
         say(f"Without pictures: {made.picture}", err=True)
-    say("Upload it to any web host. To look at it here, run this and open http://127.0.0.1:8000:")
+    say("Upload it to any web host. To view it locally, run this command and open http://127.0.0.1:8000:")
     say(f"    python3 -m http.server --bind 127.0.0.1 -d {shlex.quote(str(folder))}")

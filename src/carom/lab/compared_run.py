@@ -164,7 +164,7 @@ class Trajectory:
         with np.load(path, allow_pickle=False) as kept:
             missing = [each.name for each in fields(cls) if each.name not in kept]
             if missing:
-                raise ValueError(f"{path}: no {missing[0]} in it")
+                raise ValueError(f"{path}: it contains no {missing[0]}")
             values = {each.name: kept[each.name] for each in fields(cls)}
         return cls(**{name: value if value.ndim else value.item() for name, value in values.items()})
 

@@ -79,7 +79,7 @@ class Expression:
             raise ExperimentError(f"{option} {text}: {_EXAMPLE}") from None
         self.names = list(dict.fromkeys(self._names(self._tree)))
         if not self.names:
-            raise ExperimentError(f"{option} {text}: it names nothing of a run; {_EXAMPLE}")
+            raise ExperimentError(f"{option} {text}: contains no quantity of a run; {_EXAMPLE}")
 
     def holds(self, summary: Mapping[str, Any]) -> bool:
         """Return whether the condition holds.

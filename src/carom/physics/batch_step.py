@@ -164,7 +164,7 @@ class BatchStepper:
             return
         self._held = True
         since = "while they do," if self._takes_back else "from now on"
-        text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog takes the steps and holds them."
+        text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
         # an event of the step that begins here: the frame of the last step may have been taken
         self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
         holder.take_over()

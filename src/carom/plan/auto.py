@@ -102,8 +102,8 @@ def inexact_impacts(scene: Scene) -> str:
     if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
         return ""
     if why_late(scene):
-        return f"impacts are found up to a step late, at an overlap: {why_late(scene)}"
-    second_order = "approach speeds of impacts are right to second order in the step"
+        return f"impacts are detected up to a step late, with an overlap: {why_late(scene)}"
+    second_order = "approach speeds of impacts are accurate to second order in the step"
     if force := pulls.further(scene):
         return f"{force} changes along a step: {second_order}"
     if scene.domain.boundary == "periodic" and scene.anchored and pulls.pushing(scene):
@@ -111,8 +111,8 @@ def inexact_impacts(scene: Scene) -> str:
     if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
         longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
         return (
-            f"steps may be longer than {MOST_RELAXATIONS:g} relaxation times of the drag: impacts in such steps are "
-            f"right to first order; time.max_dt = {longest} makes them exact"
+            f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag: impacts in such steps are accurate "
+            f"to first order; time.max_dt = {longest} makes them exact"
         )
     if not pulls.gravity(scene).modelled:
         return ""
@@ -120,7 +120,7 @@ def inexact_impacts(scene: Scene) -> str:
     if error <= EXACT_IMPACT:
         return ""
     keeps = "; time.accuracy keeps a smaller error" if scene.count <= BOUNCES_UP_TO else ""
-    return f"self-gravity changes along a step: approach speeds of impacts err by up to {error:.0e} or so{keeps}"
+    return f"self-gravity changes along a step: approach speeds of impacts err by up to about {error:.0e}{keeps}"
 
 
 def ended_bounces(scene: Scene) -> str:
@@ -130,8 +130,8 @@ def ended_bounces(scene: Scene) -> str:
     if not (bounces and contact_parts.resting(scene, contact).modelled):
         return ""
     if why_late(scene) or scene.contact.solver == "staged":
-        return "contacts that close slower than about 2 a dt do not bounce"
-    return "bounces shorter than a step end at rest; what touches another body bounces above about 2 a dt only"
+        return "contacts with a closing speed below about 2 a dt do not bounce"
+    return "bounces shorter than a step end at rest; bodies already in contact bounce only at about 2 a dt or more"
 
 
 def _error_by_gravity(scene: Scene) -> float:

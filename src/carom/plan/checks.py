@@ -88,7 +88,7 @@ def _refuse_missing_parts(scene: Scene) -> None:
     if scene.drag is not None:
         needed.append(("forces", DRAG.name, ("drag",), "leave [drag] out"))
     if scene.contact.sleep is not None:
-        needed.append(("model", "sleep", ("contact", "sleep"), "leave contact.sleep out"))
+        needed.append(("model", "sleep", ("contact", "sleep"), "remove contact.sleep"))
     if require(scene).impact_time.modelled:
         late = 'contact.timing = "end-of-step"'
         remedy = f"{without_radau} and {late}" if chosen.ends_steps_at_impacts else f"set {late}"
@@ -119,7 +119,7 @@ def _refuse_test_particles(scene: Scene) -> None:
         key, called = ("bodies", index, "file"), scene.bodies[index].called
         wrong = f"bodies.{index}: {called} has {counted(scene.data[index].massless, 'body')} of mass 0"
     if count == scene.count:
-        raise SceneError(f"{wrong}: all bodies are test particles, which attract nothing; give one of them a mass", key)
+        raise SceneError(f"{wrong}: all bodies are test particles, which do not attract; give one of them a mass", key)
     raise SceneError(
         f"{wrong}: the impulse of a test particle in a contact is not defined; set contact.enabled = false, or give it "
         "a mass",
@@ -153,7 +153,7 @@ def _refuse_times_of_impact(scene: Scene) -> None:
         why = "goes back in time within each step" if chosen.steps_back else "drifts twice in each step"
         raise SceneError(
             f'contact.timing = "time-of-impact" with time.integrator = "{chosen.name}", which {why}; '
-            'take "leapfrog", or the timing "end-of-step"',
+            'use "leapfrog", or contact.timing = "end-of-step"',
             INTEGRATOR if scene.contact.timing == "auto" else ("contact", "timing"),
         )
 
@@ -165,8 +165,8 @@ def _refuse_forces_of_mid_step(scene: Scene) -> None:
         return
     if not chosen.holds_contacts and require(scene).resting.modelled:
         raise SceneError(
-            f'time.integrator = "{chosen.name}" where bodies may press on each other: its forces are those of the '
-            'middle of the step, and contacts need those of its end; use "leapfrog", or set contact.enabled = false',
+            f'time.integrator = "{chosen.name}" where bodies may press on each other: it computes forces in the '
+            'middle of the step, but contacts need them at the end; use "leapfrog", or set contact.enabled = false',
             INTEGRATOR,
         )
 
@@ -213,24 +213,28 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
     if require(scene).contact.modelled and contact.timing == "end-of-step":
         raise SceneError(
             f'contact.timing = "end-of-step" with {name}, which ends its steps at impacts; '
-            'leave contact.timing out, or take "leapfrog"',
+            'remove contact.timing, or use "leapfrog"',
             ("contact", "timing"),
         )
     if require(scene).contact.modelled and contact.allow_overlap:
         raise SceneError(
-            f"contact.allow_overlap with {name}, which does not push bodies apart; "
-            'leave contact.allow_overlap out, or take "leapfrog"',
+            f"contact.allow_overlap with {name}, which does not correct overlaps; "
+            'remove contact.allow_overlap, or use "leapfrog"',
             ("contact", "allow_overlap"),
         )
     if scene.domain.boundary == "periodic":
-        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog" or "yoshida4"', BOUNDARY)
+        raise SceneError(
+            f'{name} in a periodic box: it supports only open space; use "leapfrog" or "yoshida4"', BOUNDARY
+        )
     if uses_tree(scene):
         raise SceneError(
             f'{name} with gravity.method = "{gravity_method(scene)}", whose error it cannot control; set "direct"',
             METHOD,
         )
     if key := _limit_of_steps(scene):
-        raise SceneError(f"time.{key} with {name}, whose own error sets the step; leave time.{key} out", ("time", key))
+        raise SceneError(
+            f"time.{key} with {name}, which sets the step by its own error; remove time.{key}", ("time", key)
+        )
 
 
 def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
@@ -239,8 +243,8 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
     if not chosen.hierarchical:
         if scene.time.encounters != "resolve":
             raise SceneError(
-                f'time.encounters = "{scene.time.encounters}" with time.integrator = "{chosen.name}", which has no '
-                'separate encounters; leave it out, or take "wisdom-holman"',
+                f'time.encounters = "{scene.time.encounters}" with time.integrator = "{chosen.name}", which does not '
+                'treat encounters separately; remove it, or use "wisdom-holman"',
                 ("time", "encounters"),
             )
         return
@@ -248,18 +252,18 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
     if require(scene).contact.modelled:
         raise SceneError(
             f"{name} where bodies may touch: it does not resolve contacts; set contact.enabled = false, "
-            'or take "leapfrog"',
+            'or use "leapfrog"',
             INTEGRATOR,
         )
     if scene.domain.boundary == "periodic":
-        raise SceneError(f'{name} in a periodic box: it knows open space only; take "leapfrog"', BOUNDARY)
+        raise SceneError(f'{name} in a periodic box: it supports only open space; use "leapfrog"', BOUNDARY)
     if uses_tree(scene):
         raise SceneError(
             f'{name} with gravity.method = "{gravity_method(scene)}": it sums all pairs; set "direct"', METHOD
         )
     if scene.forces.given:
         raise SceneError(
-            f"{name} with [forces.{next(iter(scene.forces.given))}], under which orbits are not Kepler's; take "
+            f"{name} with [forces.{next(iter(scene.forces.given))}], under which orbits are not Keplerian; use "
             '"gauss-radau15" or "auto"',
             INTEGRATOR,
         )
@@ -286,7 +290,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
         least = units.text(4 * largest, LENGTH, "g")
         raise SceneError(
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "
-            f"largest radius wide ({least}), or a body meets another and its image at once",
+            f"largest radius wide ({least}), or a body may touch another body and its image at once",
             ("domain", "size"),
         )
 
@@ -340,7 +344,9 @@ def _field_of_the_earth(scene: Scene) -> list[str]:
     if round(number, 1) != round(EARTH, 1) or math.isclose(size, EARTH, rel_tol=0.01):
         return []
     text = scene.unit_system.text(size, ACCELERATION, ".3g")
-    return [f'gravity.uniform has {text}, {size / EARTH:.2g} of the Earth\'s; if that is meant, write "{EARTH} m/s^2"']
+    return [
+        f"gravity.uniform has {text}, {size / EARTH:.2g} of the Earth's; for the Earth's field, write \"{EARTH} m/s^2\""
+    ]
 
 
 def _default_radius(scene: Scene) -> list[str]:
@@ -357,7 +363,7 @@ def _default_radius(scene: Scene) -> list[str]:
     units = scene.unit_system
     more = f"; the same holds for {counted(len(light) - 1, 'more body')}" if len(light) > 1 else ""
     return [
-        f"{body_key(number, scene.body[number].name)} has no radius and gets the default, "
+        f"{body_key(number, scene.body[number].name)} has no radius and uses the default, "
         f"{units.text(scene.body[number].radius, LENGTH, 'g')}: with its mass, the density is "
         f"{units.text(density, DENSITY, '.2g')}{more}"
     ]

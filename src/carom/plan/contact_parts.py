@@ -17,12 +17,12 @@ def contact(scene: Scene) -> Part:
         return Part(name, False, "contact.enabled = false")
     solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
     if scene.count == 1 and solids == 0:
-        return Part(name, False, "one body has nothing to touch")
+        return Part(name, False, "a single body has nothing to touch")
     if not differing(scene) and not moves_relatively(scene):
-        return Part(name, False, "all bodies move alike and nothing pulls: their distances never change")
+        return Part(name, False, "all bodies move in the same way and no force attracts them: distances never change")
     if solids:
-        return Part(name, True, f"{counted(scene.count, 'body')} and {counted(solids, 'plane')} may meet")
-    return Part(name, True, f"{scene.count} bodies may meet")
+        return Part(name, True, f"{counted(scene.count, 'body')} and {counted(solids, 'plane')} may collide")
+    return Part(name, True, f"{scene.count} bodies may collide")
 
 
 def moves_relatively(scene: Scene) -> bool:
@@ -50,7 +50,7 @@ def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
 def broad_phase(scene: Scene, contact: Part) -> Part:
     """Decide whether to search for pairs that may touch."""
     how = "k-d tree" if scene.contact.search == "k-d-tree" else "hierarchical grid"
-    return where_bodies_meet("broad-phase", contact, f"a {how} for each octave of radius")
+    return where_bodies_meet("broad-phase", contact, f"one {how} for each octave of radius")
 
 
 def narrow_phase(contact: Part) -> Part:
@@ -99,7 +99,7 @@ def restitution(scene: Scene, contact: Part) -> Part:
     if "restitution" in functions_of(scene.contact.laws):
         return where_bodies_meet(name, contact, scene.contact.law_key)
     if contact.modelled and all(kind.coefficients.restitution == 0 for kind in kinds):
-        return Part(name, False, "every coefficient is 0: no bounce")
+        return Part(name, False, "every coefficient is 0: no bounces")
     return where_bodies_meet(name, contact, f"e = {_range(kinds, 'restitution')}")
 
 

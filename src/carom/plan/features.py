@@ -161,7 +161,7 @@ def _contradiction(scene: Scene, name: str) -> str:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
         case "tree":
-            return 'it takes the place of the direct sum; set gravity.method = "tree" or "fast-multipole"'
+            return 'it replaces the direct sum; set gravity.method = "tree" or "fast-multipole"'
         case "restitution":
             return "it is a factor of every impulse, 1 + e, and e is 0; set contact.restitution"
         case "stabilisation" if scene.contact.stabilisation == "none":
@@ -171,9 +171,9 @@ def _contradiction(scene: Scene, name: str) -> str:
         case "time-of-impact" if not integrator(scene).locates_impacts:
             return f'a step of {integrator(scene).name} is more than one drift; set time.integrator = "leapfrog"'
         case "accuracy":
-            return "it has no value by itself; set time.accuracy"
+            return "it needs a value; set time.accuracy"
         case "adaptive-step":
-            return "time.fixed_dt sets the step; leave it out"
+            return "time.fixed_dt sets the step; remove it"
     return next((kind.contradiction(scene) for kind in kinds_of(scene) if kind.name == name), "")
 
 
@@ -210,8 +210,8 @@ def _impact_time(scene: Scene, contact: Part) -> Part:
     if chosen.ends_steps_at_impacts:
         return contact_parts.where_bodies_meet(name, contact, f"steps of {chosen.name} end at impacts")
     if contact.modelled and late:
-        return Part(name, False, f"{late}: an impact is resolved up to a step late")
-    why = "impacts are resolved at their own times within a step"
+        return Part(name, False, f"{late}: impacts are resolved up to a step late")
+    why = "impacts are resolved at their exact times within a step"
     if scene.contact.timing == "time-of-impact":
         why = f'contact.timing = "time-of-impact": {why}'
     return contact_parts.where_bodies_meet(name, contact, why)
@@ -222,7 +222,7 @@ def _spin(scene: Scene, friction: Part) -> Part:
         return Part("spin", True, "friction turns bodies")
     if _starts_spinning(scene):
         return Part("spin", True, "bodies spin at the start")
-    return Part("spin", False, "no friction, and nothing spins at first")
+    return Part("spin", False, "no friction, and nothing spins at the start")
 
 
 def _orientation(scene: Scene, friction: Part) -> Part:
@@ -245,25 +245,25 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f'time.integrator = "{chosen}"')
     if chosen == "wisdom-holman":
         heavy, fraction = heaviest(scene)
-        turns = f"the innermost body goes around {orbits_often(scene):.3g} times"
+        turns = f"the innermost body completes {orbits_often(scene):.3g} orbits"
         return Part(name, True, f"{chosen}: {heavy} has {100.0 * fraction:.5g} % of the mass, and {turns}")
     if scene.time.accuracy is not None and (chosen != "leapfrog" or contact_parts.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
     if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
-        why = f"{scene.count} bodies that begin far apart and seldom meet; impacts end its steps"
+        why = f"{scene.count} bodies that start far apart and seldom collide; impacts end its steps"
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
-        why = f"{scene.count} bodies pull each other, no contact is modelled, and the scene leaves the step free"
+        why = f"{scene.count} bodies attract each other, no contact is modelled, and the scene sets no step"
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "yoshida4":
-        return Part(name, True, f"yoshida4: {scene.count} bodies pull each other, and no contact is modelled")
+        return Part(name, True, f"yoshida4: {scene.count} bodies attract each other, and no contact is modelled")
     if force := pulls.damping(scene):
         why = f"the only integrator that supports {force.name}"
     elif not pulls.differing(scene):
-        why = "exact between impacts, for bodies do not pull each other"
+        why = "exact between impacts, since bodies do not attract each other"
     elif contact_parts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
-        why = f"contacts are found {'at the end' if late else 'in the one drift'} of a step with any integrator"
+        why = f"contacts are detected {'at the end' if late else 'in the single drift'} of a step"
     else:
         why = f"{scene.count} bodies, whose encounters the step does not resolve"
     return Part(name, True, f"leapfrog: {why}")
@@ -274,23 +274,23 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
     if chosen == "yoshida4":
         return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
-        return "the bodies orbit a dominant one, and its steps keep the accuracy for less than those of gauss-radau15"
+        return "the bodies orbit a dominant one, and it is cheaper than gauss-radau15 at this accuracy"
     if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
-        return "its steps end at impacts and err by rounding; contacts that come to rest are left to leapfrog"
+        return "its steps end at impacts and have only rounding errors; leapfrog takes over when contacts come to rest"
     if chosen == "gauss-radau15":
         return "cheapest for the accuracy, and no contact is modelled"
     if force := pulls.damping(scene):
         return f"the only integrator that supports {force.name}"
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"
-    return f"gauss-radau15 does not know {_beyond_gauss_radau(scene)}"
+    return f"gauss-radau15 does not support {_beyond_gauss_radau(scene)}"
 
 
 def _not_by_pairs(scene: Scene) -> str:
     """Return why Gauss–Radau integration is too expensive for bodies that attract each other and never touch."""
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
-    return f"{scene.count} bodies, of which gauss-radau15 would sum all pairs several times a step"
+    return f"{scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:
@@ -303,7 +303,7 @@ def _accuracy(scene: Scene) -> Part:
     if scene.time.accuracy is None:
         return Part(name, False, "time.accuracy is not set")
     if promise is None:
-        return Part(name, True, f"time.accuracy = {scene.time.accuracy:g}: the step follows from runs ahead")
+        return Part(name, True, f"time.accuracy = {scene.time.accuracy:g}: the step follows from trial runs")
     kept = (
         "to the end" if promise.horizon is None else f"up to t = {scene.unit_system.text(promise.horizon, TIME, '.4g')}"
     )
@@ -326,10 +326,10 @@ def _adaptive_step(scene: Scene) -> Part:
         parts = "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies"
         return Part(name, True, parts + _capped(scene))
     if scene.time.accuracy is not None and not integrator(scene).controls_error:
-        return Part(name, True, f"as fine as the accuracy takes, by {', '.join(_limits(scene)) or 'max_dt'}")
+        return Part(name, True, f"as short as the accuracy requires, by {', '.join(_limits(scene)) or 'max_dt'}")
     if integrator(scene).controls_error:
         return Part(name, True, "the integrator's own estimate of its error" + _capped(scene))
-    return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and nothing pulls: max_dt")
+    return Part(name, True, ", ".join(_limits(scene)) or "nothing can touch and no force attracts: max_dt")
 
 
 def _capped(scene: Scene) -> str:
@@ -356,5 +356,5 @@ def _limits(scene: Scene) -> list[str]:
 
 def _warm_up(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
-        return Part("warm-up", False, "time.fixed_dt: no first step has to be found")
+        return Part("warm-up", False, "time.fixed_dt: no first step to determine")
     return Part("warm-up", True, "the first adaptive step needs accelerations")

@@ -71,22 +71,22 @@ def why_no_hierarchy(scene: Scene) -> str:
     """Return why bodies do not simply orbit a dominant one, and the remedy; empty if they do."""
     gravity = scene.gravity
     if not pulls.gravity(scene).modelled:
-        return 'without gravity between bodies; take "auto"'
+        return 'without gravity between bodies; use "auto"'
     if gravity.softening > 0.0:
         soft = f"gravity.softening = {scene.unit_system.text(gravity.softening, LENGTH)}"
-        return f'with {soft}, but its orbits are those of points; set it to 0, or take "auto"'
+        return f'with {soft}, but its orbits assume point masses; set it to 0, or use "auto"'
     if any(gravity.uniform):
-        return "with gravity.uniform, under which orbits are not Kepler's; leave it out"
+        return "with gravity.uniform, under which orbits are not Keplerian; remove it"
     fixed = next((number for number, body in enumerate(scene.body) if body.fixed), None)
     if fixed is None and scene.has_fixed_bodies:
-        return 'with a fixed body, but all bodies have to move; set fixed = false, or take "auto"'
+        return 'with a fixed body, but all bodies must be free to move; set fixed = false, or use "auto"'
     if fixed is not None:
         called = body_called(fixed, scene.body[fixed].name)
-        return f'with {called} fixed, but all bodies have to move; set fixed = false, or take "auto"'
+        return f'with {called} fixed, but all bodies must be free to move; set fixed = false, or use "auto"'
     name, fraction = heaviest(scene)
     if fraction <= DOMINANT:
-        why = f"{name} has {100.0 * fraction:.4g} % of the mass, and more than 99 % are needed"
-        return f'without a dominant body: {why}; take "auto"'
+        why = f"{name} has {100.0 * fraction:.4g} % of the mass, but more than 99 % is needed"
+        return f'without a dominant body: {why}; use "auto"'
     return ""
 
 

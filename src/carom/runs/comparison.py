@@ -172,7 +172,7 @@ class StaticCheck:
             for name, value in components.items():
                 if path == paths.PLANES and name in _SHAPES and reach is None:
                     others.pop(name, None)
-                    self._skip(path, name, "depends on where the bodies of the whole run began")
+                    self._skip(path, name, "depends on the initial positions of all bodies of the run")
                 elif name not in others:
                     self._skip(path, name, "is not there")
                 elif mismatch := different(self._first, path, name, others.pop(name), value):
@@ -201,7 +201,7 @@ class StaticCheck:
         with reading(self._recording.path):
             for chunk in self._recording.chunks(e for e in self._recording.store.entries if e.is_static):
                 if (rows := chunk.batch.num_rows) > 1:
-                    raise DamageError(f"{rows} rows of /{chunk.entity_path}, which holds for all times")
+                    raise DamageError(f"{rows} rows of /{chunk.entity_path}, which is recorded once for all times")
                 if rows:
                     row = {name: chunk.batch[name] for name in chunk.components}
                     found[chunk.entity_path] = found.get(chunk.entity_path, {}) | row

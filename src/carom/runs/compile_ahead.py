@@ -43,7 +43,7 @@ from carom.scene.units.system import SI
 
 _SPINNING = {"position": [-1.0, 0.0, 0.0], "mass": 1.0, "angular_velocity": [0.0, 0.0, 1.0]}
 POINTS: dict[str, Any] = {
-    "title": "points that pull each other",
+    "title": "points that attract each other",
     "body": [_SPINNING, *({"position": [float(k), 0.0, 0.0], "mass": 1.0} for k in range(1, MAX_IN_ONE_BLOCK + 1))],
     "gravity": {"constant": 1.0},
     "contact": {"enabled": False},

@@ -219,14 +219,16 @@ class Recorder:
         force: bool = False,
     ) -> None:
         if last is not None and not _counts(last):
-            raise RecordingError(f"last = {last}: keep a whole number of frames, at least one")
+            raise RecordingError(f"last = {last}: expected a whole number of frames, at least one")
         if not isinstance(getattr(source, "model", None), Model) or not callable(getattr(source, "state", None)):
             raise RecordingError(
                 f"{type(source).__name__} is not a source: it needs `model`, a carom.record.Model, and a method `state`"
             )
         self.every = source.model.every if every is None else every
         if not _counts(self.every):
-            raise RecordingError(f"every = {self.every!r}: record each call of `frame`, or each second, and so on")
+            raise RecordingError(
+                f"every = {self.every!r}: expected 1 to record each call of `frame`, 2 for every second call, and so on"
+            )
         if not 0.0 <= duration < np.inf:
             raise RecordingError(f"duration = {duration}: expected the time that the run will reach, or 0 if unknown")
         try:
@@ -288,8 +290,8 @@ class Recorder:
             raise RecordingError(f"{setup.engine}: the time is {state.time}, which is not finite")
         if state.time < self._time:
             raise RecordingError(
-                f"{setup.engine}: the time went back from {self._units.shown(self._time, TIME):g} to "
-                f"{self._units.text(state.time, TIME, 'g')}; begin another recording"
+                f"{setup.engine}: the time decreased from {self._units.shown(self._time, TIME):g} to "
+                f"{self._units.text(state.time, TIME, 'g')}; start another recording"
             )
         self._time = state.time
         if self._ring is not None:
@@ -317,7 +319,7 @@ class Recorder:
             If frames are not kept in memory, there is none yet, or the file cannot be written.
         """
         if self._ring is None:
-            raise RecordingError(f"{self.path} is written while the run goes on; give last=N to keep frames in memory")
+            raise RecordingError(f"{self.path} is written during the run; give last=N to keep frames in memory")
         if not self._ring:
             raise RecordingError(f"{self.path}: there is no frame in memory yet")
         target = self._next_path() if path is None else Path(path)

@@ -35,11 +35,11 @@ _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
 
-_LED = "what led to the first frame (contacts, torques, dt, events)"
-_LARGEST = "what depends on the frames in between (errors relative to the largest so far, books, events, checkpoints)"
-_KEPT = "which frames have a checkpoint (this depends on all frames before, and on the version)"
-_WORDS = "the words of events (another version recorded them)"
-WORDS_OF_EXTREMES = "the words of the extremes in /events, which are others"
+_LED = "quantities that depend on the steps before the first frame (contacts, torques, dt, events)"
+_LARGEST = "quantities that depend on the frames in between (relative errors, sums, events, checkpoints)"
+_KEPT = "which frames have a checkpoint (this depends on all earlier frames and on the version)"
+_WORDS = "the text of events (another version recorded them)"
+WORDS_OF_EXTREMES = "the text of the extremes in /events, which differs"
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
@@ -132,7 +132,7 @@ class FrameCheck:
                 inside = steps[(steps >= self._begin) & (is_end | (steps <= last))]
                 stray = inside[~np.isin(inside, self._steps)]
                 if len(stray):
-                    return Mismatch(int(stray[0]), f"rows of /{path} where there is no frame", len(stray), 0)
+                    return Mismatch(int(stray[0]), f"rows of /{path} without a frame", len(stray), 0)
         late = [event for event in self._events if is_end and event[0] > last]
         return Mismatch(last, "/events after the last frame", text_of(late, []), "nothing else") if late else None
 
@@ -141,13 +141,13 @@ class FrameCheck:
         last = int(self._steps[-1])
         chosen = self._encoder.arrow_references.chosen
         unknown = sorted(chosen.keys() - self._arrows.keys())
-        self.skipped |= {f"{name} of the property arrows, which is not there": None for name in unknown}
+        self.skipped |= {f"{name} of the property arrows, which is missing": None for name in unknown}
         # only the whole run has the frames that chose the references; a part of it uses the recorded ones
         for name in sorted(chosen.keys() & self._arrows.keys()) if self._whole else ():
             if self._arrows[name] != chosen[name]:
                 if self._same_words:
                     return Mismatch(last, f"{name} of the property arrows", self._arrows[name], chosen[name])
-                self.skipped[f"{name} of the property arrows, which is another"] = None
+                self.skipped[f"{name} of the property arrows, which differs"] = None
         # at the end the last frame has a checkpoint; before it, a later warning may add one
         if self._plan is None:
             self.skipped[_KEPT] = None
@@ -261,7 +261,7 @@ class FrameCheck:
             if name not in recorded.components and self._complete and name != _DIGEST:
                 return Mismatch(step, f"{name} of /{path}", 0, 1)
             if name not in recorded.components:
-                self.skipped[f"{name} of /{path}, which is not there"] = None
+                self.skipped[f"{name} of /{path}, which is missing"] = None
             elif off := different(step, path, name, recorded.batch[name], replayed[name]):
                 # rows of a clip have only its own bodies
                 return off if off.body is None else replace(off, body=self._shown[off.body])

@@ -29,10 +29,10 @@ from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows, lar
 from carom.recording.write.static_entities import STATES_AT_IMPACTS
 from carom.runs.comparison import Mismatch, different, same
 
-LEFT_OUT = "how many impacts the recording should leave out (those that it has are the largest between two frames)"
-ROOM = "how many contacts have arrows, and how many impacts a frame"
+LEFT_OUT = "the number of impacts that were not recorded (only the largest between two frames are)"
+ROOM = "the numbers of contacts with arrows and of impacts with frames"
 FIRST_STATES = "states at impacts before the first frame"
-OTHER_STATES = "states at impacts, which older versions recorded otherwise"
+OTHER_STATES = "states at impacts, which older versions recorded differently"
 OF_OTHERS = "impacts of bodies that the clip does not show"
 
 
@@ -120,7 +120,7 @@ class ImpactCheck:
             self.skipped[f"impacts, where rows of /{paths.CONTACTS} are missing"] = None
             return None
         if counted is not None and count - counted != found:
-            return Mismatch(frame.step, "impacts since the frame before", count - counted, found)
+            return Mismatch(frame.step, "impacts since the previous frame", count - counted, found)
         numbers = count - found + 1 + np.arange(len(impacts))
         interval = _Interval(frame, before, impacts, kept, numbers, count - found, count)
         other = self._impacts_differ(interval) or self._states_differ(interval) or self._stray(frame.step, count)
@@ -222,7 +222,7 @@ class ImpactCheck:
             for name, found in asdict(RecordedImpacts(len(self._numbers), count - len(self._numbers))).items():
                 said = self._closing.get(f"impacts.{name}")
                 if said is None and self._closing:
-                    self.skipped[f"impacts.{name} of the property outcome, which is not there"] = None
+                    self.skipped[f"impacts.{name} of the property outcome, which is missing"] = None
                 elif said is not None and not np.array_equal(said, found):
                     shown = said if isinstance(said, int | float) else str(said)
                     return Mismatch(step, f"impacts.{name} of the property outcome", shown, found)
@@ -253,7 +253,7 @@ def _within(numbers: IntArray, interval: _Interval) -> slice:
 def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) -> Mismatch:
     """Name the first impact that is recorded and should not be, or the other way round."""
     if np.array_equal(np.unique(recorded), np.unique(expected)):
-        return Mismatch(step, f"how many rows of /{path}", len(recorded), len(expected))
+        return Mismatch(step, f"the number of rows of /{path}", len(recorded), len(expected))
     number = int(np.setxor1d(recorded, expected)[0])
     values = ("nothing", "a row") if number in expected else ("a row", "nothing")
     return Mismatch(step, f"impact {number} in /{path}", *values)

@@ -75,7 +75,7 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
         "contact_audit": (_or_infinite(extremes.contact_audit), extremes.contact_audit),
     }
     gained = extremes.energy_fault is not None and extremes.energy_fault is not extremes.energy_error
-    notes = {"energy_error": "put in by impulses of contacts"} if gained else {}
+    notes = {"energy_error": "added by contact impulses"} if gained else {}
     verdicts = [
         Verdict(
             name,

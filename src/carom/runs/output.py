@@ -38,7 +38,7 @@ def refuse_name(path: Path) -> None:
     with contextlib.suppress(OSError):  # folders and devices are refused where they are opened
         if path.exists() and not path.is_file():
             return
-    raise RecordingError(f"cannot write {_short(path)}: a recording is an .rrd")
+    raise RecordingError(f"cannot write {_short(path)}: a recording is an .rrd file")
 
 
 def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
@@ -69,7 +69,7 @@ def refuse_scene_output(path: Path, source: str, force: bool) -> None:
         With the path and a valid one.
     """
     if path.suffix != ".toml" and not path.is_dir():
-        raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml")
+        raise RecordingError(f"cannot write {_short(path)}: a scene is a .toml file")
     refuse_itself(path, Path(source), "scene or recording")
     refuse_output(path, force)
 
@@ -92,7 +92,7 @@ def refuse_output(path: Path, force: bool) -> None:
         if path.exists() and not force:
             raise ExistsError(path)
         if not path.parent.is_dir():
-            raise RecordingError(f"{path}: there is no folder {path.parent}; make it first")
+            raise RecordingError(f"{path}: there is no folder {path.parent}; create it first")
     except OSError as error:
         raise RecordingError(f"cannot write {_short(path)}: {error.strerror}") from None
 
@@ -128,9 +128,9 @@ def output_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except FileExistsError:
-        raise RecordingError(f"{path}: is not a folder, and carom needs a folder of that name; move it away") from None
+        raise RecordingError(f"{path}: is not a folder, but carom needs a folder of that name; move it") from None
     except OSError as error:
-        raise RecordingError(f"{path}: the folder cannot be made: {error.strerror}") from None
+        raise RecordingError(f"{path}: the folder cannot be created: {error.strerror}") from None
 
 
 def _short(path: Path) -> str:

@@ -73,7 +73,7 @@ def accuracy_text(accuracy: Mapping[str, float], units: UnitSystem) -> str:
     """Describe whether a run kept its accuracy; for the keys see `carom.runs.run.kept_accuracy`."""
     until = f"up to t = {units.text(accuracy['horizon'], TIME)} only" if "horizon" in accuracy else "to the end"
     if "looked" in accuracy:
-        until += f" (the budget of the look ahead ended at t = {units.text(accuracy['looked'], TIME)})"
+        until += f" (the budget of the trial runs ended at t = {units.text(accuracy['looked'], TIME)})"
     per = f" /{units.unit(TIME)}" if units.unit(TIME) else ""
     exponent = f"largest Lyapunov exponent over that time {units.shown(accuracy['lyapunov'], RATE):.3g}{per}"
     return f"{accuracy['requested']:g} kept {until}; {exponent}"
@@ -133,7 +133,9 @@ def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     if summary["contacts"]["total"] or energy["change_in_contact"]:
         change = units.text(energy["change_in_contact"], ENERGY, "+.4g")
         unjudged = " or are not judged" if summary["judged"] < summary["bodies"] else ""
-        texts.append(f"{change} while bodies touched{unjudged}: by contacts and errors of the engine, not told apart")
+        texts.append(
+            f"{change} while bodies touched{unjudged}: by contacts and errors of the engine, not distinguished"
+        )
     if not energy["max_error"]:
         return [*texts, "no change without contact"]
     change = units.text(energy["change_without_contact"], ENERGY, "+.4g")
@@ -170,7 +172,7 @@ def promise_text(verdict: dict[str, Any]) -> str:
 def _promise(verdict: dict[str, Any]) -> str:
     kept = "kept" if verdict["met"] else "MISSED"
     if not verdict.get("judged", True):
-        kept = "not judged, the run ended elsewhere"
+        kept = "not checked, since the run did not end at its duration"
     return f"{promise_text(verdict)}: {kept}"
 
 

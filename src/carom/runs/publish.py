@@ -179,7 +179,7 @@ def _listed(folder: Path) -> dict[str, str]:
     try:
         stored = json.loads((folder / LIST).read_text(encoding="utf-8"))["files"]
         if any(Path(name).name != name or not isinstance(digest, str) for name, digest in stored.items()):
-            raise ValueError("a name that is no file of this folder")
+            raise ValueError("a name that is not a file of this folder")
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, TypeError, LookupError, AttributeError, RecursionError):

@@ -39,7 +39,7 @@ from carom.scene.wording import body_called
 _OUTCOME = "the outcome and its numbers (of a part of a run, or a repaired or resumed recording)"
 _EXTREMES = "the extremes and the end in /events, which another version recorded"
 _UNSTATED = "the outcome and its numbers (the run could not write them, since the disk was full or it failed)"
-_NO_OUTCOME = "the outcome and its numbers, which are not there"
+_NO_OUTCOME = "the outcome and its numbers, which are missing"
 _MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
@@ -379,4 +379,4 @@ def _difference(recording: Recording, frame: Frame, time: float) -> Difference:
         if len(rows) and name in energy.column_names and energy[name][row].as_py() != frame.energy.term(name):
             value = float(energy[name][row].as_py())
             return Difference(frame.step, time, f"{name} energy", None, value, frame.energy.term(name), unit="J")
-    return Difference(frame.step, time, "bits that show in neither drawn positions nor energies", None, 0.0, 0.0)
+    return Difference(frame.step, time, "bits that affect neither drawn positions nor energies", None, 0.0, 0.0)

@@ -84,8 +84,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         cannot be written.
     """
     if path.suffix != ".zip":
-        raise RecordingError(f"{path}: a report is a .zip")
-    moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the moment asked for")
+        raise RecordingError(f"{path}: a report is a .zip file")
+    moment, why = worst_moment(recording) if at is None else (recording.moment(at), "the requested moment")
     with temporary_folder() as folder:
         cut = folder / bundle.CLIP
         excerpt(recording, moment, cut, FRAMES, ROOM)
@@ -108,7 +108,7 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         size = bundle.pack(path, members)
         if size > bundle.LARGEST:
             path.unlink()
-            raise RecordingError(f"{recording.path}: with one frame alone the bundle would have {size / 1e6:.3g} MB")
+            raise RecordingError(f"{recording.path}: a bundle with a single frame would have {size / 1e6:.3g} MB")
         return Report(path, size, moment, why, small.frames, replayed, missing, not (small.engine or small.is_partial))
 
 
@@ -144,14 +144,14 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
         if name in moments and moments[name]["between"] and is_worth_a_look(name, summary):
             return moments[name]["time"], _extreme(name, moments, recording.units)
     moment = recording.moment()
-    return moment, "the last frame" if moment == last else "the frame in which contacts did most"
+    return moment, "the last frame" if moment == last else "the frame with the largest effect of contacts"
 
 
 def _missed(name: str, verdict: dict[str, Any], moments: dict[str, Any], last: float) -> tuple[float, str]:
     """Return the time (s) at which a promise was missed worst, and a description."""
     worst = verdict if "time" in verdict else moments.get(name.removeprefix("max_"), {})  # older recordings
     between = f", {worst['between']}" if worst.get("between") else ""
-    return worst.get("time", last), f"the promise {name} was missed: {promise_text(verdict)}{between}"
+    return worst.get("time", last), f"the promise {name} was broken: {promise_text(verdict)}{between}"
 
 
 def _extreme(name: str, moments: dict[str, Any], units: UnitSystem) -> str:
@@ -165,7 +165,7 @@ def _replay(recording: Recording) -> str:
     if recording.is_partial:
         shown, bodies = len(recording.shown), recording.info["bodies"]
         return (
-            f"It shows {shown} of {bodies} bodies, those nearest to what happened, and has no exact states: only the "
+            f"It shows {shown} of {bodies} bodies, the ones nearest to the event, and has no exact states; only the "
             "whole recording can be replayed."
         )
     try:
@@ -180,7 +180,7 @@ def _in_words(result: Replay, units: UnitSystem) -> str:
         return f"Replayed from step {result.begin}: {result.compared} of {result.frames} frames, same bits."
     if result.difference is None:
         done = f"{result.compared} of {result.frames} frames"
-        return f"Not replayed to its end: {result.ended} after {done}, which had the same bits."
+        return f"Not replayed to its end: {result.ended} after {done} with the same bits."
     return f"Replayed from step {result.begin}, **it differs** at {_literal(result.difference.text(units))}."
 
 

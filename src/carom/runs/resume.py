@@ -66,10 +66,12 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
     cut = scene.time.duration
     recording.require_frames()
     if recording.fingerprints()["step"][0].as_py() != 0:
-        raise RecordingError(f"{path} does not begin at step 0: resume the recording that it was cut from")
+        raise RecordingError(f"{path} does not begin at step 0: resume the recording from which it was cut")
     done, end = float(recording.fingerprints()["time"][-1].as_py()), until or cut
     if end == done and not recording.closing:
-        raise RecordingError(f"{path} has all its frames and lacks only its end; `{command('repair', path)}` writes it")
+        raise RecordingError(
+            f"{path} has all its frames and lacks only its footer; `{command('repair', path)}` writes it"
+        )
     if end <= done:
         hint = "give a later --until" if end == done else "`carom clip` makes it shorter"
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
@@ -239,9 +241,9 @@ def _refuse_altered(run: ResumableRun, threads: int) -> None:
     if found.difference:
         units = run.scene.unit_system
         raise RecordingError(
-            f"{run.recording.path} cannot be resumed: run again, it differs at {found.difference.text(units)}. "
-            "It was altered, or recorded by a version with other physics, of which "
-            f"`{command('fork', run.recording.path)}` can go on from a state"
+            f"{run.recording.path} cannot be resumed: a replay differs at {found.difference.text(units)}. The file "
+            f"was altered, or recorded by a version with different physics; `{command('fork', run.recording.path)}` "
+            "can continue from one of its states"
         )
 
 

@@ -384,13 +384,13 @@ def shortfall_text(scene: Scene) -> str:
     if promise is None or accuracy is None or promise.horizon is None:
         return ""
     if promise.looked is not None:
-        why = f"the budget of the look ahead ended at t = {units.text(promise.looked, TIME, '.4g')}"
+        why = f"the budget of the trial runs ended at t = {units.text(promise.looked, TIME, '.4g')}"
     else:
         why = "its error grows beyond that"
     text = f"cannot promise accuracy = {accuracy:g} to the end: {why}; it is kept up to t = "
     text += units.text(promise.horizon, TIME, ".4g")
     if promise.looked is None and accuracy < promise.error[-1] <= LARGEST_ACCURACY:
-        text += f"; {promise.error[-1]:.1g} could be promised to the end"
+        text += f"; {promise.error[-1]:.1g} can be promised to the end"
     return text
 
 

@@ -39,7 +39,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"allow_overlap": True, "static_friction": 0.0},
         "time": {"duration": 0.1, "max_dt": 0.02},
     },
-    "points that pull each other": {
+    "points that attract each other": {
         "body": _PAIR,
         "gravity": {"constant": 1.0},
         "contact": {"enabled": False},
@@ -96,11 +96,11 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"restitution": 1.0},
         "time": {"duration": 3.0, "max_dt": 1.0, "integrator": "gauss-radau15"},
     },
-    "spheres that grow to a packing": {
+    "spheres that grow to a dense packing": {
         "group": [_CROWD[0] | {"arrangement": "compressed", "region": {"radius": 0.8}}],
         "time": {"duration": 0.02, "max_dt": 0.02},
     },
-    "planets that pass each other": {
+    "planets with close encounters": {
         "body": [
             {"position": [0.0, 0.0, 0.0], "mass": 1.0},
             {"position": [1.0, 0.0, 0.0], "velocity": [0.0, 1.0, 0.0], "mass": 1e-5},
@@ -110,7 +110,7 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"enabled": False, "allow_overlap": True},
         "time": {"duration": 8.0, "max_dt": 1.0, "integrator": "wisdom-holman"},
     },
-    "a pile in a wind, and what falls on it": {
+    "a pile in a wind, and falling bodies": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],
         "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},

@@ -64,7 +64,7 @@ class Window:
         try:
             scene = recorded_scene(recording)
         except SceneError as error:
-            raise RecordingError(f"{recording.path} cannot be run again: {error}") from error
+            raise RecordingError(f"{recording.path} cannot be rerun: {error}") from error
         self.fixed = fixed_of(scene)  # (n,)
         self.box = scene.domain.size if scene.domain.boundary == "periodic" else None  # m
         self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
@@ -72,7 +72,7 @@ class Window:
     @property
     def source(self) -> str:
         """The source of its numbers, in words."""
-        same = "with the same bits" if self.differs is None else f"with other bits from step {self.differs} on"
+        same = "with the same bits" if self.differs is None else f"with different bits from step {self.differs} on"
         return f"replayed from step {self.begin}, {same}"
 
     def frames(self, first: float) -> Iterator[Frame]:
@@ -103,7 +103,7 @@ class Window:
             if frame.step >= steps[-1]:
                 break
         if len(states) < len(steps):
-            raise RecordingError(f"{self._recording.path} ends earlier when it is run again; its bits are not the same")
+            raise RecordingError(f"{self._recording.path} ends earlier when it is rerun; its bits differ")
         return states
 
     def contacts(self, at: float) -> pa.Table:
@@ -132,9 +132,7 @@ class Window:
 
     def _ends_before(self, at: float) -> RecordingError:
         when = self._recording.units.text(at, TIME, ".9g")
-        return RecordingError(
-            f"{self._recording.path} ends before {when} when it is run again; its bits are not the same"
-        )
+        return RecordingError(f"{self._recording.path} ends before {when} when it is rerun; its bits differ")
 
 
 def checkpoint_before(recording: Recording, time: float) -> Checkpoint:

@@ -199,7 +199,7 @@ class LocalWorkers:
         if not died.is_ready:
             self._failed_starts += 1
             if self._failed_starts >= MOST_DEATHS:
-                raise ExperimentError(f"the workers end as they start, {how}; is there enough memory?")
+                raise ExperimentError(f"the workers end while starting, {how}; is there enough memory?")
         job = died.job
         if job is None or not job.is_wanted:
             return []

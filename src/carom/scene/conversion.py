@@ -51,7 +51,7 @@ def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
         return SI
     if not isinstance(units, Mapping):
         if units is not None:
-            wrong.append(Wrong(("units",), str(units), "must be a section with keys, or a text with units"))
+            wrong.append(Wrong(("units",), str(units), "must be a section with keys, or a string with units"))
         return SI
     given = {}
     for key, text in units.items():

@@ -47,7 +47,7 @@ def test_round_off_that_grows_exponentially_is_chaos() -> None:
     found = exponential(3.0)
     said = verdict(found, divergence_of(found))
     assert said.kind == "chaos" and said.first == 10
-    assert "λ = 3 ± " in said.text and "twice as much every 0.231 s" in said.text
+    assert "λ = 3 ± " in said.text and "doubles every 0.231 s" in said.text
 
 
 @pytest.mark.parametrize("size", [1e-9, 1e-3])
@@ -95,10 +95,10 @@ def test_differences_below_single_precision_are_not_fitted() -> None:
     assert grown is not None
     assert found.rms[np.searchsorted(found.time, grown.begin)] > 1e-6
     said = verdict(blurred, grown)
-    assert said.jump == 0.0 and "less than the 1e-06 m that the recording resolves" in said.text
+    assert said.jump == 0.0 and "less than the precision of the recording, 1e-06 m" in said.text
 
 
 def test_the_same_bits_are_the_same_whatever_the_positions() -> None:
     said = verdict(curve(np.zeros(50), 50), None)
     assert (said.kind, said.first) == ("same", None)
-    assert "all 50 frames" in said.text
+    assert "all 50 common frames" in said.text

@@ -190,7 +190,7 @@ def test_a_run_whose_clock_goes_back_ends_there_with_a_recording(tmp_path: Path)
     scene, engine = orbit(units="au, day, solar mass"), Restarting()
     simulation = EngineSimulation(engine, engine.step, 0.1)
     seen = watch(simulation, scene, sample_times(scene), tmp_path / "run.rrd")
-    assert seen.outcome == "failed: the engine's time went back from 0.5 day to 0 day."
+    assert seen.outcome == "failed: the engine's time decreased from 0.5 day to 0 day."
     assert Recording.open(tmp_path / "run.rrd").outcome == seen.outcome
 
 

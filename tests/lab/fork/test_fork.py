@@ -96,12 +96,12 @@ def test_rounding_of_drawn_positions_before_a_fork_parts_is_not_taken_for_growth
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("group.0.count=3", "a fork keeps the bodies"),
-        ("seed=8", "a fork keeps the bodies"),
+        ("group.0.count=3", "a fork uses the bodies"),
+        ("seed=8", "a fork uses the bodies"),
         ("domain.size=[9, 9, 9]", "cannot change in the middle of a run"),
         ("contact.static_friction=0.2;contact.kinetic_friction=0.2", "changes whether bodies spin"),
         ("time.integrator=yoshida4", "changes the integrator"),
-        ("time.duration=1.0", "nothing to go on to"),
+        ("time.duration=1.0", "would have no time left"),
     ],
 )
 def test_a_fork_refuses_overrides_of_what_a_checkpoint_holds(gas: Path, override: str, message: str) -> None:

@@ -70,7 +70,7 @@ def test_a_folder_that_cannot_be_made_is_refused_before_the_hunt(tmp_path: Path)
     (tmp_path / "taken").write_text("mine", encoding="utf-8")
     made = carom("hunt", "--seed", "1", "--scenes", "1", "-o", "taken", cwd=tmp_path)
     assert made.returncode == 2 and not made.stdout
-    assert made.stderr == "carom: taken: is not a folder, and carom needs a folder of that name; move it away\n"
+    assert made.stderr == "carom: taken: is not a folder, but carom needs a folder of that name; move it\n"
 
 
 def test_a_hunt_without_a_miss_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

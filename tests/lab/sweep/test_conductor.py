@@ -82,5 +82,5 @@ def test_the_first_interrupt_waits_for_the_runs_under_way_and_the_second_drops_t
     processes.ended = ended  # type: ignore[method-assign]
     assert Conductor(processes, manifest, watch).conduct(manifest.todo, interrupts) == INTERRUPTED
     assert waits == [0, 0, 1, 1] and processes.dropped
-    assert [line for line in watch.said if "Waiting for 1 run under way" in line]
+    assert [line for line in watch.said if "Waiting for 1 run in progress" in line]
     assert {run.status for run in manifest.runs.values()} == {PENDING}

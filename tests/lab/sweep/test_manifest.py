@@ -101,7 +101,7 @@ def test_two_sweeps_at_once_do_not_share_a_folder(tmp_path: Path) -> None:
     folder = begin(tmp_path).folder
     with (
         folder.claimed(),
-        pytest.raises(ExperimentError, match="another sweep runs here"),
+        pytest.raises(ExperimentError, match="another sweep is running"),
         Folder(folder.root).claimed(),
     ):
         pass
@@ -140,7 +140,7 @@ def test_a_folder_of_a_person_is_refused_before_a_file_in_it_is_replaced(tmp_pat
 def test_a_table_that_a_person_put_there_meanwhile_is_not_replaced(tmp_path: Path) -> None:
     manifest = begin(tmp_path)
     manifest.folder.tables[1].write_text("mine", encoding="utf-8")
-    with pytest.raises(FileExistsError, match="not of this sweep"):
+    with pytest.raises(FileExistsError, match="does not belong to this sweep"):
         manifest.list_tables()
 
 

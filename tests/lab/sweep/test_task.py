@@ -67,7 +67,7 @@ def test_a_missed_promise_is_a_whole_run(tmp_path: Path) -> None:
     [
         ({"version": "0.0.1"}, "results depend on the version"),
         ({"root": "/nowhere"}, "must be the same on all machines"),
-        ({"scene": "0" * 64}, "sees another"),
+        ({"scene": "0" * 64}, "has a different"),
     ],
 )
 def test_a_worker_that_does_not_fit_says_why(tmp_path: Path, change: dict[str, str], said: str) -> None:

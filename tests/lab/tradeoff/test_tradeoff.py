@@ -83,7 +83,7 @@ def test_a_study_that_was_stopped_keeps_what_is_done(tmp_path: Path, monkeypatch
 def test_another_scene_in_the_folder_is_refused_unless_forced(tmp_path: Path) -> None:
     measured(eight(), tmp_path, "step=2")
     changed = Scene.load("figure-eight", ["time.duration=0.5"])
-    with pytest.raises(ExperimentError, match="a study of another scene, or of this one before it was changed"):
+    with pytest.raises(ExperimentError, match="a study of another scene or of an earlier version of this scene"):
         Study(changed, tmp_path)
     assert Study(changed, tmp_path, force=True).results == []
 
@@ -170,7 +170,7 @@ def test_the_recording_of_a_study_holds_every_trajectory(tmp_path: Path) -> None
     assert {"distance/01-step-4", "distance/02-as-written"} <= drawn and "distance/00-reference-exact" not in drawn
     assert shown.moment() == pytest.approx(1.0)
     for ask in (shown.summary, lambda: shown.scene_toml):
-        with pytest.raises(RecordingError, match="shows several runs"):
+        with pytest.raises(RecordingError, match="contains several runs"):
             ask()
 
 
@@ -261,7 +261,7 @@ def test_a_step_is_a_multiple_of_what_it_is_with_the_other_choices() -> None:
 
 @pytest.mark.parametrize("choice", ["body.0.radius=1,2", "time.duration=1,2", "contact.restitution=0,1", "title='a'"])
 def test_a_key_that_makes_another_scene_cannot_vary(choice: str) -> None:
-    with pytest.raises(SceneError, match="changes the scene, and not how that is computed"):
+    with pytest.raises(SceneError, match="changes the scene instead of its computation"):
         vary(pair(), [choice])
 
 

@@ -230,8 +230,8 @@ def test_the_solution_within_a_step_is_that_of_a_run_which_ends_there() -> None:
     [
         ({"contact": {"enabled": True}}, "does not resolve contacts; set contact.enabled = false"),
         ({"gravity": {"method": "tree"}}, 'gravity.method = "tree": it sums all pairs'),
-        ({"gravity": {"softening": 0.1}}, "softening = 0.1 m, but its orbits are those of points; set it to 0"),
-        ({"gravity": {"uniform": [0, 0, -1]}}, "gravity.uniform, under which orbits are not Kepler's"),
+        ({"gravity": {"softening": 0.1}}, "softening = 0.1 m, but its orbits assume point masses; set it to 0"),
+        ({"gravity": {"uniform": [0, 0, -1]}}, "gravity.uniform, under which orbits are not Keplerian"),
         ({"gravity": {"constant": 0.0}}, "without gravity between bodies"),
         ({"time": {"pull_fraction": 0.1}}, "time.pull_fraction with .*use time.fixed_dt"),
         ({"drag": {"relaxation_time": 1.0}}, r"with \[drag\]"),
@@ -247,10 +247,10 @@ def test_scenes_that_wisdom_holman_cannot_integrate_are_refused_with_the_remedy(
 
 def test_a_scene_without_a_dominant_body_is_refused_with_the_share_of_the_heaviest() -> None:
     twins: Bodies = [{"mass": 2.0, "name": "left"}, {"mass": 3.0, "name": "right", "position": [9, 0, 0]}]
-    with pytest.raises(SceneError, match=r'body 1 "right" has 60 % of the mass, and more than 99 % are needed'):
+    with pytest.raises(SceneError, match=r'body 1 "right" has 60 % of the mass, but more than 99 % is needed'):
         Space(orbits(twins, 1.0))
     held: Bodies = [{"mass": 1.0, "fixed": True}, {"mass": 1e-3, "position": [9, 0, 0], "velocity": [0, 0.3, 0]}]
-    with pytest.raises(SceneError, match=r"body 0 fixed, but all bodies have to move"):
+    with pytest.raises(SceneError, match=r"body 0 fixed, but all bodies must be free to move"):
         Space(orbits(held, 1.0))
 
 

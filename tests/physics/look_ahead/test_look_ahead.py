@@ -135,7 +135,7 @@ def test_a_look_ahead_ends_with_its_budget_and_says_how_far_it_came(monkeypatch:
     assert promise.error_at(1.1 * promise.looked) == 1.0, "nothing is known beyond"
     assert max(spent) < 1.5, "each run ahead ends with its share"
     text = shortfall_text(scene)
-    assert "cannot promise accuracy = 0.0001 to the end: the budget of the look ahead ended at t = " in text
+    assert "cannot promise accuracy = 0.0001 to the end: the budget of the trial runs ended at t = " in text
     assert "it is kept up to t = " in text
 
 

@@ -192,7 +192,7 @@ def test_fewer_bodies_can_be_cut_out_of_a_few_by_their_own_numbers(recorded: Pat
 def test_an_interval_without_a_frame_is_told_with_what_there_is(
     recorded: Path, tmp_path: Path, start: float, end: float
 ) -> None:
-    with pytest.raises(RecordingError, match=r"no frame between .* it goes from 0 to 4\.95 s, with 100 frames"):
+    with pytest.raises(RecordingError, match=r"no frame between .* it covers 0 to 4\.95 s with 100 frames"):
         clip(recorded, tmp_path / "clip.rrd", start, end)
     assert list(tmp_path.iterdir()) == []
 

@@ -59,12 +59,12 @@ def test_a_replay_of_a_clip_is_asked_about_its_bodies_only(struck: Path) -> None
 
 
 def test_a_clip_is_refused_questions_about_bodies_that_it_does_not_show(struck: Path) -> None:
-    with pytest.raises(RecordingError, match='does not show body 2 "C": it is a clip of'):
+    with pytest.raises(RecordingError, match='does not contain body 2 "C": it is a clip of'):
         Recording.open(struck).impacts(body="C")
 
 
 def test_a_clip_says_that_it_does_not_show_the_bodies_of_an_event(struck: Path) -> None:
-    with pytest.raises(RecordingError, match='"impact" names no two bodies that this clip shows'):
+    with pytest.raises(RecordingError, match='"impact" names no two bodies of this clip'):
         question_of(Recording.open(struck), None, None, "impact")
 
 
@@ -75,7 +75,7 @@ def test_a_clip_opens_at_the_impact_of_its_own_bodies(struck: Path) -> None:
 
 
 def test_a_clip_of_some_bodies_cannot_be_forked(struck: Path) -> None:
-    with pytest.raises(RecordingError, match="does not show all bodies; take the whole recording"):
+    with pytest.raises(RecordingError, match="is a clip of selected bodies; use the whole recording"):
         start_of(Branch(struck, 0.1, ()))
 
 

@@ -96,7 +96,9 @@ def test_a_file_torn_inside_a_message_keeps_everything_before(
     whole = any(
         name == "__properties/outcome" for name in names
     )  # sent at the end, but now before the layout, now after it
-    assert outcome.startswith("completed; repaired, " if whole else "unfinished: the run was killed, or its end lost; ")
+    assert outcome.startswith(
+        "completed; repaired, " if whole else "unfinished: the run was killed, or its end is lost; "
+    )
 
 
 def test_a_layout_is_made_where_there_was_none(run_file: Path, tmp_path: Path) -> None:
@@ -164,14 +166,14 @@ def batches(tmp_path: Path) -> Path:
 def test_wrong_times_of_a_few_frames_cost_no_others(batches: Path, tmp_path: Path, footer: bool) -> None:
     changed(batches, batches, paths.FINGERPRINT, mapped("time", lambda row: [np.nan]), every=False, footer=footer)
     done = repair(batches, tmp_path / "fixed.rrd")
-    assert done.lost == ["/state/fingerprint of steps 6 to 8 (times that do not rise)"]
+    assert done.lost == ["/state/fingerprint of steps 6 to 8 (times that do not increase)"]
     assert (done.frames, done.last_step) == (6, 5)
     assert Recording.open(tmp_path / "fixed.rrd").fingerprints()["step"].to_pylist() == [0, 1, 2, 3, 4, 5]
 
 
 def test_frames_whose_times_contradict_each_other_are_refused_and_leave_no_file(batches: Path, tmp_path: Path) -> None:
     changed(batches, batches, paths.FINGERPRINT, mapped("time", lambda row: [0.0]), every=False)
-    with pytest.raises(RecordingError, match=r"nothing of .*run\.rrd can be saved: its frames have times that do not"):
+    with pytest.raises(RecordingError, match=r"nothing of .*run\.rrd can be recovered: its frames have times"):
         repair(batches, tmp_path / "fixed.rrd")
     assert not (tmp_path / "fixed.rrd").exists()
 

@@ -326,10 +326,10 @@ def test_a_clip_has_its_impacts_and_those_of_its_bodies_only(recording: Recordin
 @pytest.mark.parametrize(
     ("question", "message"),
     [
-        (lambda r: r.impacts(3.0, 4.0), r"goes from 0 to 2 s, 3 to 4 s is not in it"),
-        (lambda r: r.impacts(2.0, 1.0), r"the end lies before the beginning"),
+        (lambda r: r.impacts(3.0, 4.0), r"covers 0 to 2 s; 3 to 4 s is outside"),
+        (lambda r: r.impacts(2.0, 1.0), r"the end is before the start"),
         (lambda r: r.impacts(body="higg"), r'no body "higg"; did you mean "high"\?'),
-        (lambda r: r.contacts(9.0), r"goes from 0 to 2 s, 9 s is not in it"),
+        (lambda r: r.contacts(9.0), r"covers 0 to 2 s; 9 s is outside"),
         (lambda r: r.contacts("1 s"), r"^at = '1 s': a time is a number, in seconds$"),
         (lambda r: r.bodies("1 s"), r"^at = '1 s': a time is a number, in seconds$"),
         (lambda r: r.impacts(end=float("nan")), r"^end = nan: a time is a number, in seconds$"),

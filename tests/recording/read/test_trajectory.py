@@ -108,7 +108,7 @@ def test_bodies_say_whether_they_are_from_a_checkpoint_or_a_replay(recording: Re
     ("body", "message"),
     [
         ("lfet", r'has no body "lfet"; did you mean "left"\? Its bodies are 0 to 3'),
-        ("far", r'2 bodies called "far"; give the number'),
+        ("far", r'2 bodies called "far"; give a number'),
         (4, r'has no body "4"; its bodies are 0 to 3, called "left", "right", "far", "far"'),
         (-1, r'has no body "-1"'),
     ],
@@ -122,13 +122,13 @@ def test_a_body_that_is_not_there_is_named_beside_those_that_are(
 
 def test_a_moment_outside_the_recording_is_refused(recording: Recording, tmp_path: Path) -> None:
     for at in (7.0, 4.05, -0.05):
-        with pytest.raises(RecordingError, match=rf"goes from 0 to 4 s, {at:g} s is not in it"):
+        with pytest.raises(RecordingError, match=rf"covers 0 to 4 s; {at:g} s is outside"):
             recording.bodies(at)
     clip(recording.path, tmp_path / "one.rrd", 2.0, 2.0)
     one = Recording.open(tmp_path / "one.rrd")
     assert one.frames == 1 and one.moment(1.995) == 1.995, "the step to the frame"
     for at in (1.98, 2.01, 1e9):
-        with pytest.raises(RecordingError, match="is not in it"):
+        with pytest.raises(RecordingError, match="is outside"):
             one.moment(at)
 
 

@@ -90,7 +90,7 @@ def test_a_chunk_listed_twice_is_refused(run_file: Path) -> None:
         return batch
 
     assembled(run_file, run_file, messages_of(run_file), index=doubled)
-    with pytest.raises(DamageError, match=f"chunk at byte {where.offset}, where none can be"):
+    with pytest.raises(DamageError, match=f"chunk at byte {where.offset}, where no chunk can be"):
         Container.open(run_file)
 
 

@@ -92,7 +92,7 @@ def test_a_chunk_of_noise_is_told_in_one_sentence(run_file: Path) -> None:
     run_file.write_bytes(content)
     recording = Recording.open(run_file)
     assert recording.frames == 100, "the others can be read"
-    with pytest.raises(RecordingError, match=r"damaged \(.*\); `carom repair .*run\.rrd` saves what can be read"):
+    with pytest.raises(RecordingError, match=r"damaged \(.*\); `carom repair .*run\.rrd` recovers the readable data"):
         recording.energy()
 
 

@@ -15,7 +15,7 @@ from carom.recording.write.whole_file import Claim, Writer
 
 
 def test_a_second_claim_of_a_file_is_refused_until_the_first_is_released(tmp_path: Path) -> None:
-    with Claim(tmp_path / "x.rrd"), pytest.raises(RecordingError, match=r"x\.rrd: another carom is writing it"):
+    with Claim(tmp_path / "x.rrd"), pytest.raises(RecordingError, match=r"x\.rrd: another carom process is writing it"):
         Claim(tmp_path / "x.rrd")
     with Claim(tmp_path / "x.rrd"):
         pass

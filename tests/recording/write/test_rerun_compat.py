@@ -196,7 +196,7 @@ def test_a_rerun_whose_viewer_cannot_be_driven_is_refused_in_a_sentence(
     gone: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(gone)
-    with pytest.raises(RecordingError, match=r"cannot be driven for pictures .* pip install \"rerun-sdk==0\.41\.0\""):
+    with pytest.raises(RecordingError, match=r"cannot render pictures .* pip install \"rerun-sdk==0\.41\.0\""):
         connect_viewer("rerun+http://127.0.0.1:9/proxy")
 
 

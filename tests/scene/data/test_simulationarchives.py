@@ -84,7 +84,7 @@ def test_an_archive_says_what_is_taken_from_it_and_what_is_not(tmp_path: Path) -
     save(tmp_path / "a.bin", two_active_of(1))
     scene = scene_of(tmp_path)
     assert [note for note in notes_of(scene).splitlines() if "position from position" not in note] == [
-        "a.bin: N_active = 1: 2 test particles, whose masses attract nothing, of mass 0 here",
+        "a.bin: N_active = 1: 2 test particles, whose masses do not attract, have mass 0 here",
         "a.bin: gravity.constant = 1 is taken from it",
     ]
     assert scene.gravity.constant == 1.0
@@ -159,7 +159,7 @@ def test_an_archive_that_is_cut_off_gives_its_intact_snapshots_without_a_raw_war
         scene = scene_of(tmp_path)
     assert scene.data[0] == intact
     assert "a.bin: the file is damaged or ends early; of 2 intact snapshots number 1, t = 1, is read" in notes_of(scene)
-    with pytest.raises(SceneError, match="there is no snapshot 2: it has 2"):
+    with pytest.raises(SceneError, match="there is no snapshot 2; the file has 2"):
         scene_of(tmp_path, more="snapshot = 2\n")
 
 

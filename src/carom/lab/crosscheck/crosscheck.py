@@ -191,7 +191,8 @@ class Runs(ExitStack):
             followed: Followed = self._ended.pop(task.path).result
         except WorkerDiedError:
             raise ExperimentError(
-                f"{task.setting.name} ended its process; the same command continues, with --workers 1 without others"
+                f"{task.setting.name} ended its process; run the same command again to continue, or with --workers 1 "
+                "to use a single process"
             ) from None
         return followed
 
@@ -370,7 +371,7 @@ class Crosscheck:
                     names = Examination.__dataclass_fields__
                     self.examinations[run["name"]] = Examination(**{name: run[name] for name in names})
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ExperimentError(f"{path}: cannot be resumed ({error}); give --force to begin anew") from None
+            raise ExperimentError(f"{path}: cannot be resumed ({error}); start over with --force") from None
 
 
 def _file_name(name: str) -> str:

@@ -27,7 +27,7 @@ def crosscheck(
         list[str],
         typer.Argument(
             metavar="SCENE...",
-            help="Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` stand for all of that folder.",
+            help="Scene files (.toml) or bundled scenes; `extremes` and `crosscheck` select all scenes of that folder.",
             autocompletion=bundled,
         ),
     ],
@@ -45,8 +45,8 @@ def crosscheck(
         typer.Option(
             "--limit",
             metavar="SECONDS",
-            help="CPU time in seconds after which to stop a run, and time after which to stop a reference. "
-            f"Default: none for one scene, {SEVERAL_LIMIT:g} for several.",
+            help="Limit of the CPU time of a run, and of the time of a reference, in seconds. Default: none for one "
+            "scene, {SEVERAL_LIMIT:g} for several.",
             min=0.0,
         ),
     ] = None,
@@ -56,7 +56,8 @@ def crosscheck(
             "-o",
             "--output",
             metavar="DIR",
-            help="Folder of the results; of several scenes, their parent. Default: recordings/crosscheck/SCENE.",
+            help="Folder of the results, or the parent folder for several scenes. Default: "
+            "recordings/crosscheck/SCENE.",
         ),
     ] = None,
     overrides: SetOption = None,
@@ -66,11 +67,11 @@ def crosscheck(
         typer.Option(
             "--workers",
             metavar="N",
-            help="Processes that follow runs before anything is timed. Default: one per core if there are many runs.",
+            help="Number of processes for the untimed runs. Default: one per core if there are many runs.",
             min=1,
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Start over, in place of earlier results.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Start over and replace earlier results.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Run a scene in other engines: errors, cost, criteria, where each diverges from the reference, and the broken law.
@@ -162,8 +163,8 @@ def _show_several(
         console.print(escape(f"{name}: {reason}"), soft_wrap=True)
     ran_by = sum(1 for document in documents.values() if document["runs"])
     console.print(
-        f"{ran_by} scenes; {len(refused)} that none of the engines can represent. "
-        f"Figures and recordings: {folder}/SCENE.",
+        f"{ran_by} scenes; {len(refused)} cannot be represented by any of the engines. Figures and recordings: "
+        f"{folder}/SCENE.",
         soft_wrap=True,
     )
 
@@ -195,13 +196,15 @@ def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
     if reference is not None:
         console.print(
             f"Reference, {escape(reference['text'])}; positions are compared {escape(_extent(reference, units))}. "
-            "A run diverges where it is farther from the reference than a hundredth of the size.",
+            "A run diverges when its distance from the reference exceeds a hundredth of the size.",
             soft_wrap=True,
         )
     partings = [run["parting"] for run in document["runs"] if run.get("parting")]
     if number := next((each["impact"] for each in partings if each["impact"]), None):
         where = command("view", folder / f"{OWN.name}.rrd", "--event", f"impact:{number}")
-        console.print(f"Impacts are the first whose outcome differs, by their numbers in carom's run: {escape(where)}")
+        console.print(
+            f"The impacts listed are the first with different outcomes, numbered as in carom's run: {escape(where)}"
+        )
     for engine, notes in document["notes"].items():
         if notes:
             console.print(f"{engine}: {escape('; '.join(notes))}.", soft_wrap=True)

@@ -175,7 +175,7 @@ def draw(check: Crosscheck, path: Path) -> None:
     reference, units = check.study.reference, check.scene.unit_system
     runs = [result for result in check.results if result.status == "measured"]
     if reference is None or not runs:
-        raise ExperimentError("nothing has been measured yet, so there is nothing to draw")
+        raise ExperimentError("there are no measurements to draw yet")
     from matplotlib.figure import Figure  # noqa: PLC0415 - an extra
 
     with look:
@@ -186,11 +186,11 @@ def draw(check: Crosscheck, path: Path) -> None:
         _draw_runs(ax, check, reference, runs)
         ends = units.shown(check.scene.time.duration, TIME)
         sure = units.shown(reference.horizon, TIME)
-        marks = "grey lines: first contacts; crosses: a law is broken first"
+        marks = "grey lines: first contacts; crosses: first violation of a law"
         if sure < ends:
             ax.axvspan(sure, ends, color=FAINT, alpha=0.12, linewidth=0.0)
             marks += (
-                "; shaded: not compared, as the reference is no longer sure"
+                "; shaded: not compared, as the reference is no longer certain"
                 if reference.whole
                 else ("; shaded: not compared, as the reference ends")
             )

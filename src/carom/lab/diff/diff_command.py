@@ -41,7 +41,7 @@ SecondArgument = Annotated[Path, typer.Argument(metavar="B", help="Another one."
 def diff(
     a: FirstArgument,
     b: SecondArgument,
-    output: Annotated[Path | None, recording_option("Write both into one .rrd for the viewer.")] = None,
+    output: Annotated[Path | None, recording_option("Write both recordings into one .rrd for the viewer.")] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -142,7 +142,7 @@ def _print(found: Diff, names: Names, units: UnitSystem, output: Path | None) ->
     console.print()
     console.print(f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}.", style="bold")
     if output is not None:
-        console.print(f"{output} written: both, one over the other; {command('view', output)}")
+        console.print(f"{output} written, with both recordings overlaid; {command('view', output)}")
 
 
 def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
@@ -178,7 +178,7 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
     if found.counts is not None:
         yield f"{found.counts[0]} in A, {found.counts[1]} in B, up to the same time"
     if found.first is None:
-        yield f"all {found.compared} that both recorded are the same" if found.compared else "none that both recorded"
+        yield f"all {found.compared} recorded in both are the same" if found.compared else "none recorded in both"
     different = [pair for pair in (found.first, found.alone) if pair is not None]
     for pair in sorted(different, key=lambda pair: pair.time):
         yield _called(pair, names, units)
@@ -188,7 +188,7 @@ def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
     """Describe an impact: its numbers in both runs, and the difference."""
     a, b = pair.a, pair.b
     one = a or b
-    assert one is not None, "one of both has it"
+    assert one is not None, "only one has it"
     what = f"{names.pair(one.bodies)}, t = {units.text(one.time, TIME, '.9g')}"
     if a is None or b is None:
         return f"first in {'B' if a is None else 'A'} only: impact {one.number}, {what}"
@@ -205,7 +205,7 @@ def _by_how_much(a: Impact, b: Impact, units: UnitSystem) -> str:
     )
     parts = [f"{units.text(value, dimension, '+.2e')} in {what}" for value, dimension, what in differences if value]
     parts += [f"{a.mode} in A, {b.mode} in B"] if a.mode != b.mode else []
-    return f"{', '.join(parts)} (B - A)" if parts else "in its direction, friction or lost energy"
+    return f"{', '.join(parts)} (B - A)" if parts else "in direction, friction or energy loss"
 
 
 def _curve(found: Diff, units: UnitSystem) -> Table:

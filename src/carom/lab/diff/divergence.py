@@ -96,8 +96,8 @@ def divergence_of(curve: DistanceCurve) -> Divergence | None:
 def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem = SI) -> DiffVerdict:
     """Return whether a difference is grown round-off or a bug."""
     if not curve.differs.any():
-        alike = "same bits" if curve.of_bits else "no difference that the recordings resolve"
-        return DiffVerdict("same", f"{alike} in all {len(curve.time)} frames that both have", None, 0.0, 0.0)
+        alike = "same bits" if curve.of_bits else "no difference within the precision of the recordings"
+        return DiffVerdict("same", f"{alike} in all {len(curve.time)} common frames", None, 0.0, 0.0)
     first = int(np.argmax(curve.differs))
     when = f"step {curve.step[first]}, t = {units.text(curve.time[first], TIME)}"
     jump = float(curve.rms[first]) if curve.seen[first] else 0.0
@@ -109,7 +109,7 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
     allowed = float(_GRAZING * steps * _ROUNDING * curve.reach * stretched)
     how = _grows(curve, divergence, units)
     apart, resolved = units.text(jump, LENGTH, ".2e"), units.text(curve.floor[first], LENGTH, ".0e")
-    seen = apart if jump else f"less than the {resolved} that the recording resolves"
+    seen = apart if jump else f"less than the precision of the recording, {resolved}"
     if first == 0:
         return DiffVerdict(
             "start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed
@@ -118,7 +118,7 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
         return DiffVerdict(
             "jump",
             f"a jump, not round-off: at {when}, one frame after the last {_alike(curve)}, bodies are {apart} "
-            f"apart, {jump / allowed:.1e} times what round-off could have become; {how}",
+            f"apart, {jump / allowed:.1e} times what round-off could have grown to; {how}",
             first,
             jump,
             allowed,
@@ -144,15 +144,15 @@ def rate_text(rate: float, error: float, units: UnitSystem) -> str:
 def _grows(curve: DistanceCurve, divergence: Divergence | None, units: UnitSystem) -> str:
     if divergence is None:
         return (
-            f"no rate of growth: that takes {_POINTS} frames over which it grows tenfold, all below a tenth of the "
+            f"no growth rate; it needs {_POINTS} frames over which it grows tenfold, all below a tenth of the "
             f"system's size ({units.text(_SATURATED * curve.size, LENGTH, '.2g')})"
         )
     if divergence.is_exponential:
         return (
-            f"it grows by e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, "
-            f"twice as much every {units.text(divergence.doubling_time, TIME, '.3g')}"
+            f"it grows as e^(λt), λ = {rate_text(divergence.rate, divergence.standard_error, units)}, and doubles "
+            f"every {units.text(divergence.doubling_time, TIME, '.3g')}"
         )
-    return f"it grows like a power of time, t^{divergence.power:.2g}, not exponentially"
+    return f"it grows as a power of time, t^{divergence.power:.2g}, not exponentially"
 
 
 def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
@@ -187,7 +187,7 @@ class FrameAlignment:
         for recording in (a, b):
             recording.require_frames()
         if list(a.shown) != list(b.shown):
-            raise RecordingError(f"{a.path} and {b.path} do not show the same bodies: they cannot be compared")
+            raise RecordingError(f"{a.path} and {b.path} contain different bodies and cannot be compared")
         self._a, self._b = _Frames(a), _Frames(b)
         self._of_bits = bool(a.engine) == bool(b.engine)
         box = a.info.get("box")

@@ -133,8 +133,8 @@ class Box3D(SteppedEngine):
         refuse(
             self.name,
             {
-                "a plane that bounces less than bodies do: it takes the larger restitution": duller,
-                "a plane that rubs where bodies do not: it multiplies the coefficients": slippery,
+                "a plane with less restitution than the bodies, because it uses the larger restitution": duller,
+                "a plane with friction and bodies without, because it multiplies the coefficients": slippery,
                 "contact.enabled = false": not problem.collides and not scene.contact.enabled,
             },
         )
@@ -142,7 +142,7 @@ class Box3D(SteppedEngine):
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
         found = [f"single precision, {SUBSTEPS} substeps"]
-        return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
+        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""

@@ -193,8 +193,8 @@ class MuJoCo(SteppedEngine):
 
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
-        found = [f"contacts are springs that bounce in {BOUNCE:g} steps"]
-        return found + (["one coefficient of friction, the kinetic"] if _has_friction(scene) else [])
+        found = [f"contacts are springs whose bounces take {BOUNCE:g} steps"]
+        return found + (["one coefficient of friction, the kinetic one"] if _has_friction(scene) else [])
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""

@@ -63,7 +63,7 @@ class NewtonSource:
         size = np.where(radius > 0.0, radius, np.sqrt(2.5 * inertia / np.where(mass > 0.0, mass, 1.0)))
         gravity = np.atleast_2d(model.gravity.numpy() if hasattr(model.gravity, "numpy") else model.gravity)
         if len(gravity) > 1 and np.ptp(gravity, axis=0).any():
-            raise RecordingError("newton: the worlds of the model have different gravity; record one of them")
+            raise RecordingError("newton: the worlds of the model differ in gravity; record one of them")
         static = np.flatnonzero((kind == int(package.GeoType.PLANE)) & (owner == WORLD))
         names = next((list(getattr(model, name)) for name in _NAMES if getattr(model, name, None)), None)
         self.model = Model(
@@ -125,7 +125,7 @@ class Newton(SteppedEngine):
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
         found = [f"single precision, XPBD with {ITERATIONS} iterations"]
-        return found + (["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else [])
+        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
 
     def ensure_installed(self) -> None:
         """Raise ExperimentError if Newton is not installed; keep Warp from reporting what it loads."""

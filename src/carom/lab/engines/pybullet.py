@@ -178,7 +178,7 @@ class PyBullet(SteppedEngine):
 
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
-        return ["one coefficient of friction, the kinetic"] if scene.contact.static_friction > 0.0 else []
+        return ["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else []
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""

@@ -98,8 +98,8 @@ class ReboundSource:
         simulation = self._simulation
         if self._all != simulation.N:
             raise RecordingError(
-                f"rebound had {self._all} particles and has {simulation.N}: "
-                "a recording keeps its bodies; begin another one"
+                f"rebound had {self._all} particles and has {simulation.N}; a recording has a fixed set of bodies, so "
+                "start another recording"
             )
         if not simulation.is_synchronized:
             simulation.synchronize()
@@ -142,7 +142,7 @@ def _name(particle: Any, number: int) -> str:
 def _size_of(particle: Any) -> int:
     """Return the bytes of a particle; refuse a version with another layout of particles in memory."""
     if [getattr(particle, name).offset for name in READ] != [8 * k for k in range(len(READ))]:
-        raise RecordingError(f"{named_version('rebound')} keeps its particles in another order; carom knows 5.x")
+        raise RecordingError(f"{named_version('rebound')} stores its particles in an unknown order; carom supports 5.x")
     return ctypes.sizeof(particle)
 
 
@@ -291,7 +291,7 @@ def _refuse(scene: Scene) -> None:
     """Refuse a scene with anything but smooth spheres that attract each other and collide."""
     parts, start, force = require(scene), place(scene), further(scene)
     lacks = {
-        "friction (contact.static_friction = 0 and contact.kinetic_friction = 0 leave it out)": parts.contact.modelled
+        "friction (set contact.static_friction = 0 and contact.kinetic_friction = 0)": parts.contact.modelled
         and parts.friction.modelled,
         "planes": bool(len(half_spaces(scene))),
         "bodies of several materials": len(pair_coefficients(scene).places) > 0,

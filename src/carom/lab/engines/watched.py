@@ -157,7 +157,7 @@ class _Walk:
         if state.time < self.frame.time:  # as in MuJoCo, which restarts when it becomes unstable
             units = self._scene.unit_system
             back = units.text(state.time, TIME, "g")
-            return f"the engine's time went back from {units.text(self.frame.time, TIME, 'g')} to {back}."
+            return f"the engine's time decreased from {units.text(self.frame.time, TIME, 'g')} to {back}."
         before, self.frame = self.frame, self.observer.frame(self._step, _copied(state))
         self._samples.take(before, self.frame)
         for pair in self.frame.contacts.pairs.tolist():

@@ -96,7 +96,7 @@ def start_of(branch: Branch) -> ForkStart:
     if checkpoint.time >= end:
         raise ExperimentError(
             f"the run ends at {units.text(end, TIME, 'g')}: a fork at t = {units.text(checkpoint.time, TIME, '.9g')} "
-            "has nothing to go on to; give an earlier --at, or a later end with --set time.duration=…"
+            "would have no time left; give an earlier --at, or a later end with --set time.duration=…"
         )
     return ForkStart(recording, scene, checkpoint)
 
@@ -111,9 +111,7 @@ def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoin
     for frame in space.run(schedule=lambda step, before, now: now >= goal):
         if frame.time >= goal:
             return frame.checkpoint
-    raise RecordingError(
-        f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is run again"
-    )
+    raise RecordingError(f"{recording.path} ends before {scene.unit_system.text(time, TIME, '.9g')} when it is rerun")
 
 
 def _refuse_state(overrides: tuple[str, ...]) -> None:
@@ -123,8 +121,8 @@ def _refuse_state(overrides: tuple[str, ...]) -> None:
         section = key.partition(".")[0]
         if section in _BODIES:
             raise ExperimentError(
-                f"--set {override}: a fork keeps the bodies of the checkpoint, so {key} has no effect on it; "
-                "change parameters of forces, contacts or steps, or run the scene anew"
+                f"--set {override}: a fork uses the bodies of the checkpoint, so {key} has no effect; change "
+                "parameters of forces, contacts or steps, or run the scene from the start"
             )
         if section in _STATE:
             raise ExperimentError(f"--set {override}: {key} cannot change in the middle of a run: {_STATE[section]}")
@@ -144,8 +142,8 @@ def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
     for what, (one, other) in changes.items():
         if one != other:
             raise ExperimentError(
-                f"--set {' --set '.join(branch.overrides)}: this changes {what}, which a checkpoint depends on; "
-                "run the scene anew with `carom run`"
+                f"--set {' --set '.join(branch.overrides)}: this changes {what}, on which a checkpoint depends; run "
+                "the scene from the start with `carom run`"
             )
 
 

@@ -35,12 +35,12 @@ DEFAULT_TIMES = 8
 
 def fork(
     file: RecordingArgument,
-    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="When to fork: simulated time.")],
+    at: Annotated[float, typer.Option("--at", parser=seconds, metavar="T", help="Simulated time of the fork.")],
     overrides: SetOption = None,
     perturb: Annotated[
         str | None,
         typer.Option(
-            "--perturb", metavar="ULPS", help="Move every coordinate by some units in the last place, such as 1ulp."
+            "--perturb", metavar="ULPS", help="Change every coordinate by some units in the last place, such as 1ulp."
         ),
     ] = None,
     seeds: Annotated[
@@ -51,8 +51,8 @@ def fork(
         typer.Option(
             "--outcome",
             metavar="CONDITION",
-            help="Count the forks that end in this condition, such as 'x_3 > 1'. Names: x_3, speed_3, or those of "
-            "`carom inspect --json`.",
+            help="Count the forks that satisfy this condition at their end, such as 'x_3 > 1'. Names: x_3, speed_3, "
+            "or those of `carom inspect --json`.",
         ),
     ] = None,
     times: Annotated[
@@ -152,7 +152,7 @@ def _one(start: ForkStart, target: Path, shift: int | None, ulps: int) -> tuple[
         lines.append(f"The fork missed a promise of its scene: {found.outcome.reason}.")
     if found.diff.divergence is not None and found.diff.divergence.is_exponential:
         rate, error = found.diff.divergence.rate, found.diff.divergence.standard_error
-        lines.append(f"The distance grows by e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
+        lines.append(f"The distance grows as e^(λt), λ = {rate_text(rate, error, start.scene.unit_system)}.")
     return document, lines, bool(early)
 
 
@@ -261,8 +261,8 @@ def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevi
     if len(found.rates):
         rate = float(np.median(found.rates))
         yield (
-            f"The distance grows by e^(λt), λ = {rate_text(rate, found.rate_error, units)}, "
-            f"twice as much every {units.text(np.log(2.0) / rate, TIME, '.3g')}."
+            f"The distance grows as e^(λt), λ = {rate_text(rate, found.rate_error, units)}, and doubles every "
+            f"{units.text(np.log(2.0) / rate, TIME, '.3g')}."
         )
     else:
         yield "The distance does not grow exponentially."
@@ -276,7 +276,7 @@ def _lines(start: ForkStart, found: Ensemble, outcome: str | None, moment: Inevi
     if moment is not None:
         state = "was" if found.reference_outcome else "was not"
         for tested in moment.tested:
-            yield f"  forked at {at(tested.time)}: {tested.hits} of {tested.forks} end in the same way"
+            yield f"  forked at {at(tested.time)}: {tested.hits} of {tested.forks} have the same outcome"
         if moment.always:
             yield f"That it {state} so was inevitable at {at(moment.latest)} already; fork earlier."
         else:

@@ -84,7 +84,7 @@ def _invariance(name: str, says: str, *kinds: str) -> HuntedLaw:
     return HuntedLaw(name, says, f"invariance {name}", lambda scene, needs: applies(name, scene), kinds)
 
 
-ERROR = HuntedLaw("error", "a run ends at its end or with a stated reason", "crash", lambda scene, needs: True)
+ERROR = HuntedLaw("error", "a run reaches its end or reports an error", "crash", lambda scene, needs: True)
 LAWS = [
     ERROR,
     HuntedLaw("finite", "positions, velocities and the energy stay finite", "not finite", lambda scene, needs: True),
@@ -105,22 +105,22 @@ LAWS = [
     ),
     HuntedLaw(
         "impulses",
-        "impulses and forces explain every change of a velocity and of the ledger",
+        "impulses and forces explain every change of velocities and of the ledger",
         "expect.contact_audit",
         lambda scene, needs: needs.contact.modelled,
     ),
-    HuntedLaw("overlap", "no overlap above 5 % of a radius lasts", "overlap at rest", _stands),
+    HuntedLaw("overlap", "no overlap above 5 % of a radius persists", "overlap at rest", _stands),
     HuntedLaw(
         "replay", "the bits do not depend on threads, checkpoints or the search", "replay differs", lambda *_: True
     ),
-    _invariance("scaling", "other units that are powers of two change no bit"),
+    _invariance("scaling", "units scaled by powers of two change no bit"),
     _invariance("mirror", "a mirror image has the same bits"),
-    _invariance("arrays", "bodies from arrays move as those of the scene, bit for bit"),
-    _invariance("translation", "a scene elsewhere runs alike", SMOOTH, IMPACTS),
-    _invariance("rotation", "a scene that is turned runs alike", SMOOTH, IMPACTS),
-    _invariance("boost", "a scene that moves as a whole runs alike", SMOOTH, IMPACTS),
-    _invariance("numbering", "bodies in another order move alike", SMOOTH, IMPACTS),
-    _invariance("steps", "the energy error falls with the step as the order of the integrator says", SMOOTH),
+    _invariance("arrays", "bodies given as arrays move in the same way, bit for bit"),
+    _invariance("translation", "a displaced scene runs in the same way", SMOOTH, IMPACTS),
+    _invariance("rotation", "a rotated scene runs in the same way", SMOOTH, IMPACTS),
+    _invariance("boost", "a scene that moves as a whole runs in the same way", SMOOTH, IMPACTS),
+    _invariance("numbering", "bodies in another order move in the same way", SMOOTH, IMPACTS),
+    _invariance("steps", "the energy error decreases with the step as the order of the integrator predicts", SMOOTH),
 ]
 
 

@@ -32,9 +32,9 @@ def hunt(
         ),
     ] = None,
     first: Annotated[int, typer.Option("--from", metavar="N", help="Number of the first scene.", min=0)] = 0,
-    scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Judge at most N scenes.", min=1)] = None,
+    scenes: Annotated[int | None, typer.Option("--scenes", metavar="N", help="Check at most N scenes.", min=1)] = None,
     folder: Annotated[
-        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scenes and recordings of misses.")
+        Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the scenes and recordings of violations.")
     ] = Path("recordings/hunt"),
     as_json: JsonOption = False,
 ) -> None:
@@ -82,7 +82,7 @@ def _watched(hunt: Hunt, *, quiet: bool) -> Tally:
 
 def _print(tally: Tally) -> None:
     whole = tally.scenes - tally.refused - tally.stated - tally.given_up
-    ends = f"{tally.refused} refused, {tally.stated} ended with a stated reason, {tally.given_up} given up as too long"
+    ends = f"{tally.refused} refused, {tally.stated} ended with an error, {tally.given_up} abandoned as too long"
     say(f"{counted(tally.scenes, 'scene')} in {tally.seconds:.3g} s: {whole} ran to the end, {ends}.")
     if not tally.misses:
         say("No law was broken.")
@@ -91,5 +91,5 @@ def _print(tally: Tally) -> None:
 
 
 def _said(tally: Tally, miss: Miss) -> str:
-    where = f"{miss.path}, {counted(miss.bodies, 'body')}" if miss.path else "not filed, since this law is"
+    where = f"{miss.path}, {counted(miss.bodies, 'body')}" if miss.path else "not saved, since this law already is"
     return f"{miss.law}: scene {miss.index} of seed {tally.seed}: {miss.said}: {where}"

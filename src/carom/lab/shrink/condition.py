@@ -121,7 +121,7 @@ class MissedPromise:
         """Check the name of the promise."""
         given = [verdict.name for verdict in seen.verdicts]
         if not given and not self.or_error:
-            raise ExperimentError("nothing to shrink: the scene has no [expect]; say what to keep with --while")
+            raise ExperimentError("nothing to shrink: the scene has no [expect]; state the failure with --while")
         if self.name and self.name not in given:
             known = self.name in Expect.model_fields
             hint = "[expect] does not have it" if known else suggestion(self.name, Expect.model_fields)
@@ -133,10 +133,10 @@ class MissedPromise:
             return Failed("PhysicsError").pinned(seen)
         if seen.error:
             raise ExperimentError(
-                f'nothing to shrink: the run failed: {seen.error} (--while "PhysicsError" keeps that)'
+                f'nothing to shrink: the run failed: {seen.error} (shrink that failure with --while "PhysicsError")'
             )
         if not seen.verdicts:
-            raise ExperimentError("nothing to shrink: the scene has no [expect]; say what to keep with --while")
+            raise ExperimentError("nothing to shrink: the scene has no [expect]; state the failure with --while")
         missed = self._missed(seen)
         if not missed:
             shown = "; ".join(str(verdict) for verdict in seen.verdicts if self.name in ("", verdict.name))
@@ -308,7 +308,7 @@ class Warned:
         """Return the condition for the same kind of warning."""
         if not self.holds(seen):
             gave = f"only {', '.join(sorted(seen.warned))}" if seen.warned else "none"
-            raise ExperimentError(f"nothing to shrink: of such warnings the run gave {gave}")
+            raise ExperimentError(f"nothing to shrink: the run gave {gave} of these warnings")
         return replace(self, kind=self.kind or min(seen.warned))
 
     def holds(self, seen: Observation) -> bool:
@@ -343,7 +343,7 @@ class Failed:
         """Return the condition for the same message, with any numbers."""
         if not self.holds(seen):
             end = seen.space.scene.unit_system.text(seen.space.time, TIME)
-            ended = f"stated its error: {seen.error}" if seen.error else f"went to its end, t = {end}"
+            ended = f"ended with an error: {seen.error}" if seen.error else f"reached its end, t = {end}"
             raise ExperimentError(f"nothing to shrink: the run {ended}")
         return replace(self, message=_template(seen.error))
 

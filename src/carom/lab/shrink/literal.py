@@ -181,13 +181,13 @@ def source_of(given: str, overrides: list[str]) -> SceneWithBodies:
     with opened(path) as file:
         recording = Recording.open(file)
         if recording.clip.get("bodies"):
-            raise RecordingError(f"{path}: a clip of some bodies cannot be run again; give the whole recording")
+            raise RecordingError(f"{path}: a clip of selected bodies cannot be rerun; give the whole recording")
         scene = recorded_scene(recording, overrides)
         checkpoint = checkpoint_before(recording, 0.0)
         start = start_of(recording, scene, checkpoint)
     left = scene.time.duration - checkpoint.time
     if left <= 0.0:
-        raise RecordingError(f"{path}: it has only its last state, so there is nothing to run again")
+        raise RecordingError(f"{path}: it contains only its last state, so there is nothing to rerun")
     later = scene.time.model_copy(update={"duration": left}) if checkpoint.time > 0.0 else scene.time
     return SceneWithBodies(given, scene.model_copy(update={"time": later}), start)
 

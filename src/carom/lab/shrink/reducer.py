@@ -140,7 +140,7 @@ def _backwards(moments: list[BodyStates]) -> Iterator[BodyStates]:
         back = max(back + 1, back + back // 2)
 
 
-_GOES_AWAY = "the failure goes away when every body is written out, so it cannot be shrunk"
+_GOES_AWAY = "the failure disappears when every body is written out, so it cannot be shrunk"
 MOST_ROUNDS = 12  # of all passes, even if the scene still changes
 
 
@@ -240,11 +240,11 @@ class Reducer:
             try:
                 smallest, cut = self._begin(scene, start or place(scene), trials)
             except OutOfTime as ended:
-                raise ExperimentError(f"{ended} before the failure was seen; nothing is written") from None
+                raise ExperimentError(f"{ended} before the failure was reproduced; nothing is written") from None
             stopped = self._pass_all(smallest, cut, trials)
             if not smallest.kept:
                 tried = counted(trials.count, "smaller scene")
-                raise ExperimentError(f"the scene fails, but {stopped} when {tried} had been tried; nothing is written")
+                raise ExperimentError(f"the scene fails, but {stopped} after {tried}; nothing is written")
             return Reduction(
                 document=smallest.document,
                 said=smallest.said,

@@ -54,7 +54,7 @@ def unfinished_text(
 ) -> str:
     """Return the text of the smallest scene so far, from which the same command continues."""
     comments = [command, f"Asked for: {asked}", f"Shown here: {said}"]
-    comments.append(f"Not finished ({why or 'still at work'}): the same command goes on from here.")
+    comments.append(f"Not finished ({why or 'still at work'}): the same command continues from here.")
     return commented(document, [*comments, _mark(key, before, "unfinished")])
 
 
@@ -63,7 +63,7 @@ def text_of(reduction: Reduction, asked: str, key: str, command: str) -> str:
     made, before = reduction.document, reduction.before
     if not reduction.minimal:
         return unfinished_text(made, asked, reduction.said, before, key, command, reduction.stopped)
-    comments = [command, f"Asked for: {asked}", f"Shown here: {reduction.said}", *_history(reduction)]
+    comments = [command, f"Asked for: {asked}", f"Failure: {reduction.said}", *_history(reduction)]
     return commented(made, [*comments, _mark(key, before, "minimal")])
 
 
@@ -75,14 +75,14 @@ def _history(reduction: Reduction) -> list[str]:
     bodies, steps = reduction.before
     taken = f"{counted(reduction.steps, 'step')} of {steps}"
     if reduction.steps > steps:  # steps may change with fewer bodies
-        taken = f"{counted(reduction.steps, 'step')}, where the scene took {steps}"
+        taken = f"{counted(reduction.steps, 'step')}, instead of {steps} in the original scene"
     left = f"Left: {counted(reduction.bodies, 'body')} of {bodies}, {taken}."
     found = "; ".join(
         f"{stage.name}, {counted(stage.bodies, 'body')}, {counted(stage.steps, 'step')}"
         for stage in _turns(reduction.stages)
     )
     how = f"Found by carom {versions()['carom']} with {reduction.candidates} candidates in {reduction.seconds:.3g} s"
-    return [f"{left} Leaving out any body, key or digit makes it go away.", f"{how}: {found}."]
+    return [f"{left} Without any one body, key or digit, the failure disappears.", f"{how}: {found}."]
 
 
 def _turns(stages: list[Stage]) -> list[Stage]:

@@ -20,15 +20,15 @@ EVERY = 10.0  # s between lines of progress without a terminal
 
 def shrink(
     source: Annotated[
-        str, typer.Argument(metavar="SCENE|FILE", help="A scene, or a recording (.rrd) or report (.zip) to run again.")
+        str, typer.Argument(metavar="SCENE|FILE", help="A scene, a recording (.rrd) or a report (.zip).")
     ],
     condition: Annotated[
         str | None,
         typer.Option(
             "--while",
             metavar="CONDITION",
-            help="The failure to keep. Default: the error that ends the run, or the promise of \\[expect] that "
-            'it misses. Otherwise expect.NAME, PhysicsError, crash, "not finite", "replay differs", '
+            help="The failure to keep. Default: the error that ends the run, or the broken promise of "
+            '\\[expect]. Other values: expect.NAME, PhysicsError, crash, "not finite", "replay differs", '
             '"invariance NAME", "impact of A and B", "warning KIND", or an expression such as '
             '"energy.max_error > 1e-3" over the numbers of `carom inspect --json`.',
         ),
@@ -38,8 +38,8 @@ def shrink(
         typer.Option(
             "--while-command",
             metavar="COMMAND",
-            help="A shell command that exits with 0 if the scene shows the failure. The path of the scene takes the "
-            "place of {}, or follows at the end.",
+            help="A shell command that exits with 0 if the scene shows the failure. {} stands for the path of the "
+            "scene, which is otherwise appended.",
         ),
     ] = None,
     output: Annotated[
@@ -61,8 +61,7 @@ def shrink(
             "--workers",
             metavar="N",
             min=1,
-            help="Processes that try smaller scenes at the same time, if these take long. Default: one per core, "
-            "and 1 with --while-command.",
+            help="Number of processes for slow scenes. Default: one per core, or 1 with --while-command.",
         ),
     ] = None,
     overrides: SetOption = None,
@@ -83,7 +82,7 @@ def shrink(
     from carom.lab.shrink.whole_run import CommandShows
 
     if condition is not None and while_command is not None:
-        raise typer.BadParameter("give one of --while and --while-command", param_hint="--while-command")
+        raise typer.BadParameter("give either --while or --while-command", param_hint="--while-command")
     asked = condition_from(condition) if while_command is None else CommandShows(while_command)
     path = output or Path(f"{Path(source).stem}-small.toml")
     refuse_scene_output(path, source, force=True)
@@ -94,7 +93,7 @@ def shrink(
         if as_json:
             say_json({"file": str(path), "condition": asked.text, "minimal": True, "before": known.before})
         else:
-            say(f"{path} is the smallest scene already; give --force to find it again.")
+            say(f"{path} is already the smallest scene; search again with --force.")
         return
     if while_command is not None and workers is None:
         workers = 1  # concurrent commands might interfere
@@ -126,7 +125,7 @@ def _reduced(reducer: Reducer, given: SceneWithBodies, path: Path, key: str, com
     asked = reducer.condition.text
 
     def keep(document: dict[str, Any], said: str) -> None:
-        assert reducer.before is not None, "the scene has run"
+        assert reducer.before is not None, "the first run of the scene"
         write(path, unfinished_text(document, asked, said, reducer.before, key, command))
 
     reducer.keep = keep
@@ -176,7 +175,7 @@ def _print(result: Reduction, path: Path) -> None:
         )
     say(f"{left}: {result.said}")
     if result.stopped:
-        say(f"Not finished: {result.stopped}. The same command goes on.")
+        say(f"Not finished: {result.stopped}. Run the same command to continue.")
     effort = f"{counted(result.candidates, 'candidate')}, {result.kept} kept, in {result.seconds:.3g} s"
     say(f"Written to {path} after {effort}; {command('run', path)}")
 

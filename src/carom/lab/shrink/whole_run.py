@@ -174,7 +174,7 @@ class Varies:
     def pinned(self, seen: Observation) -> Varies:
         """Return this condition, if it holds."""
         if not self.holds(seen):
-            raise ExperimentError(f"nothing to shrink: {self.name} changes nothing that it should not")
+            raise ExperimentError(f"nothing to shrink: the result does not change under {self.name}")
         return self
 
     def holds(self, seen: Observation) -> bool:
@@ -229,7 +229,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
     if here.error or there.error:
         return "" if bool(here.error) == bool(there.error) else f"one ends with: {here.error or there.error}"
     if here.step != there.step:
-        return f"it takes {there.step} steps in place of {here.step}"
+        return f"it takes {there.step} steps instead of {here.step}"
     position = image.positions(here.position, there.time)
     if image.exact:
         same = np.array_equal(there.position, position) and here.time * image.time == there.time
@@ -242,7 +242,7 @@ def _by_image(scene: Scene, image_of: Callable[[Space], Image]) -> str:
         return ""
     units = scene.unit_system
     explained = units.text(allowed, LENGTH, ".1g")
-    return f"a position is off by {units.text(off, LENGTH, '.3g')}, and roundings explain {explained}"
+    return f"a position differs by {units.text(off, LENGTH, '.3g')}, and rounding explains only {explained}"
 
 
 def _grown(document: Document, here: FinalState, reach: float, speed: float) -> float:
@@ -276,7 +276,7 @@ def _by_shorter_steps(scene: Scene) -> str:
     floor = 1e-11  # of the energy scale: some 10⁵ roundings
     if coarse is None or fine is None or fine <= max(coarse / FALLS, floor):
         return ""
-    return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps of 1/{FINER}: it falls too little"
+    return f"the energy error is {coarse:.3g}, and {fine:.3g} with steps {FINER} times shorter: it decreases too little"
 
 
 def _energy_error(scene: Scene) -> float | None:
@@ -391,7 +391,7 @@ class ReplayDiffers:
         way = self._difference(seen)
         if not way:
             raise ExperimentError(
-                "nothing to shrink: runs on two threads, from a checkpoint and by the other search have the same bits"
+                "nothing to shrink: runs on two threads, from a checkpoint and with the other search have the same bits"
             )
         return replace(self, way=way)
 
@@ -402,7 +402,7 @@ class ReplayDiffers:
 
     def said(self, seen: Observation) -> str:
         """Describe the difference."""
-        return f"a run {self.way} ends with other bits"
+        return f"a run {self.way} ends with different bits"
 
     def bodies(self, seen: Observation) -> set[str]:
         """Return no names, because the bodies involved are unknown."""

@@ -157,7 +157,9 @@ class Folder:
             fcntl.flock(claim, fcntl.LOCK_EX | fcntl.LOCK_NB)
             yield
         except BlockingIOError:
-            raise ExperimentError(f"{self.root}: another sweep runs here; wait for it, or end it") from None
+            raise ExperimentError(
+                f"{self.root}: another sweep is running in this folder; wait for it, or end it"
+            ) from None
         finally:
             os.close(claim)
 
@@ -307,7 +309,7 @@ class Manifest:
         for name in sorted(names - self.files):
             if os.path.lexists(self.folder.root / name):
                 raise FileExistsError(
-                    errno.EEXIST, "it is not of this sweep; move it away", str(self.folder.root / name)
+                    errno.EEXIST, "it does not belong to this sweep; move it", str(self.folder.root / name)
                 )
         self.files |= names
         self.save()
@@ -319,7 +321,9 @@ class Manifest:
             self._reserve.grow(_ENTRY * len(self.runs))
         except OSError as error:
             self._reserve.release()
-            raise ExperimentError(f"{self.folder.root}: no room for a sweep: {error.strerror}") from None
+            raise ExperimentError(
+                f"{self.folder.root}: cannot reserve disk space for the sweep: {error.strerror}"
+            ) from None
 
     def save(self) -> None:
         """Write the file. Raises OSError if that fails; the previous file then remains."""
@@ -366,12 +370,12 @@ def read(folder: Folder) -> dict[str, Any]:
     """
     path = folder.manifest
     if not path.is_file():
-        raise ExperimentError(f"{folder.root}: no sweep here (there is no {path.name})")
+        raise ExperimentError(f"{folder.root}: not a sweep (it contains no {path.name})")
     try:
         text = path.read_text(encoding="utf-8")
         stored = json.loads(text, parse_int=_int64)
         if not isinstance(stored, dict) or key_places.is_too_deep(stored):
-            raise ValueError(f"expected an object, of at most {key_places.DEEPEST} levels")
+            raise ValueError(f"expected an object of at most {key_places.DEEPEST} levels")
         if stored.get("schema") != SCHEMA:
             raise ExperimentError(f"{path}: of another version of carom (schema {str(stored.get('schema'))[:20]})")
         checked = _Stored.model_validate_json(text, strict=True)
@@ -410,12 +414,12 @@ def _runs(stored: dict[str, Any]) -> dict[str, SweepRun]:
 
 def _refuse_other(folder: Folder, stored: dict[str, Any], plan: Plan) -> None:
     """Refuse to mix two sweeps in one folder."""
-    remedy = "choose another folder with -o, or give --force to remove that sweep and start anew"
+    remedy = "choose another folder with -o, or remove that sweep and start over with --force"
     if stored["scene"] != plan.digest:
         raise ExperimentError(f"{folder.root}: holds a sweep of another scene ({folder.scene} has it); {remedy}")
     if tuple(stored["varied"]) != plan.varied:
         keys = ", ".join(stored["varied"])
-        raise ExperimentError(f"{folder.root}: is of a sweep that varies {keys}, in this order; {remedy}")
+        raise ExperimentError(f"{folder.root}: holds a sweep that varies {keys}, in this order; {remedy}")
     theirs, ours = stored["versions"].get("carom", "unknown"), versions()["carom"]
     if theirs != ours:
         raise ExperimentError(f"{folder.root}: was begun with carom {theirs}, this is {ours}; {remedy}")
@@ -425,9 +429,7 @@ def _refuse_to_replace(folder: Folder, names: Iterable[str], ours: set[str]) -> 
     """Refuse to replace a file that the manifest does not list."""
     for name in names:
         if name not in ours and os.path.lexists(folder.root / name):
-            raise ExperimentError(
-                f"{folder.root / name}: the sweep would replace it by its own; choose another folder with -o"
-            )
+            raise ExperimentError(f"{folder.root / name}: the sweep would replace it; choose another folder with -o")
 
 
 def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
@@ -435,7 +437,7 @@ def _refuse_runs_of_others(folder: Folder, names: set[str]) -> None:
     for path in (path for place in folder.recordings for path in place.glob("*.rrd")):
         if path.name.removesuffix(".rrd") in names:
             raise ExperimentError(
-                f"{path}: no sweep lists it, and this one would replace it; choose another folder with -o"
+                f"{path}: it belongs to no sweep, and this sweep would replace it; choose another folder with -o"
             )
 
 

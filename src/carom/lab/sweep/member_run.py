@@ -59,7 +59,7 @@ def unfit(root: str, scene: str, version: str) -> str:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         return f"cannot read {path} ({error.strerror}); the folder must be the same on all machines"
-    return "" if digest(text) == scene else f"sees another {path}; the folder must be the same on all machines"
+    return "" if digest(text) == scene else f"has a different {path}; the folder must be the same on all machines"
 
 
 def _made(task: SweepTask, folder: Folder) -> Report:

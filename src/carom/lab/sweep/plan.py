@@ -89,9 +89,13 @@ def plan(
     axes = {**scene.sweep.vary, **dict(_axis(text) for text in vary)}
     count = seeds if seeds is not None else scene.sweep.seeds
     if not axes and count is None:
-        raise ExperimentError("nothing varies; give --vary key=a,b,c or --seeds N, or a [sweep] section in the scene")
+        raise ExperimentError(
+            "nothing varies; give --vary key=a,b,c or --seeds N, or add a [sweep] section to the scene"
+        )
     if SEED in axes and count is not None:
-        raise ExperimentError("the seeds are given twice, by their number and as values of seed; leave one out")
+        raise ExperimentError(
+            "seeds are given twice, as a number of seeds and as values of seed; remove one of the two"
+        )
     try:
         rows = variation.combinations(axes, scene.sweep.zip if zipped is None else zipped)
     except ValueError as error:
@@ -117,7 +121,7 @@ def _data_files(scene: Scene, points: Sequence[SweepPoint]) -> dict[str, Path]:
     for name in dict.fromkeys(name for name in named if isinstance(name, str) and not Path(name).is_absolute()):
         if ".." in Path(name).parts:
             raise ExperimentError(
-                f"{name}: a sweep copies its data files; put it into the folder of the scene or below"
+                f"{name}: a sweep copies data files, so put it into the folder of the scene or a subfolder"
             )
         found[name] = files.folder / name
     return found

@@ -114,7 +114,7 @@ class Conductor:
         """Drop the runs that have not begun."""
         self._left.difference_update(self._workers.drop_waiting())
         left = counted(len(self._left), "run")
-        self._watch.say(f"Interrupted. Waiting for {left} under way; interrupt again to drop them.")
+        self._watch.say(f"Interrupted. Waiting for {left} in progress; interrupt again to drop them.")
 
 
 def _report_of(ended: Ended) -> Report:

@@ -32,7 +32,7 @@ class SweepProgress(LiveLine):
         """Describe the task."""
         self._found = found
         self._restart()
-        there = f", {found} of them are there" if found else ""
+        there = f", {found} already done" if found else ""
         self.say(f"{self._title}: {self._runs} runs{there}")
 
     def ended(self, run: SweepRun) -> None:
@@ -93,14 +93,15 @@ def sweep(
         typer.Option(
             "--seeds",
             metavar="N",
-            help="Run each combination N times, with seeds counting up from that of the scene.",
+            help="Run each combination N times, with consecutive seeds from the seed of the scene.",
             min=1,
         ),
     ] = None,
     zipped: Annotated[
         bool | None,
         typer.Option(
-            "--zip/--cross", help="Vary all keys together, value by value, or combine each with each (default)."
+            "--zip/--cross",
+            help="Pair the values of all keys one by one, or combine every value with every other (default).",
         ),
     ] = None,
     overrides: SetOption = None,
@@ -137,14 +138,17 @@ def sweep(
         typer.Option(
             "--filter",
             metavar="CONDITION",
-            help='Show rows that meet this, such as "energy.final<0". Repeatable; all must hold.',
+            help='Show rows that satisfy a condition, such as "energy.final<0". Repeatable; rows must satisfy all.',
             rich_help_panel="Look",
         ),
     ] = None,
     columns: Annotated[
         str | None,
         typer.Option(
-            "--columns", metavar="KEY,KEY", help="Show these columns besides what varies.", rich_help_panel="Look"
+            "--columns",
+            metavar="KEY,KEY",
+            help="Show these columns in addition to the varied keys.",
+            rich_help_panel="Look",
         ),
     ] = None,
     plot: PlotOption = None,
@@ -230,7 +234,7 @@ def _tell(ending: SweepEnding, folder: Path, figure: Path | None, as_json: bool)
         typer.echo(f"{figure} written.")
     if ending.left:
         why = f"{ending.stopped}: " if ending.stopped else ""
-        typer.echo(f"carom: {why}{ending.left} runs are left; run the same command again to continue", err=True)
+        typer.echo(f"carom: {why}{ending.left} runs remain; run the same command again to continue", err=True)
     typer.echo(f"next: {command('sweep', '--table', folder)}")
 
 

@@ -129,7 +129,7 @@ def _unlike(value: Any, wanted: str) -> str:
         return f'is numeric; got "{wanted}"'
     if physical(_text(value)):
         return f'has units, such as "{value}"; got "{wanted}"'
-    return f'is text, such as "{_text(value)}"; compare it by = or !='
+    return f'is text, such as "{_text(value)}"; compare it with = or !='
 
 
 def _is_number(value: Any) -> bool:

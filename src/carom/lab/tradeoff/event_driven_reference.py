@@ -63,7 +63,7 @@ class EventDrivenSolution:
 def why_not(scene: Scene) -> str:
     """Return why a scene cannot be solved exactly; empty if it can."""
     if scene.count > MOST_BODIES:
-        return f"{scene.count} bodies are more than {MOST_BODIES}"
+        return f"{scene.count} bodies, more than {MOST_BODIES}"
     if scene.domain.boundary != "open" or scene.plane:
         return "no exact solution with planes, walls or periodic boxes"
     if scene.has_fixed_bodies:
@@ -188,7 +188,7 @@ class _Solver:
             if pressed is not None and self._gap(state, pressed) <= self._near[pressed]:
                 self._end_in_contact(pressed)
             if clock.thread_time() > self._deadline:
-                self._end(f"{self._budget:.3g} s of computing reached t = {self._units.text(after, TIME)}")
+                self._end(f"after {self._budget:.3g} s of computing it had reached t = {self._units.text(after, TIME)}")
             if found is not None:
                 return self._touching()
             self._sample_now()
@@ -304,9 +304,7 @@ class _Solver:
                 self._strike(pair)
             rounds += 1
             if len(self._struck) > MOST_CONTACTS or rounds > MOST_CONTACTS:
-                self._end(
-                    f"contacts follow each other without end from t = {self._units.text(self._time, TIME, '.9g')} on"
-                )
+                self._end(f"an endless sequence of contacts begins at t = {self._units.text(self._time, TIME, '.9g')}")
             touching = self._touching()
         return self._flight()
 

@@ -274,7 +274,7 @@ def _exact(scene: Scene, threads: int | None, budget: float, tell: Teller) -> tu
         whole=not best.ended,
         text=text,
     )
-    return (reference, "") if reference.samples else (None, f"no sample is certain of what is {text}")
+    return (reference, "") if reference.samples else (None, f"no sample is certain: {text}")
 
 
 def _refined(scene: Scene, finest: float, threads: int | None, budget: float, tell: Teller, reason: str) -> Reference:

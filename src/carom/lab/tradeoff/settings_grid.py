@@ -115,8 +115,8 @@ def default_points(scene: Scene) -> list[GridPoint]:
     """
     if scene.time.accuracy is not None:
         raise SceneError(
-            f"time.accuracy = {scene.time.accuracy:g} chooses the step, so that none can be compared; remove it with "
-            "--set time.accuracy= or name the settings, as with --vary time.accuracy=1e-4,1e-6",
+            f"time.accuracy = {scene.time.accuracy:g} chooses the step, so settings cannot be compared; remove it "
+            "with --set time.accuracy= or name the settings, as in --vary time.accuracy=1e-4,1e-6",
             ("time", "accuracy"),
         )
     parts, other = require(scene), knobs(scene)
@@ -232,8 +232,8 @@ def _refuse_another_scene(key: str) -> None:
     known = (STEP, THREADS, *METHOD)
     if key == "time.duration" or not any(f"{key}.".startswith(f"{one}.") for one in known):
         raise SceneError(
-            f"--vary {key}: it changes the scene, and not how that is computed; vary "
-            f"{', '.join(known)}; `carom sweep` varies all keys"
+            f"--vary {key}: it changes the scene instead of its computation; vary {', '.join(known)}; `carom sweep` "
+            "varies all keys"
         )
 
 

@@ -73,7 +73,7 @@ REFERENCE = "reference.npz"
 FIGURE = "tradeoff.png"
 OVERLAY = "tradeoff.rrd"
 VERSION = 4  # of the document; 1 had no sinking, 2 no frames; references of 3 ended at plastic impacts
-ADVICE = "give --force to begin anew, or another folder with -o"
+ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 
@@ -319,7 +319,7 @@ class Study:
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
             raise ExperimentError(f"{path}: cannot be resumed ({error}); {self._advice}") from None
         raise ExperimentError(
-            f"{self.folder}: holds a study of another scene, or of this one before it was changed; {self._advice}"
+            f"{self.folder}: holds a study of another scene or of an earlier version of this scene; {self._advice}"
         )
 
     def _reopen(self, known: dict[str, Any] | None, settings: list[dict[str, Any]]) -> None:

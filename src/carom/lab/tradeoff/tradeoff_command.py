@@ -43,8 +43,8 @@ LimitOption = Annotated[
     typer.Option(
         "--limit",
         metavar="SECONDS",
-        help="CPU time in seconds after which to stop the run of a setting, and time after which to stop a reference. "
-        "Default: none, but settings that are not chosen with --vary stop after some 10⁶ steps.",
+        help="Limit of the CPU time of each run, and of the time of a reference, in seconds. Default: none; settings "
+        "not chosen with --vary stop after about 10⁶ steps.",
         min=0.0,
     ),
 ]
@@ -64,7 +64,7 @@ COLUMNS = {
 }
 TO_THE_HORIZON = ("position", "velocity", "impact", "missed")  # errors that are compared only up to the horizon
 STATISTICS = ("size", "dispersion")  # errors that are compared to the end of the reference
-STOPPED = "carom: stopped; what is measured is kept, and the same command goes on with it"
+STOPPED = "carom: stopped; the measurements are kept, and the same command continues"
 PIPE_WIDTH = 320  # characters of the table where the output is not a terminal
 
 
@@ -80,7 +80,7 @@ def tradeoff(
     ] = None,
     overrides: SetOption = None,
     threads: ThreadsOption = None,
-    force: Annotated[bool, typer.Option("--force", help="Start over, in place of the existing study.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Start over and replace the existing study.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Measure cost and errors of a scene's settings, and show which settings no other beats.
@@ -186,7 +186,7 @@ def _show(study: Study) -> None:
     end, horizon, units = study.scene.time.duration, reference.horizon, study.scene.unit_system
     console.print(
         f"Positions are compared up to the horizon, {units.text(horizon, TIME)} of {units.text(end, TIME)}, where it "
-        f"is sure to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
+        f"is certain to {study.floor('position'):.1e} of the size and {study.floor('velocity'):.1e} of the speed.",
         soft_wrap=True,
     )
     console.print(_legend(study.noise), soft_wrap=True)
@@ -199,12 +199,13 @@ def _show(study: Study) -> None:
 def _legend(noise: float) -> str:
     if not noise:
         return (
-            "[bold]●[/bold] no other setting is as good and cheaper, by one run each: how far costs vary is not known."
+            "[bold]●[/bold] no other setting is as accurate and cheaper. Each was run once, so the noise of the costs "
+            "is unknown."
         )
     return (
-        "[bold]●[/bold] no other setting is as good and as cheap; ○ there may be one, within the noise of the costs or "
-        "the doubt of the reference; without a mark, there is. Costs are medians ± half their range; their noise is "
-        f"that, or {noise:.0%} where that is more."
+        "[bold]●[/bold] no other setting is as accurate and as cheap; ○ another may be, within the noise of the costs "
+        "or the uncertainty of the reference; no mark: another one is. Costs are medians ± half their range; their "
+        "noise is half the range, or {noise:.0%} where that is more."
     )
 
 

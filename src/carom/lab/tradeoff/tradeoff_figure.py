@@ -80,7 +80,7 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
     done = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     panels = [error for error in PANELS if any((entry["errors"][error] or 0.0) > LEAST for entry in done)][:MOST_PANELS]
     if not panels:
-        raise ExperimentError("nothing is measured yet that could be drawn")
+        raise ExperimentError("there are no measurements to draw yet")
     families = _families(done)
     looks = _looks(families)
     with styled(8):
@@ -100,7 +100,7 @@ def draw(document: dict[str, Any], path: Path, units: UnitSystem = SI) -> None:
             title += f"\npositions are compared up to t = {units.text(reference['horizon'], TIME)}"
         figure.suptitle(title, fontsize=10)
         ends = [f"{_short(e)}: {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
-        words = "filled: on the front; ring: in doubt; faint: another is as good and cheaper"
+        words = "filled: on the front; ring: uncertain; faint: another is as accurate and cheaper"
         noise = f"costs ± half their range, noise {document['noise']:.1%} at least; lines join steps of a setting"
         figure.legend(
             handles=[_sample(name, look) for name, look in looks.items()],

@@ -234,10 +234,10 @@ class Tuning:
     def why_none(self) -> str:
         """Explain why no setting keeps the limits, by the setting with the smallest excess."""
         for name in unsure(self.study, self.limits):
-            return f"{name} below {self.study.floor(name):.2g} is rounding, or the uncertainty of the reference itself"
+            return f"{name} below {self.study.floor(name):.2g} is within rounding or the uncertainty of the reference"
         done = [result for result in self.tried if result.complete]
         if not done:
-            return "none could be measured"
+            return "no setting could be measured"
         best = min(done, key=self._excess)
         return f"the nearest is {best.setting.name}: {', '.join(self.misses(best))}"
 
@@ -358,14 +358,14 @@ def write(tuning: Tuning, path: Path) -> None:
         If it cannot be written.
     """
     study, result = tuning.study, tuning.best
-    assert study.reference is not None and result is not None, "what is measured has a reference"
-    measured = [f"{e} {getattr(result.errors, e):.2g} (asked for {limit:.2g})" for e, limit in tuning.limits.items()]
+    assert study.reference is not None and result is not None, "the measured errors need a reference"
+    measured = [f"{e} {getattr(result.errors, e):.2g} (limit {limit:.2g})" for e, limit in tuning.limits.items()]
     cost = f"{result.cost:.3g} s, the median of {len(result.costs)}, ± {result.spread:.0%}"
     horizon = study.scene.unit_system.text(study.reference.horizon, TIME)
     comment = [
         f"carom tune: {result.setting.name}",
         f"measured: {', '.join(measured)}; {cost}",
-        f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as before",
+        f"the cheapest of {len(tuning.tried)} settings tried, {tuning.speed:.3g} times as fast as the original scene",
         f"against a reference that is {study.reference.text}; compared up to {horizon}",
     ]
     text = "".join(f"# {line}\n" for line in comment) + "\n" + toml_for(result.setting.apply(study.scene), path.parent)

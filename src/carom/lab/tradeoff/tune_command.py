@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from carom.lab.tradeoff.tradeoff import Study
     from carom.lab.tradeoff.tune import Tuning
 
-ADVICE = "give --new-study to begin anew, or another folder with --study"
+ADVICE = "start over with --new-study, or choose another folder with --study"
 
 
 def tune(
@@ -60,7 +60,7 @@ def tune(
     threads: ThreadsOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing FILE; keep the study.")] = False,
     new_study: Annotated[
-        bool, typer.Option("--new-study", help="Measure everything again, in place of the existing study.")
+        bool, typer.Option("--new-study", help="Measure everything again and replace the existing study.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
@@ -126,14 +126,14 @@ def _lines(tuning: Tuning) -> list[str]:
     if written.costs and best is not written:
         missed = tuning.misses(written)
         but = f", which misses {', '.join(missed)}" if missed else ""
-        lines.append(f"It is {tuning.speed:.2g} times as fast as the scene as written ({written.cost:.3g} s{but}).")
+        lines.append(f"It is {tuning.speed:.2g} times as fast as the original scene ({written.cost:.3g} s{but}).")
     kept = [f"{name} {getattr(best.errors, name):.2g} (limit {limit:.2g})" for name, limit in tuning.limits.items()]
     lines.append(f"It keeps {', '.join(kept)}{_extent(tuning, tuning.limits)}.")
     changes = tuning.worse()
     worse = [f"{COLUMNS.get(name, name)} {after:.2g} (was {before:.2g})" for name, (before, after) in changes.items()]
     if worse:
-        lines.append(f"Worse than as written: {', '.join(worse)}{_extent(tuning, changes)}.")
+        lines.append(f"Worse than the original scene: {', '.join(worse)}{_extent(tuning, changes)}.")
     if (passed := tuning.passed_over) is not None:
         frames = f"a recording would have {', '.join(tuning.misses(passed))}"
-        lines.append(f"Cheaper, but left out: {passed.setting.name}, {passed.cost:.3g} s; {frames}.")
+        lines.append(f"Cheaper, but rejected: {passed.setting.name}, {passed.cost:.3g} s; {frames}.")
     return lines

@@ -176,7 +176,7 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
         If there is no such body, moment or event, or not exactly one of a body and an event is given.
     """
     if (body is None) == (event is None):
-        raise RecordingError("ask about a body with --body, or about an impact with --event; give one of them")
+        raise RecordingError("choose a body with --body, or an impact with --event")
     recording.require_frames()
     if event is not None:
         if at is not None:
@@ -195,7 +195,7 @@ def _of_event(recording: Recording, event: str) -> Question:
     time, pair = found.time, found.pair
     when, count = recording.units.text(time, TIME, ".9g"), len(recording.bodies.mass)
     if pair is None or (pair.j is None and pair.plane is None):
-        which = "no two bodies" if recording.shows_all else "no two bodies that this clip shows"
+        which = "no two bodies" if recording.shows_all else "no two bodies of this clip"
         raise RecordingError(f'the event "{event}" names {which}; ask about one with --body, at t = {when} with --at')
     j = pair.j if pair.j is not None else count + (pair.plane or 0)
     bodies = (pair.i,) if j >= count else (pair.i, j)

@@ -123,7 +123,7 @@ def _windows(recording: Recording, time: float, start: float | None) -> list[int
     if start is not None and start > time:
         units = recording.units
         begin, moment = units.text(start, TIME, "g"), units.text(time, TIME, ".9g")
-        raise ExperimentError(f"--from {begin} is after {moment}, the moment asked about")
+        raise ExperimentError(f"--from {begin} is later than {moment}, the time of the question")
     earlier = [step for step, at in times.items() if at < time - tolerance(time)] or [next(iter(times))]
     chosen = [earlier.pop()]
     frames = recording.fingerprints()
@@ -146,7 +146,7 @@ class _Backwards:
         self._count = len(mass)
         bodies = question.bodies
         if not history.inverse_mass[list(bodies)].all():
-            raise ExperimentError("a fixed body has no velocity; ask about one that moves")
+            raise ExperimentError("a fixed body has no velocity; choose one that moves")
         self._differs = history.differs
         self._impacts = impacts_by_step(history)
         step, rows, kicks, late = _moment(question, history)
@@ -171,7 +171,7 @@ class _Backwards:
     def finish(self) -> Answer:
         """Return the answer."""
         begin = self._begin
-        same = "with the same bits" if self._differs is None else f"with other bits from step {self._differs} on"
+        same = "with the same bits" if self._differs is None else f"with different bits from step {self._differs} on"
         return Answer(
             question=self._question,
             time=self._time,
@@ -213,7 +213,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
     """Return the step of the question, its impulses and kicks before the moment, and the later impulses."""
     time = question.units.text(question.time, TIME, ".9g")
     if not history.steps:
-        raise ExperimentError(f"t = {time} is not after the beginning of the recording: nothing is known before it")
+        raise ExperimentError(f"t = {time} is not after the beginning of the recording; earlier causes are unknown")
     last = history.steps[-1]
     if question.ends is None:
         return last, last.impulses, last.kicks, last.impulses[:0]
@@ -221,9 +221,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
     near = history.steps[max(0, place - 1) : place + 2]
     found = [(step, row) for step in near for row in _rows_of(step, question.ends)]
     if not found:
-        raise ExperimentError(
-            f"{question.event}: nothing passed between the two bodies at t = {time} when it is run again"
-        )
+        raise ExperimentError(f"{question.event}: no impulse acted between the two bodies at t = {time} in the replay")
 
     def off(one: tuple[Step, int]) -> tuple[float, bool]:
         row = one[0].impulses[one[1]]

@@ -46,20 +46,23 @@ def why(
     ] = None,
     at: Annotated[
         OptionalTime,
-        typer.Option("--at", parser=seconds, metavar="T", help="Time to ask about. Default: the end."),
+        typer.Option("--at", parser=seconds, metavar="T", help="Time of the question. Default: the end."),
     ] = None,
     event: Annotated[
         str | None,
         typer.Option(
             "--event",
             metavar="EVENT",
-            help="Ask why two bodies touch: a moment that `carom inspect` lists, or impact:N for the Nth impact.",
+            help="Explain why two bodies touch: an event that `carom inspect` lists, or impact:N for the Nth impact.",
         ),
     ] = None,
     start: Annotated[
         OptionalTime,
         typer.Option(
-            "--from", parser=seconds, metavar="T", help="Go back to this time. Default: as far as a few seconds allow."
+            "--from",
+            parser=seconds,
+            metavar="T",
+            help="Trace causes back to this time. Default: as far as a few seconds of computing allow.",
         ),
     ] = None,
     output: Annotated[Path | None, recording_option("Write a recording of the causes for the viewer.")] = None,
@@ -204,7 +207,7 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
         say(line)
     say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
     if answer.begin_step > oldest:
-        say("What is older is not looked at; --from 0 goes back to the beginning.")
+        say("Earlier causes were not examined; --from 0 goes back to the beginning.")
     best = _to_look_at(answer)
     if best is not None:
         time, ends = best
@@ -260,7 +263,7 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     print_whole(table)
     if len(account.causes) > MOST_CAUSES:
-        say(f"  … and {len(account.causes) - MOST_CAUSES} more; --json has all.")
+        say(f"  … and {len(account.causes) - MOST_CAUSES} more; for all, use --json.")
 
 
 def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
@@ -293,7 +296,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
         at_rest = f"hold {' and '.join(names.of(account.body) for account in resting)} still"
         yield (
             f"Contacts {at_rest if resting else 'at rest gave it more than impacts'}, so no single impact is the "
-            "cause: the answer is a flow of impulse over contacts."
+            "cause; the answer is a flow of impulse over contacts."
         )
         edges = sorted(answer.edges, key=lambda edge: -edge.impulse) if resting else answer.edges
         for edge in edges[:MOST_EDGES]:
@@ -310,7 +313,7 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
                 f"{units.text(link.impulse, IMPULSE, '.4g')}; {link.share:.1%} of {what} came this way"
             )
         first = answer.first_cause
-        given = "had its velocity before, or forces gave it"
+        given = "already had its velocity, or gained it from forces"
         yield f"  {names.of(first)} {given}: it is the first cause."
     else:
         passed = cone.passed_to(answer.question.bodies)
@@ -322,11 +325,11 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     forces = float(cone.from_forces.sum())
     left = float(cone.shares.sum())
     bodies = f"{counted(others, 'other body')} of {cone.count - 1}" if others else "no other body"
-    yield f"In all, {bodies} could have had an effect by contacts."
+    yield f"In all, {bodies} could have had an effect through contacts."
     since = units.text(answer.begin, TIME, ".9g")
     if len(resting) == len(answer.accounts):
         return
-    yield f"Behind it all: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
+    yield f"Overall contributions: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
 
 
 def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:

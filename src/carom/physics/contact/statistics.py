@@ -268,14 +268,14 @@ def limits_of(
     """
     reached = []
     if serial_stage:  # this costs time only
-        text = f"More than {OVERFLOW} colours are needed: the rest is resolved in a last, serial stage."
+        text = f"More than {OVERFLOW} colours are needed: the remaining contacts are resolved in a last, serial stage."
         reached.append(("INFO", text))
     if too_few_sweeps:
         reached.append(("WARN", still_closing(contact)))
     if exhausted:
         text = (
-            "A body had so many impacts in one step that its last contacts were held, without a rebound; in shorter "
-            "steps (time.fixed_dt, time.cfl) more of them rebound."
+            "A body had so many impacts in one step that its last contacts were held without a rebound; with shorter "
+            "steps (time.fixed_dt, time.cfl), more of them rebound."
         )
         reached.append(("WARN", text))
     if crossed:
@@ -296,5 +296,5 @@ def still_closing(contact: ContactSettings) -> str:
     """Return the text of too few sweeps."""
     return (
         f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
-        "what is left is resolved in later steps."
+        "the remainder is resolved in later steps."
     )

@@ -61,7 +61,7 @@ class Suspects:
             return f"No bodies were colliding in step {self.step}."
         ledger = self.contributions()
         added = ledger[:, STABILISATION] - ledger[:, (RESTITUTION, FRICTION)].sum(axis=1)
-        lines = [f"Colliding in step {self.step}, {len(self.graph)} contacts, those that added most first:"]
+        lines = [f"Collisions in step {self.step}, {len(self.graph)} contacts, sorted by added energy:"]
         lines += [self._contact(int(c), float(added[c]), names, units) for c in np.argsort(-added)[:MOST_CONTACTS]]
         return "\n".join(lines)
 
@@ -188,14 +188,14 @@ def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
 def _remedy(integrator: Integrator) -> str:
     """Return the keys that reduce a large error of an integrator."""
     if integrator.hierarchical:
-        return 'Take shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
+        return 'Use shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
     if integrator.controls_error:
         return (
-            "The integrator chooses its steps by their error unless time.fixed_dt is set; without it, soften the "
-            "closest passages (gravity.softening)."
+            "Without time.fixed_dt the integrator chooses its steps by their error; remove it, or soften close "
+            "encounters (gravity.softening)."
         )
     other = "" if integrator.order > 2 else ', or time.integrator = "yoshida4"'
-    return f"Take shorter steps (time.target_dx, time.cfl or time.fixed_dt){other}."
+    return f"Use shorter steps (time.target_dx, time.cfl or time.fixed_dt){other}."
 
 
 def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
@@ -203,8 +203,8 @@ def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
     ledger = energy.ledger
     restitution, friction = (units.text(taken, ENERGY, ".4g") for taken in (ledger.restitution, ledger.friction))
     return (
-        f"Impulses of contacts have put energy in, {contact_gain:.2g} of the energy scale, although they can only take "
-        f"it out: so far restitution took {restitution} and friction {friction}."
+        f"Contact impulses have added energy, {contact_gain:.2g} of the energy scale, but they can only remove it: "
+        f"so far restitution has removed {restitution} and friction {friction}."
     )
 
 

@@ -211,9 +211,9 @@ class PaceMonitor:
         raised = self._remedies.get(limit)
         remedy = f" To shorten the run, raise {raised}." if raised else ""
         text = (
-            f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first, "
+            f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first step, "
             f"since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
-            f"{whole / promised:.3g} times as many as its start promised.{remedy}"
+            f"{whole / promised:.3g} times the estimate at its start.{remedy}"
         )
         return Event(step, time, "WARN", text, "pace")
 

@@ -124,7 +124,7 @@ class Team:
     def _lead_alone(self) -> None:
         """Become the leader. Raises RuntimeError while another thread is, since both would share one board."""
         if not self._leading.acquire(blocking=False):
-            raise RuntimeError("two threads use one team at once: a Space may be used by one thread at a time")
+            raise RuntimeError("two threads use one team at once; only one thread may use a Space at a time")
 
     def _rouse(self) -> None:
         """Wake sleeping helpers. One that falls asleep before the work is posted wakes for the next job."""

@@ -146,8 +146,8 @@ class _LookAhead:
         least = LOWEST * ROUNDING * self._last_bit
         if accuracy < least:
             raise SceneError(
-                f"time.accuracy = {accuracy:g}: double precision can give {least:.1e} for bodies "
-                f"where this scene has them; set {least:.1e} or more",
+                f"time.accuracy = {accuracy:g}: for the coordinates of this scene, "
+                f"double precision allows {least:.1e} at best; set {least:.1e} or more",
                 ("time", "accuracy"),
             )
         if integrator(scene).controls_error:  # its error is rounding, so twins a last bit apart show it
@@ -413,8 +413,8 @@ class _LookAhead:
             could = f"not even {LARGEST_ACCURACY:g} could be promised"
         raise SceneError(
             f"time.accuracy = {self._accuracy:g}: cannot promise this: for {LEAST:g} s of computing, or a tenth of the "
-            f"run, the runs ahead reach t = {units.text(covered, TIME, '.2g')} of {units.text(until, TIME, '.4g')}; "
-            f"{could}; ask for less, shorten time.duration, use fewer bodies, or leave accuracy out",
+            f"run, the trial runs reach t = {units.text(covered, TIME, '.2g')} of {units.text(until, TIME, '.4g')}; "
+            f"{could}; raise time.accuracy, shorten time.duration, use fewer bodies, or remove time.accuracy",
             ("time", "accuracy"),
         )
 

@@ -179,7 +179,8 @@ def _group(
     if group.velocity.virial is not None:
         if constant == 0.0:
             raise SceneError(
-                f"group.{index}.velocity.virial without gravity of the bodies; set gravity.constant, or leave it out",
+                f"group.{index}.velocity.virial without gravity between the bodies; set gravity.constant, or remove "
+                "the key",
                 ("group", index, "velocity", "virial"),
             )
         model, (scale, cut) = plummer(), plummer_lengths(region)

@@ -52,8 +52,8 @@ def _arrange(
     centres = lattice(index, group, region, radius, is_clear, units)
     if around.box is not None and len(overlapping_pairs(centres, radius, around.box)):
         raise SceneError(
-            f"group.{index}.region: bodies of the lattice meet across the periodic boundary; make the region "
-            "smaller than the box by a spacing",
+            f"group.{index}.region: bodies of the lattice touch across the periodic boundary; make the region smaller "
+            "than the box by one spacing",
             ("group", index, "region"),
         )
     return centres

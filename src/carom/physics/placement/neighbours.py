@@ -116,7 +116,9 @@ def _refuse_crowds(trees: list[cKDTree], reach: list[float]) -> None:
         near = int(trees[k].count_neighbors(trees[other], (reach[k] + reach[other]) * QUERY_MARGIN))
         count += (near - trees[k].n) // 2 if k == other else near
     if count > MOST_CANDIDATES:
-        raise SceneError(f"{count:.3g} pairs of bodies overlap or nearly do at the start; place them farther apart")
+        raise SceneError(
+            f"{count:.3g} pairs of bodies overlap or nearly overlap at the start; place them farther apart"
+        )
 
 
 @dataclass(frozen=True)

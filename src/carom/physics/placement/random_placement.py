@@ -206,15 +206,15 @@ def _place_class(
     if len(in_the_way):
         names = " and ".join(around.solids.name[plane] for plane in in_the_way)
         raise SceneError(
-            f"group.{index}.region: no room for the bodies outside {names}; move the region or enlarge it",
+            f"group.{index}.region: no room for the bodies outside {names}; move or enlarge the region",
             ("group", index, "region"),
         )
     denser = "" if region.shape == "plummer" else f', or set group.{index}.arrangement = "compressed"'
     if dense:
         denser = "; groups with the same region are compressed together" if around.spheres else ""
     raise SceneError(
-        f"group.{index}: {len(missing)} of {n} bodies found no room within {MOST_ROUNDS} rounds of "
-        f"placement (packing fraction {packing:.3g}); enlarge the region, lower count or radius{denser}",
+        f"group.{index}: {len(missing)} of {n} bodies could not be placed within {MOST_ROUNDS} rounds (packing "
+        f"fraction {packing:.3g}); enlarge the region, lower count or radius{denser}",
         ("group", index),
     )
 

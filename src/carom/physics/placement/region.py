@@ -158,7 +158,7 @@ def default_region(index: int, radius: FloatArray, units: UnitSystem = SI) -> Re
     if size > LARGEST:
         most = units.text(LARGEST, LENGTH, "g")
         raise SceneError(
-            f"group.{index}: bodies so large need a region of more than {most}; lower the radius", ("group", index)
+            f"group.{index}: bodies of this size need a region larger than {most}; lower the radius", ("group", index)
         )
     return Region(radius=size)
 

@@ -85,7 +85,7 @@ def opened(path: Path) -> Iterator[Path]:
         try:
             _unpack(path, out)
         except _SURPRISES as error:
-            raise RecordingError(f"{path} is not a bundle of carom's, or is damaged ({error})") from error
+            raise RecordingError(f"{path} is not a bundle made by carom, or is damaged ({error})") from error
         try:
             yield out
         except RecordingError as error:  # the message should name the bundle, not the temporary file
@@ -103,9 +103,9 @@ def _unpack(path: Path, out: Path) -> None:
             raise ValueError(f"there must be one {CLIP} in it, not {len(found)}")
         info = found[0]
         if info.compress_type not in _METHODS:
-            raise ValueError(f"{CLIP} in it is packed by method {info.compress_type}, not by deflate")
+            raise ValueError(f"{CLIP} in it is compressed by method {info.compress_type} instead of deflate")
         if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
-            raise ValueError(f"{CLIP} in it says that it unpacks to {info.file_size} bytes")
+            raise ValueError(f"{CLIP} in it claims to unpack to {info.file_size} bytes")
         if shutil.disk_usage(out.parent).free < info.file_size:
             raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no room")
         with bundle.open(info) as source, out.open("wb") as target:
@@ -113,5 +113,5 @@ def _unpack(path: Path, out: Path) -> None:
             while piece := source.read(min(_PIECE, left + 1)):
                 left -= len(piece)
                 if left < 0:
-                    raise ValueError(f"{CLIP} in it unpacks to more than it says")
+                    raise ValueError(f"{CLIP} in it unpacks to more than it claims")
                 target.write(piece)

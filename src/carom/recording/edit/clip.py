@@ -276,8 +276,8 @@ def _cut(recording: Recording, start: float, end: float) -> _Cut:
         units = recording.units
         raise RecordingError(
             f"{recording.path} has no frame {_between(start, end, units)}; "
-            f"it goes from {units.span(times[0], times[-1], TIME, 'g')}, with {len(times)} frames, "
-            f"the nearest at {units.text(nearest, TIME, 'g')}"
+            f"it covers {units.span(times[0], times[-1], TIME, 'g')} with {len(times)} frames, the nearest at "
+            f"{units.text(nearest, TIME, 'g')}"
         )
     steps, shown = prints[STEP].to_numpy(), prints[SIM_TIME].cast(pa.int64()).to_numpy()
     first, last = inside[0], inside[-1]

@@ -107,8 +107,8 @@ def _refuse_unbegun(recording: Recording) -> None:
         known = False
     if not known:
         raise RecordingError(
-            f"{recording.path} has nothing to save: its run ended before its first frame was written, or what "
-            "frames are read by is lost"
+            f"{recording.path} has nothing to save: its run ended before the first frame was written, or the data "
+            "needed to read frames is lost"
         )
 
 
@@ -172,7 +172,7 @@ def _refuse_unreadable(out: Path, source: Path) -> None:
     except RecordingError as error:
         out.unlink()
         reason = error.__cause__ if isinstance(error.__cause__, DamageError) else error
-        raise RecordingError(f"nothing of {source} can be saved: its frames have {reason}") from error
+        raise RecordingError(f"nothing of {source} can be recovered: its frames have {reason}") from error
 
 
 def units_of(recording: Recording) -> UnitSystem:
@@ -194,7 +194,7 @@ def _reach(fingerprints: list[pa.Table]) -> tuple[int, int | None, float | None]
 def _ending(recording: Recording) -> str:
     """Describe the end of the run, if it was not lost."""
     ended = recording.outcome
-    return "unfinished: the run was killed, or its end lost" if ended == UNFINISHED else ended
+    return "unfinished: the run was killed, or its end is lost" if ended == UNFINISHED else ended
 
 
 def _told(lost: list[str]) -> str:

@@ -82,11 +82,11 @@ def snapshots(
     chosen = (frame for frame in frames if (frame.step in wanted if everything else frame.time >= goal))
     for frame in itertools.islice(chosen, left):
         if window.differs is not None:
-            raise RecordingError(f"{recording.path}: run again, it has other bits from step {window.differs} on")
+            raise RecordingError(f"{recording.path}: the rerun has different bits from step {window.differs} on")
         left -= 1
         yield Snapshot(frame.checkpoint, *own, window.box)
     if left:
-        raise RecordingError(f"{recording.path} ends earlier when it is run again; its bits are not the same")
+        raise RecordingError(f"{recording.path} ends earlier when it is rerun; its bits differ")
 
 
 def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
@@ -95,7 +95,7 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
     kept = recording.checkpoint_times
     if missing := [int(step) for step in steps if step not in kept]:
         raise RecordingError(
-            f"{recording.path} has no exact state at step {missing[0]}, and cannot be run again: record with exact=True"
+            f"{recording.path} has no exact state at step {missing[0]} and cannot be rerun; record with exact=True"
         )
     for step in steps.tolist():
         yield Snapshot(recording.checkpoint(step), *own)

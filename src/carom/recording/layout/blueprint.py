@@ -133,12 +133,12 @@ def _single(
             return graph_view(header, camera, canvas.area(), added.recoloured)
         case "graph":
             raise RecordingError(
-                "there is no collision graph: bodies neither touch nor feel torques; take the view of bodies"
+                "there is no collision graph, since bodies neither touch nor have torques; use the view of bodies"
             )
         case "close-up" if added.close:
             return added.close.view(header, added.recoloured)
         case "close-up":
-            raise RecordingError("no impact is known that a close-up could show; name two bodies")
+            raise RecordingError("there is no known impact for a close-up; name two bodies")
         case _:
             return energy_view(header, curves, canvas.area())
 

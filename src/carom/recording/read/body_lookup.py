@@ -39,7 +39,7 @@ def body_number(recording: Recording, body: int | str) -> int:
         if len(found) > 1:
             such = _asked_for(found[0], names)
             raise RecordingError(
-                f'{recording.path} has {len(found)} bodies called "{body}"; give the number of one, such as {such}'
+                f'{recording.path} has {len(found)} bodies called "{body}"; give a number, such as {such}'
             )
         if found:
             return found[0]
@@ -65,8 +65,8 @@ def shown_body(recording: Recording, body: int | str) -> int:
     number, names, shown = body_number(recording, body), recording.bodies.name, recording.shown
     if number not in shown:
         raise RecordingError(
-            f"{recording.path} does not show {body_called(number, names[number])}: "
-            f"it is a clip of {bodies_called(shown, names)}"
+            f"{recording.path} does not contain {body_called(number, names[number])}: it is a clip of "
+            f"{bodies_called(shown, names)}"
         )
     return number
 

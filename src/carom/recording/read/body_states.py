@@ -91,7 +91,7 @@ def _recorded_path(recording: Recording, number: int, steps: IntArray, times: Fl
     lost = np.flatnonzero(np.isnan(position).any(axis=1))
     if len(lost):
         step = int(steps[lost[0]])
-        raise RecordingError(f"{recording.path} has no positions at step {step}: a piece of it is missing")
+        raise RecordingError(f"{recording.path} has no positions at step {step}: part of the file is missing")
     columns: dict[str, Any] = {STEP: steps, "time": times}
     columns |= dict(zip(AXES["position"], np.ascontiguousarray(position.T), strict=True))
     for quantity in ("velocity", "orientation", "angular_velocity"):
@@ -155,8 +155,8 @@ def checkpoint_at(recording: Recording, entities: Entities, start: dict[str, Val
     own = np.flatnonzero(frames[STEP].to_numpy() == step)
     if len(own) and frames["fingerprint"][int(own[0])].as_py() != found.fingerprint:
         raise RecordingError(
-            f"{recording.path}: the checkpoint at step {step} does not have the fingerprint of its frame; "
-            "one is damaged"
+            f"{recording.path}: the checkpoint at step {step} does not match the fingerprint of its frame; one of the "
+            "two is damaged"
         )
     return found
 

@@ -60,7 +60,8 @@ def _damaged(path: Path, reason: str) -> str:
         if path.suffix == ".toml":
             return f"{path} is a scene, not a recording; `{command('run', path)}` records it"
         return f"{path} is not a recording ({reason})"
-    return f"{path} is not a recording, or is damaged ({reason}); `{command('repair', path)}` saves what can be read"
+    advice = f"`{command('repair', path)}` recovers the readable data"
+    return f"{path} is not a recording, or is damaged ({reason}); {advice}"
 
 
 _MOST_TEXT = 1 << 26  # bytes of all texts in a table; a run logs a few hundred lines
@@ -115,7 +116,7 @@ def join_rows(
         own = np.array(batch[STEP].to_numpy())
         if path not in _UNORDERED and len(own):
             if own[0] <= last or np.any(np.diff(own) <= 0):
-                raise DamageError(f"rows of /{path} that are not in the order of their steps")
+                raise DamageError(f"rows of /{path} that are not sorted by step")
             last = int(own[-1])
         steps.append(own)
         times.append(np.array(batch[SIM_TIME].cast(pa.int64()).to_numpy()))
@@ -220,7 +221,7 @@ class Entities:
         found: dict[str, Values] = {}
         for chunk in self.read([e for e in self._store.entries if e.is_static and e.entity_path == path]):
             if chunk.batch.num_rows != 1:
-                raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which holds for all times")
+                raise DamageError(f"{chunk.batch.num_rows} rows of /{path}, which is recorded once for all times")
             found |= {name: values_of(chunk.batch[name][0]) for name in chunk.components}
             del chunk
         release_memory()

@@ -38,7 +38,7 @@ class RecordedPositions:
                 values = self._drawn.at(step, name)
                 if values is not None:
                     return values.reshape(len(self._shown), 3) + self._origin
-        raise RecordingError(f"{self._recording.path} has no positions at step {step}: a piece of it is missing")
+        raise RecordingError(f"{self._recording.path} has no positions at step {step}: part of the file is missing")
 
     def exact(self, step: int) -> FloatArray | None:
         """Return the exact positions of the bodies that the recording shows; None without a checkpoint."""
@@ -102,7 +102,7 @@ def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
             if turned is not None:
                 turns.append(_numbers(chunk.batch[turned]).reshape(rows, n, 4)[:, chosen])
     if not steps:
-        raise RecordingError(f"{recording.path} has no positions: a piece of it is missing")
+        raise RecordingError(f"{recording.path} has no positions: part of the file is missing")
     oriented = np.concatenate(turns) if len(turns) == len(steps) else None
     return DrawnPaths(np.concatenate(steps), np.concatenate(positions), oriented)
 

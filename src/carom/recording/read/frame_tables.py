@@ -162,7 +162,7 @@ class FrameTables(Statics):
             if name not in known and name not in scalars:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in scalars and self.frames and is_recorded(root, name, self.info):
-                raise RecordingError(f"{self.path} has no /{root}/{name}: a piece of it is missing")
+                raise RecordingError(f"{self.path} has no /{root}/{name}: part of the file is missing")
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
         columns |= {name: rows["Scalars:scalars"] for name, rows in scalars.items()}
         steps = {name: rows[STEP].to_numpy() for name, rows in scalars.items()}
@@ -178,5 +178,5 @@ def rising(fingerprints: pa.Table) -> pa.Table:
     """Return the rows of frames. Raises DamageError if their times do not rise."""
     times = fingerprints["time"].to_numpy()
     if not np.isfinite(times).all() or np.any(np.diff(times) < 0.0):
-        raise DamageError("times that do not rise")
+        raise DamageError("times that do not increase")
     return fingerprints

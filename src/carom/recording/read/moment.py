@@ -70,7 +70,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
     first, last = -np.inf if start is None else start, np.inf if end is None else end
     asked = recording.units.span(first, last, TIME, "g")
     if first > last:
-        raise RecordingError(f"from {asked}: the end lies before the beginning")
+        raise RecordingError(f"from {asked}: the end is before the start")
     _refuse_outside(recording, _column(recording.fingerprints(), "time"), first, last, asked)
     return first, last
 
@@ -83,7 +83,7 @@ def _refuse_outside(recording: Recording, times: FloatArray, first: float, last:
         begins -= float(dt[0]) if len(dt) else 0.0
     if last < begins - tolerance(begins) or first > ends + tolerance(ends):
         whole = recording.units.span(times[0], ends, TIME, ".9g")
-        raise RecordingError(f"{recording.path} goes from {whole}, {asked} is not in it")
+        raise RecordingError(f"{recording.path} covers {whole}; {asked} is outside")
 
 
 def _moment_of_shown(recording: Recording, last: float) -> float:

@@ -98,7 +98,7 @@ def finite(recorded: pa.Table, repeat: Callable[[], pa.Table]) -> pa.Table:
 def modes(numbers: NDArray[np.uint8], path: str) -> pa.Array:
     """Return the modes of contacts as texts."""
     if len(numbers) and int(numbers.max()) >= len(MODES):
-        raise DamageError(f"/{path} has a contact in a mode that there is not")
+        raise DamageError(f"/{path} has a contact with an unknown mode")
     return pa.array(MODES).take(pa.array(numbers))
 
 
@@ -127,7 +127,7 @@ def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) ->
 def check_pairs(pairs: IntArray, bodies: int, path: str) -> None:
     """Raise DamageError if one of the pairs (k, 2) is impossible."""
     if np.any((pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] >= bodies)):
-        raise DamageError(f"/{path} has contacts of bodies that are not there")
+        raise DamageError(f"/{path} has contacts of bodies that do not exist")
 
 
 _SAME = 1e-5  # relative error of sums of float32 impulses, and of the length of a float32 line
@@ -157,7 +157,7 @@ def _recorded(recording: Recording, row: int) -> pa.Table:
         own = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
         if len(own):
             return _table(recording, chunk, int(own[-1]), step, time)
-    raise RecordingError(f"{recording.path} has no contacts at step {step}: a piece of it is missing")
+    raise RecordingError(f"{recording.path} has no contacts at step {step}: part of the file is missing")
 
 
 def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:

@@ -90,8 +90,8 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
         has = "it records no impacts"
         if len(numbers):
             first, last = numbers[0], numbers[-1]
-            has = f"its impacts have numbers from {first} to {last}" if first < last else f"its only one is {first}"
-        raise RecordingError(f"{recording.path} has no impact {number} on record; {has}")
+            has = f"its impacts have numbers from {first} to {last}" if first < last else f"its only impact is {first}"
+        raise RecordingError(f"{recording.path} has not recorded impact {number}; {has}")
     row = _measured(recording, rows.slice(int(found[0]), 1)).to_pylist()[0]
     return row["time"], row["step"], row["i"], row["j"]
 
@@ -160,7 +160,7 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
         table = table.combine_chunks()
         numbers = np.array(table[IMPACT].to_numpy())
         if numbers[0] < 1 or np.any(np.diff(numbers) < least):
-            raise DamageError(f"rows of /{entries[0].entity_path} that are not in the order of their impacts")
+            raise DamageError(f"rows of /{entries[0].entity_path} that are not sorted by impact")
         return numbers, table
 
 
@@ -190,7 +190,7 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
             continue
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
         if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):
-            raise DamageError(f"rows of /{paths.IMPACTS} that are not in the order of their numbers")
+            raise DamageError(f"rows of /{paths.IMPACTS} that are not sorted by number")
         before = int(numbers[-1])
         time = _times(recording, chunk)
         if time[0] <= last and time[-1] >= first:

@@ -43,12 +43,12 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     """
     if recording.engine:
         raise RecordingError(
-            f"{recording.path} was recorded from {recording.engine}: carom has its states, and cannot run it again"
+            f"{recording.path} was recorded from {recording.engine}: carom has only its states and cannot rerun it"
         )
     if recording.is_partial:
         raise RecordingError(
             f"{recording.path} is a clip of {len(recording.shown)} of {recording.info['bodies']} bodies without exact "
-            "states: it cannot be run again; the recording that it was cut from can"
+            "states: it cannot be rerun, but the recording from which it was cut can"
         )
     text, bodies = recording.scene_toml, len(recording.bodies.mass)
     if len(text) > longest_text(bodies):
@@ -58,8 +58,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     stated = recording.info.get("scene_sha256")
     if stated is not None and stated != scene_digest(text):
         raise RecordingError(
-            f"{recording.path}: its scene is not the one that was recorded, since the SHA-256 differs; "
-            "the file was altered and cannot be run again"
+            f"{recording.path}: its scene was altered after the recording (the SHA-256 differs), so it cannot be rerun"
         )
     refuse_missing_extensions(recording)
     source = f"the scene in {recording.path}"

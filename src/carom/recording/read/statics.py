@@ -75,7 +75,7 @@ class BodyTable:
         return self._states(at)
 
 
-UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` makes it whole"
+UNFINISHED = "unfinished: the run was killed before it could close the file; `carom repair` completes it"
 
 _Parameters = ParamSpec("_Parameters")
 _Result = TypeVar("_Result")
@@ -154,7 +154,7 @@ class Statics:
             return range(int(self.info["bodies"]))
         found = [int(body) for body in np.atleast_1d(self.clip["bodies"])]
         if not all(0 <= body < int(self.info["bodies"]) for body in found):
-            raise DamageError("it shows bodies that it does not have")
+            raise DamageError("it shows bodies that do not exist")
         return found
 
     @property
@@ -184,12 +184,12 @@ class Statics:
     def refuse_overlay(self) -> None:
         """Raise RecordingError if it shows several runs: an overlay has only drawn positions."""
         if self.is_overlay:
-            raise RecordingError(f"{self.path} shows several runs; it can only be looked at, with `carom view`")
+            raise RecordingError(f"{self.path} contains several runs and can only be viewed, with `carom view`")
 
     def refuse_some_bodies(self) -> None:
         """Raise RecordingError if it is a clip of some bodies only."""
         if not self.shows_all:
-            raise RecordingError(f"{self.path} is a clip that does not show all bodies; take the whole recording")
+            raise RecordingError(f"{self.path} is a clip of selected bodies; use the whole recording")
 
     @property
     @named

@@ -78,7 +78,7 @@ class Container:
                 found = chunk.entity_path, chunk.is_static, chunk.batch.num_rows
                 lacks_steps = entry.first_step is not None and STEP not in chunk.timelines
                 if found != (entry.entity_path, entry.is_static, entry.rows) or lacks_steps:
-                    raise DamageError(f"at byte {entry.offset} is not the chunk of /{entry.entity_path} that should be")
+                    raise DamageError(f"at byte {entry.offset} is not the expected chunk of /{entry.entity_path}")
                 yield chunk
 
 
@@ -164,5 +164,5 @@ def _refuse_overlap(entries: list[Entry], size: int) -> None:
         if entry.length > LARGEST:
             raise DamageError(f"its footer lists a chunk of {entry.length} bytes")
         if entry.offset < end or entry.offset + entry.length > size:
-            raise DamageError(f"its footer lists a chunk at byte {entry.offset}, where none can be")
+            raise DamageError(f"its footer lists a chunk at byte {entry.offset}, where no chunk can be")
         end = entry.offset + entry.length

@@ -115,7 +115,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
         name.decode()
     kind = column.type
     if depth > _DEEPEST:
-        raise DamageError("a chunk of types in types in types")
+        raise DamageError("a chunk of too deeply nested types")
     if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values with null
         return
     fixed = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= _WIDEST

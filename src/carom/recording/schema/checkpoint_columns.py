@@ -216,10 +216,10 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
         if _DIGEST in stored:
             digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
             if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
-                raise ValueError("it is not what its digest was made of")
+                raise ValueError("it does not match its digest")
         return checkpoint
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, ValidationError) as error:
-        reason = "its books do not add up" if isinstance(error, ValidationError) else str(error)
+        reason = "its sums are inconsistent" if isinstance(error, ValidationError) else str(error)
         raise RecordingError(f"the checkpoint at step {step} is damaged: {reason}") from error
 
 
@@ -240,13 +240,13 @@ class _Row:
 
     def text(self, name: str) -> str:
         if name not in self._stored:
-            raise ValueError(f"it has no {name}: it was recorded by a version of carom that could not resume from it")
+            raise ValueError(f"it has no {name}: it was recorded by a version of carom that does not support resuming")
         return str(self._stored[name][0])
 
     def vectors(self, name: str, width: int) -> FloatArray:
         values = self._finite(name, width * self._bodies).reshape(self._bodies, width)
         if np.any(np.abs(values) > LARGEST):
-            raise ValueError(f"{name} has numbers that cannot be squared")
+            raise ValueError(f"{name} has numbers too large to be squared")
         return values
 
     def integrator(self) -> IntegratorCheckpoint:
@@ -305,7 +305,7 @@ class _Row:
         pairs = np.ascontiguousarray(np.asarray(self._stored[name], dtype=np.int64).reshape(-1, 2))
         keys = (pairs[:, 0] << 32) + pairs[:, 1]
         if np.any((pairs[:, 0] >= self._bodies) | (pairs[:, 0] >= pairs[:, 1]) | (pairs[:, 0] < 0)):
-            raise ValueError(f"{name} has contacts of bodies that are not there")
+            raise ValueError(f"{name} has contacts of bodies that do not exist")
         if np.any(np.diff(keys) <= 0):
             raise ValueError(f"{name} is not in order")
         return pairs

@@ -152,11 +152,12 @@ SERIES = (
     Series("energy/total", "J", "total", GREY, _ENERGY,
            lambda s: s.energy.total, "sum of the energies above", width=THICK),
     Series("energy/ledger/restitution", "J", "restitution", BLUE, _TAKEN,
-           lambda s: s.energy.ledger.restitution, "taken out by normal impulses since the start", "contact"),
+           lambda s: s.energy.ledger.restitution, "removed by normal impulses since the start", "contact"),
     Series("energy/ledger/friction", "J", "friction", RED, _TAKEN,
-           lambda s: s.energy.ledger.friction, "taken out by tangential impulses since the start", "friction"),
+           lambda s: s.energy.ledger.friction, "removed by tangential impulses since the start", "friction"),
     Series("energy/ledger/stabilisation", "J", "stabilisation (put in)", GREEN, _TAKEN,
-           lambda s: s.energy.ledger.stabilisation, "put in by undoing overlaps since the start", "stabilisation"),
+           lambda s: s.energy.ledger.stabilisation, "added by the correction of overlaps since the "
+               "start", "stabilisation"),
     *(_loss(kind) for kind in FORCES if kind.loss),
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
@@ -170,7 +171,7 @@ SERIES = (
     Series("step/contacts", "1", "contacts", BLUE, _CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
-           _impact_rate, "impacts since the frame before over the time between", "contact", Past.INTERVAL),
+           _impact_rate, "impacts since the previous frame, per time", "contact", Past.INTERVAL),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
            lambda s: s.colours, "colours of the contacts in the step", "contact", Past.STEP, inside=True),
     Series("step/sweeps", "1", "sweeps", GREEN, _SOLVER,
@@ -188,11 +189,11 @@ SERIES = (
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",
-        "lost since the start by bodies that touched, to contacts and by errors of the engine together",
+        "lost since the start by touching bodies, to contacts and through errors of the engine",
     ),
     "energy/integration_error": (
         "changed without contact",
-        "change of the total while bodies touched nothing, or by which they gained more than they had lost in contact",
+        "change of the total without contact, and gains in contact beyond earlier losses",
     ),
     "energy/relative_error": (
         "energy changed without contact / scale",

@@ -54,13 +54,13 @@ def decode_names(stored: Stored) -> Sequence[str]:
     """Undo `encode_names`. Raises DamageError if the components contradict each other."""
     texts = stored["name"]
     if not isinstance(texts, list):
-        raise DamageError("names of its bodies are not texts")
+        raise DamageError("names of its bodies are not text")
     if _COUNT not in stored:
         return texts
     counts, firsts = np.asarray(stored[_COUNT]), np.asarray(stored.get(_FIRST))
     whole = (len(texts),)
     if any(array.shape != whole or array.dtype != np.int64 or np.any(array < 0) for array in (counts, firsts)):
-        raise DamageError("names of its bodies do not have a number each")
+        raise DamageError("names of its bodies do not have one number each")
     parts, own = list[Sequence[str]](), list[str]()
     for text, count, first in zip(texts, counts.tolist(), firsts.tolist(), strict=True):
         if count == 0:
@@ -110,7 +110,7 @@ def decode_bodies(
         raise DamageError("its scene has more bodies than it")
     fixed = np.asarray(stored.get("fixed", np.zeros(whole, np.bool_)))
     if fixed.shape != (whole,) or fixed.dtype != np.bool_:
-        raise DamageError("it does not say of each body whether it is fixed")
+        raise DamageError("it does not state for each body whether it is fixed")
     numbers = slice(place.start, place.stop)
     return BodyColumns(
         position=_vectors(stored, "position", whole)[own],

@@ -271,7 +271,7 @@ class LawAudit:
             "in a contact among themselves" if len(members) > 1 and clusters.touched[worst] else "while nothing touched"
         )
         if len(members) > 1 and not clusters.touched[worst]:
-            meanwhile = "while they pulled each other"
+            meanwhile = "while they attracted each other"
         text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
         yield Fault(law, *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
 
@@ -362,7 +362,7 @@ class LawAudit:
         missed = np.flatnonzero(known & (ignored | through))
         if len(missed):
             worst = int(missed[np.argmax(closing[missed])])
-            how = "passed through each other" if through[worst] else "touch, and this step did not push them apart"
+            how = "passed through each other" if through[worst] else "touch, and this step did not separate them"
             speed = self._units.text(float(closing[worst]), VELOCITY, ".3g")
             text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
             yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))

@@ -158,7 +158,7 @@ def setup_of(model: Model, first: State) -> Setup:
     mass = _column(engine, "mass", model.mass)
     n = len(mass)
     if n == 0:
-        raise RecordingError(f"{engine} shows no body: add bodies before the recorder is made")
+        raise RecordingError(f"{engine} contains no body: add bodies before you create the recorder")
     radius = _column(engine, "radius", model.radius, n)
     position = array_of(engine, "position", first.position, (n, 3))
     touches = radius > 0.0
@@ -336,8 +336,8 @@ class StateMemory:
                 values = getattr(state, name)
                 if np.shape(values) != view.shape:  # or numpy would broadcast the rows
                     raise RecordingError(
-                        f"{name} has the shape {np.shape(values)} and had {view.shape}: a recording keeps its bodies; "
-                        "begin another one"
+                        f"{name} has the shape {np.shape(values)} and had {view.shape}; a recording has a fixed set "
+                        "of bodies, so start another recording"
                     )
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts, dtype=np.int64)

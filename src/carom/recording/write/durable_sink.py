@@ -242,8 +242,8 @@ class AddressReserve:
         if not self._keep(closing) or _in_use() + encoding > self._limit:
             needed = f"{(encoding + closing) / 1e9:.2g} GB of address space"
             raise RecordingError(
-                f"cannot write more of {path}: frames of {max(contacts)} contacts need {needed} and "
-                f"`ulimit -v` leaves less of its {self._limit / 1e9:.3g} GB; raise the limit"
+                f"cannot write more of {path}: frames of {max(contacts)} contacts need {needed}, more than `ulimit "
+                f"-v` leaves of its {self._limit / 1e9:.3g} GB; raise the limit"
             )
 
     def _keep(self, size: int) -> bool:

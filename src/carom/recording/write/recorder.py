@@ -371,7 +371,7 @@ class FrameRecorder:
         try:
             self._close(str(error), {}, ())
         except Exception as second:  # report the first error
-            error.add_note(f"closing it failed, too: {second}")
+            error.add_note(f"closing it also failed: {second}")
             if self._file != self.path.resolve():
                 error.add_note(f"{self.path} is unchanged; the new frames are in {self._file}")
         self._error = error

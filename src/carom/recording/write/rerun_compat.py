@@ -90,7 +90,7 @@ def connect_viewer(url: str) -> ViewerClient:
         ViewerClient = None  # type: ignore[assignment, misc]
     if not all(hasattr(ViewerClient, name) for name in _DRIVEN_BY):
         raise RecordingError(
-            f"rerun-sdk {rr.__version__} cannot be driven for pictures as {_TESTED} can: "
+            f"rerun-sdk {rr.__version__} cannot render pictures as {_TESTED} can: "
             f'pip install "rerun-sdk=={_TESTED}"; recordings do not need it'
         )
     return ViewerClient.connect(url)

@@ -52,7 +52,7 @@ class LiveView:
         try:
             self._stream.flush(timeout_sec=_PATIENCE)
         except RuntimeError:
-            warnings.warn("the live viewer has gone; the recording goes on without it", stacklevel=2)
+            warnings.warn("the live viewer has closed; the recording continues without it", stacklevel=2)
             self._hang_up()
 
     def close(self) -> None:

@@ -55,7 +55,7 @@ class Claim:
             self._descriptor = _locked(self._lock)
         except BlockingIOError:
             raise RecordingError(
-                f"{path}: another carom is writing it; wait for its end, or name another file"
+                f"{path}: another carom process is writing it; wait for its end, or name another file"
             ) from None
         except (OSError, RuntimeError) as error:  # RuntimeError: links in a circle
             reason = error.strerror if isinstance(error, OSError) else error
@@ -198,7 +198,7 @@ class Writer:
 
     def _check(self) -> None:
         if not Container.open(self._part).finished:
-            raise RecordingError(f"{self.path} was written, but did not get its end")
+            raise RecordingError(f"{self.path} was written, but not completed")
 
     def _fail_if_full(self) -> None:
         if self._sink.error is not None:

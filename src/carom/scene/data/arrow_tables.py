@@ -95,7 +95,7 @@ def open_arrow(path: Path, called: str, snapshot: int) -> DataTable:
         for name in wanted:
             if not _stores_each_row(table.schema.field(name).type):
                 kind = str(table.schema.field(name).type)[:80]
-                raise SceneError(f"{called}: column {printable(name)} is of type {kind}; write numbers or texts")
+                raise SceneError(f"{called}: column {printable(name)} is of type {kind}; write numbers or text")
         return table.select(wanted)
 
     return _ArrowTable(called, reader.schema.names, read, snapshot)
@@ -140,7 +140,7 @@ class _ArrowTable(DataTable):
         if steps:
             values = pc.unique(table[STEP])
             if not -len(values) <= self._snapshot < len(values):
-                raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}: it has {len(values)}")
+                raise SceneError(f"{self.called}: there is no snapshot {self._snapshot}; the file has {len(values)}")
             table = table.filter(pc.equal(table[STEP], values[self._snapshot]))
         return {name: self._array(name, table[name], name in texts) for name in names}
 

@@ -172,9 +172,8 @@ def read_columns(
     moves = columns.velocity.any(axis=1) | columns.angular_velocity.any(axis=1)
     mistakes = {
         "is fixed and has a velocity or an angular_velocity; set one of them to 0": columns.fixed & moves,
-        "has a mass of 0 and a moment of inertia; set both to 0, or none": (mass == 0.0) & (columns.inertia > 0.0),
-        "has no moment of inertia, but a mass; give it one that is more than 0": (mass > 0.0)
-        & (columns.inertia == 0.0),
+        "has a mass of 0 and a moment of inertia; set both to 0, or neither": (mass == 0.0) & (columns.inertia > 0.0),
+        "has a mass, but no moment of inertia; give it one above 0": (mass > 0.0) & (columns.inertia == 0.0),
     }
     for mistake, rows in mistakes.items():
         if rows.any():
@@ -372,7 +371,7 @@ def columns_of_arrays(
         raise SceneError("arrays of bodies need a position and a radius")
     is_dense = "density" in given or (material is not None and material.density is not None and "mass" not in given)
     if ("mass" in given) == is_dense:
-        raise SceneError("arrays of bodies need a mass or a density, and not both")
+        raise SceneError("arrays of bodies need either a mass or a density")
     try:
         bodies = len(given["position"])
     except TypeError:

@@ -66,7 +66,7 @@ class DataFiles:
         """Read a file, and check its digest if the scene has one."""
         section = wanted.section
         if section.file is None:
-            arrays = "; the scene was made of arrays in Python" if section.sha256 else ""
+            arrays = "; the scene was made from arrays in Python" if section.sha256 else ""
             raise SceneError(f"file is missing: the name of the data file{arrays}")
         path = self.folder / section.file
         try:
@@ -75,7 +75,7 @@ class DataFiles:
             if stat.S_ISDIR(status.st_mode):
                 raise SceneError(f"{section.file}: a folder, not a data file")
             if not stat.S_ISREG(status.st_mode):
-                raise SceneError(f"{section.file}: a device or a pipe; give a file, since data are read more than once")
+                raise SceneError(f"{section.file}: a device or a pipe; give a file, since data is read more than once")
             if status.st_size > LARGEST_DATA:
                 raise SceneError(f"{section.file}: {status.st_size} bytes are too many; at most {LARGEST_DATA}")
             digest = _digest(path)
@@ -141,7 +141,7 @@ class HeldBodies:
             if bodies.material in (None, wanted.material):
                 return bodies
         if self.files is None:
-            raise SceneError("it cannot be changed, because its file is not at hand: only its name can")
+            raise SceneError("only its name can be changed, because its file is not at hand")
         return self.files.find(wanted)
 
 

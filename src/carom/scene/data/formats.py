@@ -107,7 +107,9 @@ def refuse_large(called: str, column: str, size: int) -> None:
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:
     """Refuse a file whose columns would take far more memory than the file, before they are read."""
     if claimed > max(ROOMY, MOST_TIMES * stored):
-        raise SceneError(f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a bomb")
+        raise SceneError(
+            f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged or a decompression bomb"
+        )
 
 
 def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
@@ -121,7 +123,7 @@ def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
     if raw.dtype.kind in "fiu":
         return raw.astype(np.float64)
     if raw.dtype.kind not in "OSU":
-        raise SceneError(f"{called}: column {column} holds values of type {raw.dtype}, and numbers are needed")
+        raise SceneError(f"{called}: column {column} holds values of type {raw.dtype} instead of numbers")
     numbers = np.empty(raw.size)
     for row, value in enumerate(raw.ravel().tolist()):
         number = number_in(value)

@@ -85,7 +85,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
                 quoted = ", ".join(f'"{column}"' for column in candidates[0])
                 column = f"[{quoted}]" if len(candidates[0]) > 1 else quoted
                 raise SceneError(
-                    f"{called}: two columns for {quantity}, {shown}; say which: columns = {{ {quantity} = {column} }}"
+                    f"{called}: two columns for {quantity}, {shown}; select one: columns = {{ {quantity} = {column} }}"
                 )
             if candidates:
                 _refuse_doubtful(quantity, candidates[0][0], names, called)

@@ -46,7 +46,7 @@ class _Archive(DataTable):
                 raise SceneError(f"{self.called}: array {name} holds Python objects, which are not read; save numbers")
             size = math.prod(shape) * kind.itemsize
             if size != info.file_size - member.tell():
-                raise SceneError(f"{self.called}: array {name} is damaged: it says that it has {size} bytes")
+                raise SceneError(f"{self.called}: array {name} is damaged: it claims to have {size} bytes")
             refuse_many_rows(self.called, max(shape, default=0))
             refuse_large(self.called, name, size)
         with archive.open(info) as member:

@@ -35,7 +35,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         archive = rebound.Simulationarchive(str(path))
         count = len(archive)
         if not -count <= snapshot < count:
-            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {count}")
+            raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}")
         simulation = archive[snapshot % count]
         simulation.synchronize()  # between outputs, maps hold positions and velocities of different times
     texts = list(dict.fromkeys(str(warning.message) for warning in given))
@@ -91,12 +91,12 @@ def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]
         return mass
     if simulation.testparticle_type == 0:
         few = counted(len(light), "test particle")
-        notes.append(f"N_active = {active}: {few}, whose masses attract nothing, of mass 0 here")
+        notes.append(f"N_active = {active}: {few}, whose masses do not attract, have mass 0 here")
         return np.concatenate((mass[:active], np.zeros_like(light)))
     if len(light) > 1:
         raise SceneError(
-            f"{called}: testparticle_type = 1 with N_active = {active}: {len(light)} bodies attract the others and not "
-            "each other, which carom does not have; set N_active = -1 or testparticle_type = 0 in REBOUND"
+            f"{called}: testparticle_type = 1 with N_active = {active}: {len(light)} bodies attract the others but "
+            "not each other, which carom does not support; set N_active = -1 or testparticle_type = 0 in REBOUND"
         )
     return mass
 

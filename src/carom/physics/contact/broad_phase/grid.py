@@ -91,7 +91,8 @@ def _buffer_for(pairs: int) -> IntArray:
         return np.empty((2, 3 * pairs // 2, 2), dtype=np.int64)
     except MemoryError as error:
         raise PhysicsError(
-            f"{pairs:.3g} pairs of bodies may touch within one step, and a list of them needs {48e-9 * pairs:.3g} GB; "
+            f"{pairs:.3g} pairs of bodies may touch within one step, and the list of pairs needs {48e-9 * pairs:.3g} "
+            "GB; "
             "lower time.max_dt or time.fixed_dt, or move the bodies apart"
         ) from error
 
