@@ -359,7 +359,7 @@ def test_repair_is_offered_for_a_damaged_recording_and_not_for_what_never_was_on
 ) -> None:
     torn = tmp_path / "my run.rrd"
     torn.write_bytes(run_file.read_bytes()[:20_000])
-    assert "`carom repair 'my run.rrd'` saves" in carom("inspect", torn.name, cwd=tmp_path).stderr
+    assert "`carom repair 'my run.rrd'` recovers" in carom("inspect", torn.name, cwd=tmp_path).stderr
     (tmp_path / "scene.toml").write_text(ONE_BODY * 20, encoding="utf-8")
     said = carom("inspect", "scene.toml", cwd=tmp_path).stderr
     assert said == "carom: scene.toml is a scene, not a recording; `carom run scene.toml` records it\n"

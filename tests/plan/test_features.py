@@ -125,7 +125,7 @@ POINTS = {"enabled": False}
     ("scene", "chosen", "why"),
     [
         (cloud(8, contact=POINTS), "yoshida4", "8 bodies attract each other, and no contact is modelled"),
-        (cloud(100, contact=POINTS, time={"cfl": "auto"}), "gauss-radau15", "100 bodies pull each other"),
+        (cloud(100, contact=POINTS, time={"cfl": "auto"}), "gauss-radau15", "100 bodies attract each other"),
         (cloud(100, contact=POINTS, time={"cfl": "auto", "pull_fraction": 0.01}), "yoshida4", "100 bodies attract"),
         (cloud(8, contact=POINTS, time={"cfl": "auto"}, gravity={"method": "tree"}), "yoshida4", "8 bodies attract"),
         (cloud(101, contact=POINTS), "leapfrog", "101 bodies, whose encounters the step does not resolve"),
@@ -370,7 +370,7 @@ def test_a_run_says_where_impacts_are_not_exact() -> None:
     billiards = Scene.from_dict({"body": balls})  # their gravity, 10⁻¹⁰ N, changes the approach by 2 × 10⁻¹⁰
     assert inexact_impacts(billiards) == ""
     assert inexact_impacts(pair(gravity=FALLING, plane=[{}])) == ""
-    assert "err by up to 1e-04 or so; time.accuracy keeps" in inexact_impacts(cloud(8, time={"cfl": "auto"}))
+    assert "err by up to about 1e-04; time.accuracy keeps" in inexact_impacts(cloud(8, time={"cfl": "auto"}))
     dragged = billiards.changed(["drag.relaxation_time=1"])
     assert inexact_impacts(dragged) == ""
     assert "time.max_dt = 0.8 s makes them exact" in inexact_impacts(dragged.changed(["drag.relaxation_time=0.1"]))

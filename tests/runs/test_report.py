@@ -170,7 +170,7 @@ def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, mo
     recording = carom.run(promised, tmp_path / "missed.rrd")
     time, why = worst_moment(recording)
     assert time == 1.0
-    assert why == "the promise max_overlap was missed: 0.7, at most 0.1, body 0 and body 1"
+    assert why == "the promise max_overlap was broken: 0.7, at most 0.1, body 0 and body 1"
 
     broken = Event(2, 2.0, "WARN", "Energy rose.", "energy-rise")
     not_finite = Event(3, 3.0, "WARN", "Two bodies are not finite.", "law-not-finite")

@@ -83,7 +83,7 @@ def test_a_file_torn_inside_a_message_keeps_everything_before(
 ) -> None:
     size = without_footer(run_file)
     os.truncate(run_file, int(part * size))
-    with pytest.raises(RecordingError, match=r"ends inside a message\); `carom repair .*run\.rrd` saves"):
+    with pytest.raises(RecordingError, match=r"ends inside a message\); `carom repair .*run\.rrd` recovers"):
         Recording.open(run_file)
     done = repair(run_file, tmp_path / "fixed.rrd")
     assert [piece.split(" (")[1] for piece in done.lost] == ["it ends inside a message)"]

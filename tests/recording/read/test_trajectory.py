@@ -143,5 +143,5 @@ def test_a_clip_has_the_trajectories_of_the_bodies_that_it_shows(recording: Reco
     piece = Recording.open(tmp_path / "clip.rrd")
     whole = recording.trajectory("right", 0.95, 2.05)
     assert piece.trajectory("right")["step"].to_pylist() == whole["step"].to_pylist()
-    with pytest.raises(RecordingError, match="does not show body 0"):
+    with pytest.raises(RecordingError, match="does not contain body 0"):
         piece.trajectory("left")

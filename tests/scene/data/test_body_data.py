@@ -273,7 +273,7 @@ def test_of_several_steps_the_last_is_read_or_the_one_asked_for(tmp_path: Path) 
     }
     pq.write_table(pa.table(twice), tmp_path / "a.parquet")
     assert place(scene_of(tmp_path, "a.parquet")).position[:, 0].tolist() == [9.0, 12.0, 15.0]
-    assert "it has 2" in complaint(tmp_path, "a.parquet", "snapshot = 5")
+    assert "the file has 2" in complaint(tmp_path, "a.parquet", "snapshot = 5")
 
 
 def test_bodies_from_data_come_after_single_ones_and_before_groups(tmp_path: Path) -> None:
