@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records
 
 CACHE_LINE = 64  # bytes
 
@@ -46,54 +46,32 @@ class Buffer:
         """All rows that there is memory for."""
         return self._rows
 
-    def holds(self, taken: NDArray[Any]) -> bool:
+    def holds(self, taken: Any) -> bool:
         """Return whether rows were taken from this memory."""
         return taken.base is self._rows.base
 
 
-def record(numbers: str, flags: str = "", size: int | None = None) -> np.dtype[np.void]:
-    """Return the type of a record: float64 fields, then flags of a byte each.
-
-    Parameters
-    ----------
-    numbers, flags
-        Names of the fields, separated by spaces.
-    size
-        Bytes from one record to the next (default: as few as the fields need).
-    """
-    reals, marks = numbers.split(), flags.split()
-    end = 8 * len(reals)
-    return np.dtype(
-        {
-            "names": reals + marks,
-            "formats": ["f8"] * len(reals) + ["?"] * len(marks),
-            "offsets": [*range(0, end, 8), *range(end, end + len(marks))],
-            "itemsize": size or end + -(-len(marks) // 8) * 8,
-        },
-        align=True,
-    )
-
-
-def raw(records: Records) -> Records:
+def raw(records: RecordArray[object]) -> Records:
     """Return contiguous records as bytes, a view. NumPy copies fields one by one, which takes 100 times as long."""
-    return records.view(np.dtype((np.void, records.dtype.itemsize)))
+    array: Records = np.asarray(records)
+    return array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
-def joined(parts: Iterable[Records], kind: np.dtype[np.void]) -> Records:
+def joined(parts: Iterable[RecordArray[object]], kind: np.dtype[np.void]) -> Records:
     """Return contiguous records, one part after another, as one array."""
     found: Records = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
     return found
 
 
-def picked(records: Records, places: IntArray) -> Records:
+def picked(records: RecordArray[object], places: IntArray) -> Records:
     """Return some of contiguous records, a copy."""
     return raw(records)[places].view(records.dtype)
 
 
-def columns(records: Records, names: tuple[str, ...]) -> FloatArray:
+def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
     """Return number fields that follow each other in records, as a view, (m, k)."""
     kind, offset = _place_of(records.dtype, names)
-    numbers: FloatArray = records.getfield(kind, offset)
+    numbers: FloatArray = np.asarray(records).getfield(kind, offset)
     return numbers
 
 

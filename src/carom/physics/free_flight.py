@@ -13,11 +13,11 @@ with a possible contact is undone and left to `KickDriftStepper`, as is a step t
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.contact.geometry import height_above
 from carom.physics.contact.reactions import NO_SUPPORT
 from carom.physics.contact.solver.prepare import TOUCHING
@@ -28,7 +28,7 @@ from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.kick_drift import advance, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
-from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, smooth_and_cut, target
+from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
 from carom.physics.time_step import Timestep
 from carom.physics.vector import is_periodic, minimum_image, square, write
 from carom.physics.world import World
@@ -41,28 +41,31 @@ GRAIN = 2.0**-50  # of the coordinates, more than a drift is rounded by
 BOX_FRACTION = 0.25  # of the smallest side, that bodies may move before they are looked at again
 FAR = 1e150  # m, the gap where there are no pairs
 
-PLAN = np.dtype(
-    [
-        ("fixed_dt", np.float64),  # s; 0 for the steps of a rule
-        ("accelerates", np.bool_),  # whether there is a force
-        ("attracts", np.bool_),  # whether bodies attract each other
-        ("constant", np.float64),  # m³/(kg s²), G
-        ("softening_squared", np.float64),  # m²
-        ("is_uniform", np.bool_),  # whether there is a uniform field
-        ("ends_with_forces", np.bool_),
-        ("touches", np.bool_),  # whether contacts are possible
-        ("field", np.float64),  # m/s², magnitude of the uniform field
-    ]
-)
+
+class PlanRecord(Protocol):
+    """The forces of the steps."""
+
+    fixed_dt: float  # s; 0 for the steps of a rule
+    accelerates: bool  # whether there is a force
+    attracts: bool  # whether bodies attract each other
+    constant: float  # m³/(kg s²), G
+    softening_squared: float  # m²
+    is_uniform: bool  # whether there is a uniform field
+    ends_with_forces: bool
+    touches: bool  # whether contacts are possible
+    field: float  # m/s², magnitude of the uniform field
+
+
+PLAN = dtype_of(PlanRecord)
 
 
 class _Laws(NamedTuple):
     """The forces and rules of the steps."""
 
-    plan: Records  # (1,) `PLAN`
+    plan: RecordArray[PlanRecord]  # (1,)
     substeps: FloatArray  # (s, 3) parts of the step: first kick, drift, last kick
     uniform: FloatArray  # (3,) m/s², the uniform field
-    rule: Records  # (1,) `RULE` of `step_rule`
+    rule: RecordArray[RuleRecord]  # (1,)
     forces: Parameters  # of installed packages
 
 
@@ -103,7 +106,7 @@ class _Kept(NamedTuple):
 class _Buffers(NamedTuple):
     """Memory."""
 
-    limits: Records  # for the limits of the step, see `Timestep.buffer`
+    limits: RecordArray[LimitsRecord]  # for the limits of the step, see `Timestep.buffer`
     potential: FloatArray  # (n,)
     saved: FloatArray  # (3, n, 3) positions, velocities, accelerations before a step
 

@@ -19,11 +19,11 @@ many others gets a shorter time by this than it needs. Softening ε bounds the t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
@@ -93,39 +93,42 @@ END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into t
 CAP, VELOCITY, ACCELERATION, HELD, PULL, GROWTH, FIXED, END = range(8)
 LIMIT_NAMES = ("cap", "velocity", "acceleration", "held", "pull", "growth", "fixed", "end")
 
-RULE = np.dtype(
-    [
-        ("max_dt", np.float64),  # s
-        ("cfl", np.float64),  # 0 for no limit, like all below
-        ("by_fastest_body", np.bool_),  # whether only the fastest body limits the step
-        ("target_dx", np.float64),  # m
-        ("held_dx", np.float64),  # m, replaces it for bodies held by lasting contacts
-        ("held_part", np.float64),  # largest motion of such a body in a step over its radius
-        ("smoothing", np.float64),  # weight of the new step in the average
-        ("anchored", np.bool_),  # whether something is fixed: speeds are then relative to it
-        ("looks", np.bool_),  # whether a limit needs the largest values of all bodies
-        ("pull_fraction", np.float64),
-        ("pull_of_pairs", np.bool_),  # this and the following as in `PullTime`
-        ("constant", np.float64),
-        ("softening", np.float64),
-        ("mean", np.float64),
-    ]
-)
 
-LIMITS = np.dtype(
-    [
-        (name, np.float64)
-        for name in (
-            "largest_acceleration",  # m/s²
-            "largest_free_acceleration",  # m/s², of bodies not held by contacts
-            "largest_borne",  # m/s², largest acceleration supported by contacts
-            "velocity_step",  # s, dt_v of every body; infinite at rest
-            "fastest_step",  # s, dt_v of the fastest body
-            "fastest_squared",  # m²/s², its speed
-            "held_time",  # s, shortest time in which a held body moves by its radius
-        )
-    ]
-)
+class RuleRecord(Protocol):
+    """The rule of the steps."""
+
+    max_dt: float  # s
+    cfl: float  # 0 for no limit, like all below
+    by_fastest_body: bool  # whether only the fastest body limits the step
+    target_dx: float  # m
+    held_dx: float  # m, replaces it for bodies held by lasting contacts
+    held_part: float  # largest motion of such a body in a step over its radius
+    smoothing: float  # weight of the new step in the average
+    anchored: bool  # whether something is fixed: speeds are then relative to it
+    looks: bool  # whether a limit needs the largest values of all bodies
+    pull_fraction: float
+    pull_of_pairs: bool  # this and the following as in `PullTime`
+    constant: float
+    softening: float
+    mean: float
+
+
+RULE = dtype_of(RuleRecord)
+
+
+class LimitsRecord(Protocol):
+    """The largest values of the bodies of a block."""
+
+    largest_acceleration: float  # m/s²
+    largest_free_acceleration: float  # m/s², of bodies not held by contacts
+    largest_borne: float  # m/s², largest acceleration supported by contacts
+    velocity_step: float  # s, dt_v of every body; infinite at rest
+    fastest_step: float  # s, dt_v of the fastest body
+    fastest_squared: float  # m²/s², its speed
+    held_time: float  # s, shortest time in which a held body moves by its radius
+
+
+LIMITS = dtype_of(LimitsRecord)
 
 
 @kernel
@@ -158,7 +161,7 @@ def ends_run(dt: float, remaining: float) -> bool:
 
 @borrowing
 def target(
-    rule: Records,
+    rule: RecordArray[RuleRecord],
     position: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
@@ -167,7 +170,7 @@ def target(
     inverse_mass: FloatArray,
     borne: FloatArray,
     field: FloatArray,
-    found: Records,
+    found: RecordArray[LimitsRecord],
     is_found: bool,
 ) -> tuple[float, int]:
     """Return the step (s) allowed by the limits, before smoothing, and the limit that set it.
@@ -241,7 +244,7 @@ def look(
     Vx: float,
     Vy: float,
     Vz: float,
-    found: Records,
+    found: RecordArray[LimitsRecord],
 ) -> None:
     """Write the limits set by the bodies of the blocks [lo, hi)."""
     for block in range(lo, hi):
@@ -271,7 +274,7 @@ def look(
 
 
 @kernel
-def _strictest(found: Records) -> tuple[float, float, float, float, float, float]:
+def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
     """Return the strictest limits of all blocks; one body sets each, so the division does not matter.
 
     They are the first three of `LIMITS`, the step of every body and of the fastest, and the time of held bodies.

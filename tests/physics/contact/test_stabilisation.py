@@ -75,7 +75,7 @@ def test_contacts_pushed_in_blocks_have_the_bits_of_those_pushed_one_by_one(
         pairs = pairs[pairs[:, 1] >= fixed]  # two fixed bodies are no contact
         solver = solver_of(bodies, pairs, [restitution, 0.0, 0.0], box, records=True)
         solver.rest_speed[:] = rest
-        solver.recorded[:] = np.zeros(1, RECORDED)
+        np.asarray(solver.recorded)[:] = np.zeros(1, RECORDED)
         solver.correct_positions(sweeps)
         given = columns(solver.recorded, ("correction_x", "correction_y", "correction_z"))
         changed = bodies.position, bodies.velocity, solver.ledger, given

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numba
 import numpy as np
@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.typing import NDArray
 
-from carom.physics.aligned import aligned_empty, record
+from carom.arrays import dtype_of
+from carom.physics.aligned import aligned_empty
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.inside import ir
 from carom.physics.jit.instructions import Code, instruction
@@ -32,7 +33,30 @@ FloatArray = NDArray[np.float64]
 
 EIGHT = arrays(np.float64, WIDTH, elements=st.floats(width=64))
 MASKS = arrays(np.bool_, WIDTH)
-PAIR = record("a b c d e f g h i j k l m n o p", size=128)
+
+
+class PairRecord(Protocol):
+    """Sixteen numbers, in two cache lines."""
+
+    a: float
+    b: float
+    c: float
+    d: float
+    e: float
+    f: float
+    g: float
+    h: float
+    i: float
+    j: float
+    k: float
+    l: float  # noqa: E741
+    m: float
+    n: float
+    o: float
+    p: float
+
+
+PAIR = dtype_of(PairRecord, size=128)
 
 
 @inline

@@ -12,23 +12,24 @@ Rows are made on demand, since few steps are frames. Only impacts are gathered i
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING, SLIDING, STICKING
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
+from carom.contact_table import CONTACT_ROW, IMPACT_MODE, NO_ROWS, OPEN, RESTING, SLIDING, STICKING, ContactRow
 from carom.physics.aligned import Buffer, columns, joined, picked, raw
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import CONTACT
+from carom.physics.contact.constraints import CONTACT, ContactRecord, ContactStateRecord, ImpulseRecord
 from carom.physics.contact.graph import comes_before, empty_graph
-from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
+from carom.physics.contact.impact_log import NO_IMPACTS, ImpactRecord, Impacts
 from carom.physics.contact.law import IMPULSES, Materials, material_index, slides
-from carom.physics.contact.rolling import angular_impulses_of
+from carom.physics.contact.rolling import ContactGeometry, angular_impulses_of
 from carom.physics.contact.solver.contact_solver import ContactSolver
 from carom.physics.diagnostics.ledger import FRICTION, RESTITUTION, STABILISATION
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.vector import nearest_image
+from carom.scene.schema import Coefficients
 
 if TYPE_CHECKING:
     from carom.physics.contact.sleep.sleepers import SleepingContacts
@@ -37,6 +38,15 @@ MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; beyond that the larges
 
 
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
+
+
+class HasImpulse(Protocol):
+    """A record with an impulse in N s."""
+
+    normal_impulse: float
+    friction_x: float
+    friction_y: float
+    friction_z: float
 
 
 class Impulses(NamedTuple):
@@ -66,7 +76,7 @@ class Held(NamedTuple):
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) of the record of each
-    contacts: Records  # (m,) CONTACT
+    contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     terms: FloatArray  # (m, 3) J, by place
 
 
@@ -75,9 +85,9 @@ class Resolved(NamedTuple):
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) of the records of each
-    contacts: Records  # (m,) CONTACT
-    states: Records  # (m,) CONTACT_STATE
-    recorded: Records  # (m,) RECORDED
+    contacts: RecordArray[ContactRecord]  # (m,) CONTACT
+    states: RecordArray[ContactStateRecord]  # (m,) CONTACT_STATE
+    recorded: RecordArray[ImpulseRecord]  # (m,) RECORDED
 
 
 NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0, CONTACT), np.empty((0, 3)))
@@ -221,7 +231,7 @@ class ContactTap:
         return rows
 
 
-def _geometry(records: Records) -> tuple[FloatArray, FloatArray]:
+def _geometry(records: RecordArray[object]) -> tuple[FloatArray, FloatArray]:
     """Return normals, (k, 3), and lever arms, (k, 2) m."""
     return columns(records, ("nx", "ny", "nz")), columns(records, ("arm_i", "arm_j"))
 
@@ -267,7 +277,7 @@ class ImpactStore:
 
 @long_kernel
 def _write_impacts(
-    resolved: Resolved, position: FloatArray, box: FloatArray, step: int, ended: float, rows: Records
+    resolved: Resolved, position: FloatArray, box: FloatArray, step: int, ended: float, rows: RecordArray[ContactRow]
 ) -> int:
     """Write the contacts that closed faster than their rest speed and were resolved; return how many."""
     pairs, place, contacts, states, recorded = resolved
@@ -288,7 +298,13 @@ def _write_impacts(
 
 @long_kernel
 def _merge(
-    held: Held, impacts: Records, resolved: Resolved, data: RowData, step: int, ended: float, rows: Records
+    held: Held,
+    impacts: RecordArray[ContactRow],
+    resolved: Resolved,
+    data: RowData,
+    step: int,
+    ended: float,
+    rows: RecordArray[ContactRow],
 ) -> int:
     """Write one row for each pair that was held, met in the drift, touches or exerted an impulse; return how many.
 
@@ -352,7 +368,9 @@ def _merge(
 
 
 @kernel
-def _write_log(log: Records, data: RowData, step: int, began: float, ended: float, rows: Records) -> None:
+def _write_log(
+    log: RecordArray[ImpactRecord], data: RowData, step: int, began: float, ended: float, rows: RecordArray[ContactRow]
+) -> None:
     """Write a row for each impact during the drift, in order of time."""
     box, friction, n = data.box, data.friction, len(data.position)
     materials, places = data.materials.rows, data.materials.places
@@ -369,7 +387,7 @@ def _write_log(log: Records, data: RowData, step: int, began: float, ended: floa
 
 
 @inline
-def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
+def _begin(row: ContactRow, step: int, time: float, i: int, j: int) -> None:
     """Begin the row of a contact, without an impulse."""
     row.step, row.time, row.i, row.j, row.mode = step, time, i, j, OPEN
     row.approach_speed = row.normal_impulse = row.friction_x = row.friction_y = row.friction_z = 0.0
@@ -377,7 +395,7 @@ def _begin(row: Any, step: int, time: float, i: int, j: int) -> None:
 
 
 @inline
-def _mode(impulse: Any, material: Any, friction: bool) -> int:
+def _mode(impulse: HasImpulse, material: Coefficients, friction: bool) -> int:
     """Return the mode of a contact that was not an impact."""
     if not impulse.normal_impulse > 0.0:
         return OPEN
@@ -388,7 +406,7 @@ def _mode(impulse: Any, material: Any, friction: bool) -> int:
 
 
 @inline
-def _place(row: Any, contact: Any, position: FloatArray, box: FloatArray) -> None:
+def _place(row: ContactRow, contact: ContactGeometry, position: FloatArray, box: FloatArray) -> None:
     """Write the normal and the contact point."""
     i, arm = row.i, contact.arm_i
     nx, ny, nz = contact.nx, contact.ny, contact.nz
@@ -398,7 +416,7 @@ def _place(row: Any, contact: Any, position: FloatArray, box: FloatArray) -> Non
 
 
 @inline
-def _add(row: Any, impulse: Any) -> None:
+def _add(row: ContactRow, impulse: HasImpulse) -> None:
     """Add an impulse."""
     row.normal_impulse += impulse.normal_impulse
     row.friction_x += impulse.friction_x
@@ -407,7 +425,7 @@ def _add(row: Any, impulse: Any) -> None:
 
 
 @inline
-def _add_losses(row: Any, restitution: float, friction: float, stabilisation: float) -> None:
+def _add_losses(row: ContactRow, restitution: float, friction: float, stabilisation: float) -> None:
     row.restitution_loss += restitution
     row.friction_loss += friction
     row.stabilisation_gain += stabilisation

@@ -8,36 +8,37 @@ An impact rebounds by the coefficient e, a contact at rest does not; friction is
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from carom.physics.jit.decorators import inline
+from carom.scene.schema import Coefficients
 
 REACHED = 1e-9  # of μ_k λ_n; sums over iterations and kicks miss it by rounding, about 1e-15 each
 
 
 @inline
-def restitution(material: Any, approach: float, rest_speed: float) -> float:
+def restitution(material: Coefficients, approach: float, rest_speed: float) -> float:
     """Return e; 0 for contacts that close no faster than one at rest."""
     return material.restitution if approach > rest_speed else 0.0
 
 
 @inline
-def dissipates(material: Any) -> bool:
+def dissipates(material: Coefficients) -> bool:
     """Return whether e < 1."""
     e: float = material.restitution
     return e < 1.0
 
 
 @inline
-def impact_friction(material: Any, normal: float, stopping: float) -> float:
+def impact_friction(material: Coefficients, normal: float, stopping: float) -> float:
     """Return the impulse that ends the slip, or kinetic friction where static friction cannot end it."""
     return material.kinetic_friction * normal if stopping > material.static_friction * normal else stopping
 
 
 @inline
-def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def lasting_friction(
+    material: Coefficients, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, float, float]:
     """Return a tangential impulse, unchanged inside the friction cone, else reduced to the kinetic friction."""
     squared = tx * tx + ty * ty + tz * tz
     most = material.static_friction * normal
@@ -48,7 +49,9 @@ def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
 
 
 @inline
-def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def sliding_friction(
+    material: Coefficients, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, float, float]:
     """Return a tangential impulse, reduced to the kinetic friction where it is larger."""
     squared = tx * tx + ty * ty + tz * tz
     most = material.kinetic_friction * normal
@@ -59,14 +62,14 @@ def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
 
 
 @inline
-def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether a tangential impulse is inside the friction cone."""
     most: float = material.static_friction * normal
     return tx * tx + ty * ty + tz * tz < most * most
 
 
 @inline
-def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether |λ_t| = μ_k λ_n; contacts that stick may also have |λ_t| between μ_k λ_n and μ_s λ_n."""
     tangential: float = np.sqrt(tx * tx + ty * ty + tz * tz)
     kinetic: float = material.kinetic_friction * normal
@@ -76,12 +79,14 @@ def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> boo
 
 
 @inline
-def rolling(material: Any, normal: float, radius: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def rolling(
+    material: Coefficients, normal: float, radius: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
     """Return 0: nothing resists rolling."""
     return 0.0, 0.0, 0.0
 
 
 @inline
-def twisting(material: Any, normal: float, radius: float, stopping: float) -> float:
+def twisting(material: Coefficients, normal: float, radius: float, stopping: float) -> float:
     """Return 0: nothing resists twisting."""
     return 0.0

@@ -7,12 +7,10 @@ not equal the distance, and an impact that is detected late spins the body as it
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.constraints import ends_of
+from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.vectors import where
@@ -55,7 +53,7 @@ def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: 
 
 
 @inline
-def smaller_arm(contact: Any) -> float:
+def smaller_arm(contact: ContactRecord) -> float:
     """Return the lever arm of the smaller body, in m; at a plane that of the body."""
     arm: float = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
     return arm
@@ -71,8 +69,8 @@ def update_geometry(
     box: FloatArray,
     surface: FloatArray,
     offset: FloatArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
 ) -> None:
     """Write normals from i to j, lever arms and overlaps of the contacts [lo, hi)."""
     n = len(x)

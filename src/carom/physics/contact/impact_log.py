@@ -6,47 +6,56 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.contact.rolling import ANGULAR_IMPULSE
-from carom.physics.diagnostics.ledger import TERMS, terms_of
+from carom.arrays import FloatArray, IntArray, Records, dtype_of
+from carom.physics.contact.rolling import AngularImpulse
+from carom.physics.diagnostics.ledger import terms_of
 
 ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
 
-IMPACT = np.dtype(
-    [
-        ("i", np.int64),  # i < j
-        ("j", np.int64),
-        ("time", np.float64),  # s from the beginning of the drift
-        ("clock", np.float64),  # s, the time σ of the straight paths, see `events.trajectories`
-        ("nx", np.float64),  # the normal, from i to j
-        ("ny", np.float64),
-        ("nz", np.float64),
-        ("approach", np.float64),  # m/s, closing speed
-        ("rest_speed", np.float64),  # m/s, closing speed up to which a contact is at rest
-        *((term, np.float64) for term in TERMS),  # J
-        ("vix", np.float64),  # m/s, velocities right after it
-        ("viy", np.float64),
-        ("viz", np.float64),
-        ("vjx", np.float64),
-        ("vjy", np.float64),
-        ("vjz", np.float64),
-        ("normal_impulse", np.float64),  # N s
-        ("friction_x", np.float64),  # N s, the tangential impulse that acts on j
-        ("friction_y", np.float64),
-        ("friction_z", np.float64),
-        ("arm_i", np.float64),  # m, from each centre to the contact point
-        ("arm_j", np.float64),
-        ("x", np.float64),  # m, the contact point
-        ("y", np.float64),
-        ("z", np.float64),
-    ]
-)
-ROLLING_IMPACT = np.dtype([*IMPACT.descr, *((name, np.float64) for name in ANGULAR_IMPULSE)])  # N m s, with torques
+
+class ImpactRecord(Protocol):
+    """An impact at its own time."""
+
+    i: int  # i < j
+    j: int
+    time: float  # s from the beginning of the drift
+    clock: float  # s, the time σ of the straight paths, see `events.trajectories`
+    nx: float  # the normal, from i to j
+    ny: float
+    nz: float
+    approach: float  # m/s, closing speed
+    rest_speed: float  # m/s, closing speed up to which a contact is at rest
+    restitution_loss: float  # J
+    friction_loss: float
+    stabilisation_gain: float
+    vix: float  # m/s, velocities right after it
+    viy: float
+    viz: float
+    vjx: float
+    vjy: float
+    vjz: float
+    normal_impulse: float  # N s
+    friction_x: float  # N s, the tangential impulse that acts on j
+    friction_y: float
+    friction_z: float
+    arm_i: float  # m, from each centre to the contact point
+    arm_j: float
+    x: float  # m, the contact point
+    y: float
+    z: float
+
+
+class RollingImpactRecord(AngularImpulse, ImpactRecord, Protocol):
+    """An impact whose law resists rolling or twisting."""
+
+
+IMPACT = dtype_of(ImpactRecord)
+ROLLING_IMPACT = dtype_of(RollingImpactRecord)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.contact.constraints import MIN_PER_TASK, ends_of
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.physics.contact.constraints import MIN_PER_TASK, ContactStateRecord, ends_of
 from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
@@ -50,7 +50,7 @@ class Islands:
         inverse_mass: FloatArray,
         field: FloatArray,
         dt: float,
-        states: Records,
+        states: RecordArray[ContactStateRecord],
     ) -> bool:
         """Write the rest speed of each contact, 2 |a|max dt of its island.
 
@@ -146,7 +146,7 @@ def _write_speeds(
     largest: FloatArray,
     joined: bool,
     dt: float,
-    states: Records,
+    states: RecordArray[ContactStateRecord],
     flags: BoolArray,
 ) -> None:
     """Write the rest speed of each contact; the same for all where islands were not ``joined``."""

@@ -22,14 +22,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from carom.arrays import IntArray, Records
+from carom.arrays import IntArray, RecordArray, dtype_of
 from carom.physics.contact import coulomb
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, unowned
 from carom.scene.contact_laws import FUNCTIONS, functions_of
 from carom.scene.matter import PairCoefficients
 from carom.scene.schema import Coefficients
 
-MATERIAL = np.dtype([(name, np.float64) for name in Coefficients._fields], align=True)
+MATERIAL = dtype_of(Coefficients)
 IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
 NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # columns of arrays of them
 LAW = coulomb  # for plain Python, which knows this law only
@@ -41,7 +41,7 @@ _laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of
 class Materials(NamedTuple):
     """The coefficients of each pair of ends that may touch; see `carom.scene.matter.PairCoefficients`."""
 
-    rows: Records  # (k,) MATERIAL, with further fields if the law is not Coulomb's
+    rows: RecordArray[Coefficients]  # (k,) MATERIAL, with further fields if the law is not Coulomb's
     places: IntArray  # (n + p, 2) for `material_index`; no rows where all bodies have one material
 
 
@@ -77,7 +77,7 @@ def has_torque(kind: Any) -> bool:
     return "rolling" in functions or "twisting" in functions
 
 
-def restitution(material: Any, approach: float, rest_speed: float) -> float:
+def restitution(material: Coefficients, approach: float, rest_speed: float) -> float:
     """Return the coefficient of restitution of an impact.
 
     Parameters
@@ -92,12 +92,12 @@ def restitution(material: Any, approach: float, rest_speed: float) -> float:
     raise NotImplementedError("only kernels call it")
 
 
-def dissipates(material: Any) -> bool:
+def dissipates(material: Coefficients) -> bool:
     """Return whether an impact may rebound more slowly than it closed."""
     raise NotImplementedError("only kernels call it")
 
 
-def impact_friction(material: Any, normal: float, stopping: float) -> float:
+def impact_friction(material: Coefficients, normal: float, stopping: float) -> float:
     """Return the tangential impulse of an impact, against the slip.
 
     Parameters
@@ -112,7 +112,9 @@ def impact_friction(material: Any, normal: float, stopping: float) -> float:
     raise NotImplementedError("only kernels call it")
 
 
-def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def lasting_friction(
+    material: Coefficients, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, float, float]:
     """Return the tangential impulse that a lasting contact exerts.
 
     Parameters
@@ -127,7 +129,9 @@ def lasting_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
     raise NotImplementedError("only kernels call it")
 
 
-def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def sliding_friction(
+    material: Coefficients, normal: float, tx: float, ty: float, tz: float
+) -> tuple[float, float, float]:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
     It must be continuous in its arguments, see `solver.phases`; they are those of `lasting_friction`.
@@ -135,17 +139,19 @@ def sliding_friction(material: Any, normal: float, tx: float, ty: float, tz: flo
     raise NotImplementedError("only kernels call it")
 
 
-def sticks(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether the contact sticks with these totals of the normal and tangential impulse."""
     raise NotImplementedError("only kernels call it")
 
 
-def slides(material: Any, normal: float, tx: float, ty: float, tz: float) -> bool:
+def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
     """Return whether a contact that exerted these totals slid, for reports of the step."""
     raise NotImplementedError("only kernels call it")
 
 
-def rolling(material: Any, normal: float, radius: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def rolling(
+    material: Coefficients, normal: float, radius: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
     """Return the angular impulse against rolling.
 
     Parameters
@@ -162,12 +168,12 @@ def rolling(material: Any, normal: float, radius: float, x: float, y: float, z: 
     raise NotImplementedError("only kernels call it")
 
 
-def twisting(material: Any, normal: float, radius: float, stopping: float) -> float:
+def twisting(material: Coefficients, normal: float, radius: float, stopping: float) -> float:
     """Return the angular impulse about the normal; ``stopping`` would end the twisting. Arguments as for `rolling`."""
     raise NotImplementedError("only kernels call it")
 
 
-def exerts_torque(material: Any) -> bool:
+def exerts_torque(material: Coefficients) -> bool:
     """Return whether the law resists rolling or twisting, a constant of the compiled kernel."""
     raise NotImplementedError("only kernels call it")
 
@@ -238,7 +244,7 @@ def inverse_tangent_mass(Kn: float, ri: float, rj: float, inverse_inertia_i: flo
 
 @inline
 def friction_of_impact(
-    material: Any, Jn: float, ux: float, uy: float, uz: float, Kt: float
+    material: Coefficients, Jn: float, ux: float, uy: float, uz: float, Kt: float
 ) -> tuple[float, float, float, float]:
     """Return the tangential impulse of an impact in N s, and the energy in J that it takes out.
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.bodies import Bodies
+from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.solver.prepare import ImpulseCache
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
@@ -77,7 +78,7 @@ def supported_acceleration(cache: ImpulseCache, inverse_mass: FloatArray) -> Flo
 
 @kernel
 def _sum_normal_impulses(
-    pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, kick: float
+    pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], inverse_mass: FloatArray, kick: float
 ) -> FloatArray:
     sums = np.zeros(len(inverse_mass))
     for c in range(len(pairs)):

@@ -11,59 +11,88 @@ and write nothing, by the type of the record, when Numba compiles a kernel.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.contact import law
 from carom.physics.jit.decorators import chosen_by_type, inline
+from carom.scene.schema import Coefficients
 
-ANGULAR_IMPULSE = ("angular_x", "angular_y", "angular_z")  # N m s, Λ
-FIELDS = (
-    *ANGULAR_IMPULSE,
-    *("change_x", "change_y", "change_z"),  # N m s, the change of Λ in the last iteration
-    *("spin_x", "spin_y", "spin_z"),  # rad/s, Ω before `hold`
-)  # of a contact
+if TYPE_CHECKING:
+    from carom.physics.contact.constraints import BodyStateRecord
 
 
-def has_angular_impulse(records: Records) -> bool:
+class ContactGeometry(Protocol):
+    """A record with the normal from i to j, and the lever arms in m."""
+
+    nx: float
+    ny: float
+    nz: float
+    arm_i: float
+    arm_j: float
+
+
+class AngularImpulse(Protocol):
+    """Fields of records whose law resists rolling or twisting."""
+
+    angular_x: float  # N m s, Λ
+    angular_y: float
+    angular_z: float
+
+
+class RollingFields(AngularImpulse, Protocol):
+    """Further fields of a contact with such a law."""
+
+    change_x: float  # N m s, the change of Λ in the last iteration
+    change_y: float
+    change_z: float
+    spin_x: float  # rad/s, Ω before `hold`
+    spin_y: float
+    spin_z: float
+
+
+ANGULAR_IMPULSE = tuple(AngularImpulse.__annotations__)
+
+
+def has_angular_impulse(records: RecordArray[object]) -> bool:
     """Return whether records have an angular impulse."""
     return ANGULAR_IMPULSE[0] in (records.dtype.names or ())
 
 
-def angular_impulses_of(records: Records) -> FloatArray:
+def angular_impulses_of(records: RecordArray[object]) -> FloatArray:
     """Return Λ, (m, 3) N m s, as a view; (m, 0) of records that have none."""
     return columns(records, ANGULAR_IMPULSE) if has_angular_impulse(records) else np.empty((len(records), 0))
 
 
-def angular_impulse(record: Any) -> tuple[float, float, float]:
+def angular_impulse(record: object) -> tuple[float, float, float]:
     """Return Λ in N m s; 0 in records that have none."""
     raise NotImplementedError("only kernels call it")
 
 
-def set_angular_impulse(record: Any, x: float, y: float, z: float) -> None:
+def set_angular_impulse(record: object, x: float, y: float, z: float) -> None:
     """Set Λ in N m s, if the record has it."""
     raise NotImplementedError("only kernels call it")
 
 
-def change_of_angular_impulse(record: Any) -> tuple[float, float, float]:
+def change_of_angular_impulse(record: object) -> tuple[float, float, float]:
     """Return the change of Λ in the last iteration in N m s; 0 in records that have none."""
     raise NotImplementedError("only kernels call it")
 
 
-def set_change_of_angular_impulse(record: Any, x: float, y: float, z: float) -> None:
+def set_change_of_angular_impulse(record: object, x: float, y: float, z: float) -> None:
     """Set the change of Λ in the last iteration in N m s, if the record has it."""
     raise NotImplementedError("only kernels call it")
 
 
-def spin_before(record: Any) -> tuple[float, float, float]:
+def spin_before(record: object) -> tuple[float, float, float]:
     """Return Ω before `hold` in rad/s; 0 in records that have none."""
     raise NotImplementedError("only kernels call it")
 
 
-def set_spin_before(record: Any, x: float, y: float, z: float) -> None:
+def set_spin_before(record: object, x: float, y: float, z: float) -> None:
     """Set Ω before `hold` in rad/s, if the record has it."""
     raise NotImplementedError("only kernels call it")
 
@@ -123,13 +152,15 @@ def _set_spin_before(record: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @inline
-def relative_spin(a: Any, b: Any) -> tuple[float, float, float]:
+def relative_spin(a: BodyStateRecord, b: BodyStateRecord) -> tuple[float, float, float]:
     """Return Ω of two bodies in rad/s."""
     return b.wx - a.wx, b.wy - a.wy, b.wz - a.wz
 
 
 @inline
-def limited(contact: Any, material: Any, normal: float, x: float, y: float, z: float) -> tuple[float, float, float]:
+def limited(
+    contact: ContactGeometry, material: Coefficients, normal: float, x: float, y: float, z: float
+) -> tuple[float, float, float]:
     """Return the angular impulse that the law allows in place of the one that ends Ω, in N m s.
 
     Parameters
@@ -158,7 +189,7 @@ def angular_loss(x: float, y: float, z: float, wx: float, wy: float, wz: float, 
 
 
 @inline
-def apply_angular_impulse(a: Any, b: Any, x: float, y: float, z: float) -> None:
+def apply_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: float, z: float) -> None:
     """Change the angular velocities of two bodies; fixed bodies are not written to."""
     si, sj = a.inverse_inertia, b.inverse_inertia
     if si > 0.0:
@@ -172,7 +203,7 @@ def apply_angular_impulse(a: Any, b: Any, x: float, y: float, z: float) -> None:
 
 
 @inline
-def accumulate_angular_impulse(a: Any, b: Any, x: float, y: float, z: float) -> None:
+def accumulate_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: float, z: float) -> None:
     """Add the changes by `apply_angular_impulse` to those of the iteration."""
     si, sj = a.inverse_inertia, b.inverse_inertia
     if si > 0.0:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.physics.contact.constraints import ContactRecord, ContactStateRecord
 from carom.physics.contact.graph import CollisionGraph, OrderedContacts, colour_bodies, colour_rest, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.solver.contact_solver import ContactSolver
@@ -169,8 +170,8 @@ def late_contacts(
     colours: IntArray,
     body_colours: IntArray | None,
     place: IntArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     normals: FloatArray,
 ) -> tuple[ContactSnapshot, IntArray]:
     """Copy the contacts at the end of a step that touched then or carry an impulse.
@@ -210,8 +211,8 @@ def _copy_touching(
     pairs: IntArray,
     colours: IntArray,
     place: IntArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     normals: FloatArray,
     kept_pairs: IntArray,
     kept_normals: FloatArray,

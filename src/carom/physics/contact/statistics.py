@@ -6,17 +6,16 @@ built only on demand (`snapshot`).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
-from carom.physics.aligned import record
+from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.bodies import Ends
-from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, LEDGER_TERMS, ends_of
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ContactRecord, ContactStateRecord, ends_of
 from carom.physics.contact.graph import OVERFLOW, OrderedContacts, comes_before, first_of
 from carom.physics.contact.impact_log import Impacts
-from carom.physics.diagnostics.ledger import clear_terms, terms_of
+from carom.physics.diagnostics.ledger import LedgerRecord, clear_terms, terms_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.team import Team
@@ -24,12 +23,22 @@ from carom.scene.schema import ContactSettings
 
 MIN_BLOCKS_PER_TASK = 2
 
-BLOCK_COUNTS = record(  # statistics of a block of contacts
-    f"{LEDGER_TERMS}"  # J
-    " contacts impacts struck"  # numbers, and J: Σ ½ μ v_n² of the impacts
-    " hardest hardest_i hardest_j"  # J, and the ends
-    " deepest deepest_i deepest_j"  # overlap / smaller radius, and the ends
-)
+
+class BlockCountsRecord(LedgerRecord, Protocol):
+    """Statistics of a block of contacts."""
+
+    contacts: float  # numbers
+    impacts: float
+    struck: float  # J, Σ ½ μ v_n² of the impacts
+    hardest: float  # J
+    hardest_i: float  # its ends
+    hardest_j: float
+    deepest: float  # overlap / smaller radius
+    deepest_i: float  # its ends
+    deepest_j: float
+
+
+BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 
 
 class ContactStatistics(NamedTuple):
@@ -45,7 +54,14 @@ class ContactStatistics(NamedTuple):
     deepest_pair: tuple[int, int]
 
     @classmethod
-    def of(cls, pairs: IntArray, contacts: Records, states: Records, ends: Ends, team: Team) -> ContactStatistics:
+    def of(
+        cls,
+        pairs: IntArray,
+        contacts: RecordArray[ContactRecord],
+        states: RecordArray[ContactStateRecord],
+        ends: Ends,
+        team: Team,
+    ) -> ContactStatistics:
         """Count contacts; for the arrays see `ConstraintSystem`."""
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
@@ -75,7 +91,12 @@ class ContactStatistics(NamedTuple):
         return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])
 
     def with_impacts(
-        self, impacts: Impacts, ordered: OrderedContacts, contacts: Records, states: Records, inverse_mass: FloatArray
+        self,
+        impacts: Impacts,
+        ordered: OrderedContacts,
+        contacts: RecordArray[ContactRecord],
+        states: RecordArray[ContactStateRecord],
+        inverse_mass: FloatArray,
     ) -> ContactStatistics:
         """Add the impacts during the drift of a step; a pair that had several counts as one contact, by its hardest.
 
@@ -114,11 +135,11 @@ def _count(
     lo: int,
     hi: int,
     pairs: IntArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     inverse_mass: FloatArray,
     radius: FloatArray,
-    blocks: Records,
+    blocks: RecordArray[BlockCountsRecord],
 ) -> None:
     """Count the contacts of the blocks [lo, hi)."""
     for k in range(lo, hi):
@@ -152,8 +173,8 @@ def _add_impacts(
     rest_speed: FloatArray,
     known: IntArray,
     place: IntArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     inverse_mass: FloatArray,
 ) -> tuple[int, float, float, int, int]:
     """Count impacts in the order of their pairs, the hardest of each first.
@@ -196,14 +217,14 @@ def _add_impacts(
 
 
 @inline
-def _begin(block: Any) -> None:
+def _begin(block: BlockCountsRecord) -> None:
     clear_terms(block)
     block.contacts = block.impacts = block.struck = block.hardest = block.deepest = 0.0
     block.hardest_i = block.hardest_j = block.deepest_i = block.deepest_j = np.inf
 
 
 @kernel
-def _add_up(blocks: Records, totals: Records) -> None:
+def _add_up(blocks: RecordArray[BlockCountsRecord], totals: RecordArray[BlockCountsRecord]) -> None:
     total = totals[0]
     _begin(total)
     for k in range(len(blocks)):
@@ -216,13 +237,13 @@ def _add_up(blocks: Records, totals: Records) -> None:
 
 
 @inline
-def _keep_hardest(block: Any, energy: float, i: float, j: float) -> None:
+def _keep_hardest(block: BlockCountsRecord, energy: float, i: float, j: float) -> None:
     if _comes_first(energy, i, j, block.hardest, block.hardest_i, block.hardest_j):
         block.hardest, block.hardest_i, block.hardest_j = energy, i, j
 
 
 @inline
-def _keep_deepest(block: Any, depth: float, i: float, j: float) -> None:
+def _keep_deepest(block: BlockCountsRecord, depth: float, i: float, j: float) -> None:
     if _comes_first(depth, i, j, block.deepest, block.deepest_i, block.deepest_j):
         block.deepest, block.deepest_i, block.deepest_j = depth, i, j
 

@@ -7,17 +7,27 @@ order.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
-TERMS = ("restitution_loss", "friction_loss", "stabilisation_gain")  # the same, as fields of records
 NamedEnergies = tuple[tuple[str, float], ...]  # J, by entries of the ledger or terms of the energy; hashable
+
+
+class LedgerRecord(Protocol):
+    """The terms as fields of records."""
+
+    restitution_loss: float  # J
+    friction_loss: float
+    stabilisation_gain: float
+
+
+TERMS = tuple(LedgerRecord.__annotations__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,19 +81,19 @@ class Ledger:
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 
-def terms_of(records: Records) -> FloatArray:
+def terms_of(records: RecordArray[LedgerRecord]) -> FloatArray:
     """Return the terms that records hold, (m, 3) J, as a view."""
     return columns(records, TERMS)
 
 
 @inline
-def clear_terms(entry: Any) -> None:
+def clear_terms(entry: LedgerRecord) -> None:
     """Set the terms of a record to 0."""
     entry.restitution_loss = entry.friction_loss = entry.stabilisation_gain = 0.0
 
 
 @inline
-def copy_terms(entry: Any, to: Any) -> None:
+def copy_terms(entry: LedgerRecord, to: LedgerRecord) -> None:
     """Copy the terms of a record to another one."""
     to.restitution_loss, to.friction_loss = entry.restitution_loss, entry.friction_loss
     to.stabilisation_gain = entry.stabilisation_gain

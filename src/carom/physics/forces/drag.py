@@ -23,14 +23,14 @@ with w between the factors and κ = ½ (h φ₂ + k₂²/(h φ₂)), which makes
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
-from carom.physics.aligned import columns, record
+from carom.arrays import FloatArray, RecordArray, dtype_of
+from carom.physics.aligned import columns
 from carom.physics.bodies import Bodies
-from carom.physics.contact.impact_log import Impacts
+from carom.physics.contact.impact_log import ImpactRecord, Impacts
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import DampedPath, DampedStep, Exchange
@@ -39,10 +39,20 @@ from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
 
-SUMS = record(
-    "lost"  # J, energy dissipated by the medium
-    " px py pz Lx Ly Lz"  # kg m/s and kg m²/s, impulse and angular impulse of all external forces
-)
+
+class DragSumsRecord(Protocol):
+    """Sums over a block of bodies."""
+
+    lost: float  # J, energy dissipated by the medium
+    px: float  # kg m/s, impulse of all external forces
+    py: float
+    pz: float
+    Lx: float  # kg m²/s, their angular impulse
+    Ly: float
+    Lz: float
+
+
+SUMS = dtype_of(DragSumsRecord)
 
 
 class StokesDrag:
@@ -123,7 +133,7 @@ class StokesDrag:
         return _exchange_of(sums)
 
 
-def _exchange_of(sums: Records) -> Exchange:
+def _exchange_of(sums: RecordArray[DragSumsRecord]) -> Exchange:
     impulse, angular_impulse = columns(sums, ("px", "py", "pz")), columns(sums, ("Lx", "Ly", "Lz"))
     return Exchange(float(sums["lost"][0]), impulse[0], angular_impulse[0])
 
@@ -147,7 +157,7 @@ def _begin(
     share: float,
     kick: float,
     factor: float,
-    sums: Records,
+    sums: RecordArray[DragSumsRecord],
 ) -> None:
     """Kick and slow down, before the drift; add loss, impulse and angular impulse to ``sums``."""
     total = sums[0]
@@ -180,7 +190,7 @@ def _end(
     share: float,
     kick: float,
     factor: float,
-    sums: Records,
+    sums: RecordArray[DragSumsRecord],
 ) -> None:
     """Slow down and kick, after the drift; add loss, impulse and angular impulse to ``sums``."""
     total = sums[0]
@@ -203,7 +213,14 @@ def _end(
 
 @kernel
 def _slow_down(
-    i: int, x: FloatArray, v: FloatArray, mass: float, outer: FloatArray, kick: float, factor: float, total: Any
+    i: int,
+    x: FloatArray,
+    v: FloatArray,
+    mass: float,
+    outer: FloatArray,
+    kick: float,
+    factor: float,
+    total: DragSumsRecord,
 ) -> None:
     """Multiply a velocity by a factor; add the external impulse of this and of the kick, and its moment."""
     px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
@@ -233,7 +250,7 @@ def _lost_in_hold(
 
 @kernel
 def _exchange_in_impacts(
-    log: Records,
+    log: RecordArray[ImpactRecord],
     after: FloatArray,
     w: FloatArray,
     a: FloatArray,
@@ -243,7 +260,7 @@ def _exchange_in_impacts(
     damping: float,
     strength: float,
     share: float,
-    sums: Records,
+    sums: RecordArray[DragSumsRecord],
 ) -> None:
     """Add what the medium exchanges because of impacts to ``sums``, and write the changes of the velocities over ``w``.
 

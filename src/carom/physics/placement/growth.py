@@ -20,11 +20,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.errors import SceneError
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.events.time_of_impact import time_of_impact
@@ -166,7 +166,7 @@ def _borders(region: Region, around: Surroundings) -> Records:
     return np.array(flat + round_, BORDER)
 
 
-def _reset_speeds(sphere: Records, radius: FloatArray) -> None:
+def _reset_speeds(sphere: RecordArray[GrowingSphereRecord], radius: FloatArray) -> None:
     """Scale velocities to 1 radius/s per axis, in the root mean square."""
     square = sum((sphere[f"v{axis}"] / radius) ** 2 for axis in "xyz")
     scale = math.sqrt(3.0 * len(sphere) / float(np.sum(square)))
@@ -174,7 +174,9 @@ def _reset_speeds(sphere: Records, radius: FloatArray) -> None:
         sphere[f"v{axis}"] *= scale
 
 
-def _neighbours(sphere: Records, movers: int, span: float, box: FloatArray) -> tuple[IntArray, IntArray]:
+def _neighbours(
+    sphere: RecordArray[GrowingSphereRecord], movers: int, span: float, box: FloatArray
+) -> tuple[IntArray, IntArray]:
     """List the neighbours of each sphere, i's at ``others[ends[i]:ends[i + 1]]``."""
     reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
     pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
@@ -184,51 +186,54 @@ def _neighbours(sphere: Records, movers: int, span: float, box: FloatArray) -> t
     return ends, others
 
 
-SPHERE = np.dtype(
-    [
-        ("x", np.float64),  # m, at the time `now`
-        ("y", np.float64),
-        ("z", np.float64),
-        ("vx", np.float64),  # m/s
-        ("vy", np.float64),
-        ("vz", np.float64),
-        ("radius", np.float64),  # m, at the beginning of the flight
-        ("growth", np.float64),  # m/s; 0 of fixed spheres
-        ("inverse_mass", np.float64),  # of any unit; 0 of fixed spheres
-        ("skin", np.float64),  # m that it may move until neighbours are searched again
-        ("start_x", np.float64),  # m, at the beginning of the flight
-        ("start_y", np.float64),
-        ("start_z", np.float64),
-        ("now", np.float64),  # s from the beginning of the flight
-        ("impacts", np.int64),  # so far in this flight
-        ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
-        ("partner", np.int64),  # the other end of that impact: sphere j, or the number of spheres + k for border k
-        ("partner_impacts", np.int64),  # impacts of the partner when this impact was predicted
-        ("queue_place", np.int64),  # see `put`
-    ],
-    align=True,
-)
+class GrowingSphereRecord(Protocol):
+    """A sphere in a flight."""
 
-BORDER = np.dtype(
-    [
-        ("flat", np.bool_),  # a plane: spheres are where `normal · x > offset`
-        ("nx", np.float64),
-        ("ny", np.float64),
-        ("nz", np.float64),
-        ("offset", np.float64),  # m
-        ("radius", np.float64),  # m, of a round one about the origin
-        ("around", np.bool_),  # whether spheres are inside of it, else outside
-        ("upright", np.bool_),  # a cylinder along z, else a ball
-    ],
-    align=True,
-)
+    x: float  # m, at the time `now`
+    y: float
+    z: float
+    vx: float  # m/s
+    vy: float
+    vz: float
+    radius: float  # m, at the beginning of the flight
+    growth: float  # m/s; 0 of fixed spheres
+    inverse_mass: float  # of any unit; 0 of fixed spheres
+    skin: float  # m that it may move until neighbours are searched again
+    start_x: float  # m, at the beginning of the flight
+    start_y: float
+    start_z: float
+    now: float  # s from the beginning of the flight
+    impacts: int  # so far in this flight
+    impact_time: float  # s, of its next impact; infinite if there is none
+    partner: int  # the other end of that impact: sphere j, or the number of spheres + k for border k
+    partner_impacts: int  # impacts of the partner when this impact was predicted
+    queue_place: int  # see `put`
+
+
+SPHERE = dtype_of(GrowingSphereRecord)
+
+
+class BorderRecord(Protocol):
+    """A border of the region."""
+
+    flat: bool  # a plane: spheres are where `normal · x > offset`
+    nx: float
+    ny: float
+    nz: float
+    offset: float  # m
+    radius: float  # m, of a round one about the origin
+    around: bool  # whether spheres are inside of it, else outside
+    upright: bool  # a cylinder along z, else a ball
+
+
+BORDER = dtype_of(BorderRecord)
 
 
 @long_kernel
 def fly(
-    sphere: Records,
+    sphere: RecordArray[GrowingSphereRecord],
     movers: int,
-    border: Records,
+    border: RecordArray[BorderRecord],
     queue: IntArray,
     ends: IntArray,
     others: IntArray,
@@ -299,14 +304,14 @@ def fly(
 
 
 @inner
-def _advance(a: Any, now: float) -> None:
+def _advance(a: GrowingSphereRecord, now: float) -> None:
     """Move a sphere to a time."""
     s = now - a.now
     a.x, a.y, a.z, a.now = a.x + a.vx * s, a.y + a.vy * s, a.z + a.vz * s, now
 
 
 @inner
-def _time_in_skin(a: Any) -> float:
+def _time_in_skin(a: GrowingSphereRecord) -> float:
     """Return in how many s a sphere leaves its skin."""
     ox, oy, oz = a.x - a.start_x, a.y - a.start_y, a.z - a.start_z
     v2 = a.vx * a.vx + a.vy * a.vy + a.vz * a.vz
@@ -316,7 +321,7 @@ def _time_in_skin(a: Any) -> float:
 
 
 @inner
-def _bounce(a: Any, b: Any, box: FloatArray) -> None:
+def _bounce(a: GrowingSphereRecord, b: GrowingSphereRecord, box: FloatArray) -> None:
     """Let two spheres rebound; a fixed one has no inverse mass."""
     nx, ny, nz = b.x - a.x, b.y - a.y, b.z - a.z
     nx, ny, nz = nearest_image(nx, ny, nz, box)
@@ -331,7 +336,7 @@ def _bounce(a: Any, b: Any, box: FloatArray) -> None:
 
 
 @inner
-def _bounce_off(a: Any, wall: Any) -> None:
+def _bounce_off(a: GrowingSphereRecord, wall: BorderRecord) -> None:
     """Let a sphere rebound from a border."""
     nx, ny, nz = wall.nx, wall.ny, wall.nz
     if not wall.flat:
@@ -349,8 +354,8 @@ def _predict(
     i: int,
     now: float,
     span: float,
-    sphere: Records,
-    border: Records,
+    sphere: RecordArray[GrowingSphereRecord],
+    border: RecordArray[BorderRecord],
     ends: IntArray,
     others: IntArray,
     box: FloatArray,
@@ -402,7 +407,9 @@ def _time_to_sphere(
 
 
 @inner
-def _time_to_border(x: float, y: float, z: float, r: float, a: Any, wall: Any, left: float) -> float:
+def _time_to_border(
+    x: float, y: float, z: float, r: float, a: GrowingSphereRecord, wall: BorderRecord, left: float
+) -> float:
     """Return in how many s a sphere of radius r at (x, y, z) meets a border; infinite if never."""
     g = a.growth
     if wall.flat:

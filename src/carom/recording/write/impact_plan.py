@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import rerun as rr
 
-from carom.arrays import FloatArray, IntArray, Records, SingleArray
-from carom.physics.aligned import record
+from carom.arrays import FloatArray, IntArray, RecordArray, Records, SingleArray, dtype_of
 from carom.physics.checkpoint import Checkpoint
 from carom.physics.frame import Frame
 from carom.physics.jit.decorators import inline, long_kernel
@@ -133,10 +132,17 @@ _SCENE = 600  # bytes of a frame at an impact besides its bodies: edge, arrows, 
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars
 
-_BUDGET = record(  # bytes so far
-    "others contacts"  # of all else; of contacts and impacts
-    " arrows scenes"  # of the latter on arrows, and on frames at impacts
-)
+
+class BudgetRecord(Protocol):
+    """Bytes of a recording so far."""
+
+    others: float  # of all but contacts and impacts
+    contacts: float  # of contacts and impacts
+    arrows: float  # of these, on arrows
+    scenes: float  # of these, on frames at impacts
+
+
+_BUDGET = dtype_of(BudgetRecord)
 
 
 class Kept(NamedTuple):
@@ -211,7 +217,7 @@ def _spend(
     edges: IntArray,
     contacts: IntArray,
     impacts: IntArray,
-    budget: Records,
+    budget: RecordArray[BudgetRecord],
     kept: Kept,
 ) -> None:
     """Decide for frames from their numbers of moved bodies, edges, contacts and impacts, (frames,) each."""

@@ -20,11 +20,11 @@ as soon as one body is huge).
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, Int32Array, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, Int32Array, IntArray, RecordArray, dtype_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
 from carom.physics.jit.team import Team
@@ -42,44 +42,54 @@ STRIP = 64  # cells of a row that are adjacent in a hashed table
 MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger ones
 MIN_BODIES_PER_TASK = 1000
 
-OCTAVE = np.dtype(
-    [
-        ("diameter", np.float64),  # m, of its largest body, and a little more
-        ("begin", np.int64),  # its bodies in the order of the table
-        ("end", np.int64),
-        ("crowded", np.bool_),  # whether it has had more than `MAX_PAIRS_PER_BODY`
-    ],
-    align=True,
-)
 
-GRID = np.dtype(
-    [
-        ("diameter", np.float64),  # m, of its largest body, and a little more
-        ("begin", np.int64),  # its bodies in the order of the table
-        ("end", np.int64),
-        ("first_bucket", np.int64),
-        ("end_bucket", np.int64),
-        ("kx", np.float64),  # cells in a metre
-        ("ky", np.float64),
-        ("kz", np.float64),
-        ("nx", np.int64),  # cells along each axis
-        ("ny", np.int64),
-        ("nz", np.int64),
-        ("mask", np.int64),  # of the hash, if cells are hashed
-        ("hashed", np.bool_),  # otherwise numbered row by row
-        ("crowded", np.bool_),  # whether its largest octave is crowded
-    ],
-    align=True,
-)
+class OctaveRecord(Protocol):
+    """The bodies of an octave of diameters."""
 
-SPHERE = np.dtype([(name, np.float64) for name in ("x", "y", "z", "radius")])  # m
+    diameter: float  # m, of its largest body, and a little more
+    begin: int  # its bodies in the order of the table
+    end: int
+    crowded: bool  # whether it has had more than `MAX_PAIRS_PER_BODY`
+
+
+class GridRecord(Protocol):
+    """The cells of one width."""
+
+    diameter: float  # m, of its largest body, and a little more
+    begin: int  # its bodies in the order of the table
+    end: int
+    first_bucket: int
+    end_bucket: int
+    kx: float  # cells in a metre
+    ky: float
+    kz: float
+    nx: int  # cells along each axis
+    ny: int
+    nz: int
+    mask: int  # of the hash, if cells are hashed
+    hashed: bool  # otherwise numbered row by row
+    crowded: bool  # whether its largest octave is crowded
+
+
+class SphereRecord(Protocol):
+    """A body in the order of the table."""
+
+    x: float  # m
+    y: float
+    z: float
+    radius: float  # m
+
+
+OCTAVE = dtype_of(OctaveRecord)
+GRID = dtype_of(GridRecord)
+SPHERE = dtype_of(SphereRecord)
 
 
 class Layout(NamedTuple):
     """The g grids of a step, at most k, beginning with that of the largest bodies."""
 
     grids: IntArray  # (1,) g
-    grid: Records  # (k,) `GRID`
+    grid: RecordArray[GridRecord]  # (k,)
     into: BoolArray  # (k, k) whether the bodies of a grid search another
     origin: FloatArray  # (3,) m, the corner where cells begin
     box: FloatArray  # (3,) m, zeros in open space
@@ -90,7 +100,7 @@ class Table(NamedTuple):
 
     ends: Int32Array  # (buckets + 1,) first body of each, and n
     body: Int32Array  # (n,)
-    sphere: Records  # (n,) `SPHERE`
+    sphere: RecordArray[SphereRecord]  # (n,)
 
 
 class Cells:
@@ -164,7 +174,7 @@ def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -
 
 @kernel
 def _define_grids(
-    extent: tuple[float, float, float], scale: float, skin: float, octaves: Records, layout: Layout
+    extent: tuple[float, float, float], scale: float, skin: float, octaves: RecordArray[OctaveRecord], layout: Layout
 ) -> bool:
     """Define the grids, and which of them search which others.
 
@@ -222,7 +232,7 @@ def _define_grids(
 
 
 @kernel
-def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: Any) -> float:
+def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: GridRecord) -> float:
     """Cut a grid into cells of a width or a little more, broader across the rows and shorter along them.
 
     Returns
@@ -249,7 +259,7 @@ def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
 
 
 @inline
-def cell_of(ox: float, oy: float, oz: float, grid: Any, periodic: bool) -> tuple[int, int, int]:
+def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -> tuple[int, int, int]:
     """Return the cell of a point, given in m from the corner where cells begin."""
     ix, iy, iz = math.floor(ox * grid.kx), math.floor(oy * grid.ky), math.floor(oz * grid.kz)
     if periodic:
@@ -258,7 +268,7 @@ def cell_of(ox: float, oy: float, oz: float, grid: Any, periodic: bool) -> tuple
 
 
 @inline
-def bucket_of(ix: int, iy: int, iz: int, grid: Any) -> int:
+def bucket_of(ix: int, iy: int, iz: int, grid: GridRecord) -> int:
     """Return the bucket of a cell; those of the next cells of its strip follow."""
     if grid.hashed:
         hashed: int = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
@@ -303,7 +313,7 @@ def _assign(
 
 
 @kernel
-def _add_up_counts(ends: Int32Array, octaves: Records, layout: Layout) -> None:
+def _add_up_counts(ends: Int32Array, octaves: RecordArray[OctaveRecord], layout: Layout) -> None:
     """Replace the number of bodies in each bucket by the position of its first; mark crowded octaves."""
     total, last = np.int32(0), 0
     for L in range(layout.grids[0]):

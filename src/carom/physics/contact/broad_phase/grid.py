@@ -12,13 +12,23 @@ Rejected: searching from the smaller bodies always, with each octave in a hashed
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError
-from carom.physics.contact.broad_phase.cells import STRIP, WIDER, Cells, Layout, Table, bucket_of, cell_of
+from carom.physics.contact.broad_phase.cells import (
+    STRIP,
+    WIDER,
+    Cells,
+    GridRecord,
+    Layout,
+    SphereRecord,
+    Table,
+    bucket_of,
+    cell_of,
+)
 from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.instructions import atomic_add
@@ -173,7 +183,7 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
 
 
 @inline
-def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid: Any) -> Row:
+def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid: GridRecord) -> Row:
     """Return the cells of a row within reach of a point, in m from the corner of the grid; none if it is too far."""
     gy, gz = _gap_to_cell(oy, row.y, grid.ky), _gap_to_cell(oz, row.z, grid.kz)
     squared = search_radius * search_radius - gy * gy - gz * gz
@@ -185,7 +195,9 @@ def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid
 
 
 @inline
-def _search_row(a: int, row: Row, after: int, half: bool, grid: Any, scope: Scope, m: int, end: int) -> tuple[int, int]:
+def _search_row(
+    a: int, row: Row, after: int, half: bool, grid: GridRecord, scope: Scope, m: int, end: int
+) -> tuple[int, int]:
     """Store the pairs of a body with those in a row of cells, from a place of the table on.
 
     If only half of the neighbours are searched, that place counts for the first cells of the row only.
@@ -206,7 +218,7 @@ def _search_row(a: int, row: Row, after: int, half: bool, grid: Any, scope: Scop
 
 
 @inline
-def _search_cells(a: int, row: Row, after: int, grid: Any, scope: Scope, m: int, end: int) -> tuple[int, int]:
+def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, m: int, end: int) -> tuple[int, int]:
     """Store the pairs of a body with those in cells whose buckets follow each other, from a place of the table on."""
     (ends, body, sphere), box, buffer = scope.table, sizes(scope.layout.box), scope.buffer
     own, bucket = sphere[a], bucket_of(row.first, row.y, row.z, grid)
@@ -225,7 +237,7 @@ def _search_cells(a: int, row: Row, after: int, grid: Any, scope: Scope, m: int,
 
 
 @inline
-def _is_in(sphere: Any, row: Row, grid: Any, layout: Layout) -> bool:
+def _is_in(sphere: SphereRecord, row: Row, grid: GridRecord, layout: Layout) -> bool:
     """Return whether a body is in a row of cells; other cells may have the same hash."""
     origin = layout.origin
     x, y, z = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
@@ -243,7 +255,7 @@ def _cells_along(o: float, search_radius: float, density: float, cells: int, per
 
 
 @inline
-def _meets_itself(grid: Any, scale: float, skin: float) -> bool:
+def _meets_itself(grid: GridRecord, scale: float, skin: float) -> bool:
     """Return whether a cell of a periodic grid may be a neighbour on both sides of another."""
     most = WIDER * (grid.diameter * scale + skin)
     apart_x, apart_y = 2.0 * (most * grid.kx + 1.0) < grid.nx, 2.0 * (most * grid.ky + 1.0) < grid.ny

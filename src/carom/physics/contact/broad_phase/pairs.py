@@ -16,7 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
 from carom.physics.contact.geometry import are_near
@@ -34,8 +34,23 @@ BODIES_PER_BLOCK = 2048
 PAIRS_PER_BLOCK = 4096
 MIN_BLOCKS_PER_TASK = 2
 
-BLOCK = np.dtype([("begin", np.int64), ("count", np.int64)])  # where the pairs of a block begin; how many
-FARTHEST = np.dtype([("move", np.float64), ("size", np.float64)])  # m²; m, of the bodies of a block
+
+class BlockRecord(Protocol):
+    """The pairs of a block."""
+
+    begin: int  # the first
+    count: int  # their number
+
+
+class FarthestRecord(Protocol):
+    """The largest values of the bodies of a block."""
+
+    move: float  # m², squared
+    size: float  # m
+
+
+BLOCK = dtype_of(BlockRecord)
+FARTHEST = dtype_of(FarthestRecord)
 
 
 class Search(Protocol):
@@ -135,7 +150,9 @@ class PairList:
 
 
 @long_kernel
-def _measure_moves(lo: int, hi: int, position: FloatArray, start: FloatArray, box: FloatArray, moves: Records) -> None:
+def _measure_moves(
+    lo: int, hi: int, position: FloatArray, start: FloatArray, box: FloatArray, moves: RecordArray[FarthestRecord]
+) -> None:
     """Find the farthest move and the largest coordinate in the blocks [lo, hi) of bodies."""
     periodic = is_periodic(box)
     for block in range(lo, hi):
@@ -153,7 +170,7 @@ def _measure_moves(lo: int, hi: int, position: FloatArray, start: FloatArray, bo
 
 
 @kernel
-def _farthest(moves: Records) -> tuple[float, float]:
+def _farthest(moves: RecordArray[FarthestRecord]) -> tuple[float, float]:
     farthest, size = 0.0, 0.0
     for block in range(len(moves)):
         farthest, size = max(farthest, moves[block].move), max(size, moves[block].size)
@@ -171,7 +188,7 @@ def _test(
     scale: float,
     skin: float,
     near: IntArray,
-    blocks: Records,
+    blocks: RecordArray[BlockRecord],
 ) -> None:
     """Copy the pairs of the blocks [lo, hi) that are within reach.
 
@@ -201,7 +218,9 @@ def close_up(pairs: IntArray, blocks: Records, team: Team) -> IntArray:
 
 
 @long_kernel
-def _close_up(lo: int, hi: int, pairs: IntArray, blocks: Records, ends: IntArray, together: IntArray) -> None:
+def _close_up(
+    lo: int, hi: int, pairs: IntArray, blocks: RecordArray[BlockRecord], ends: IntArray, together: IntArray
+) -> None:
     """Copy the pairs of the blocks [lo, hi) to their final places."""
     for block in range(lo, hi):
         begin, count = blocks[block].begin, blocks[block].count

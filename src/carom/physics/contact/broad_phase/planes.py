@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.bodies import Bodies
-from carom.physics.contact.broad_phase.pairs import BLOCK, close_up
+from carom.physics.contact.broad_phase.pairs import BLOCK, BlockRecord, close_up
 from carom.physics.contact.geometry import height_above
 from carom.physics.contact.graph import first_of
 from carom.physics.jit.decorators import long_kernel
@@ -74,7 +74,7 @@ def _merge(
     scale: float,
     skin: float,
     merged: IntArray,
-    blocks: Records,
+    blocks: RecordArray[BlockRecord],
 ) -> None:
     """Merge the pairs of the blocks [lo, hi) of bodies; each block has room for all its possible pairs."""
     c = from_front(first_of(lo * BODIES_PER_BLOCK, pairs))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, Records
 from carom.physics.bodies import Bodies
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.broad_phase.pairs import Search
@@ -43,7 +43,7 @@ from carom.physics.contact.events.trajectories import (
     straighten,
     write_search_radii,
 )
-from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, Impacts
+from carom.physics.contact.impact_log import IMPACT, NO_IMPACTS, ROLLING_IMPACT, ROUNDING, ImpactRecord, Impacts
 from carom.physics.contact.islands import island_rest_speeds
 from carom.physics.contact.law import Materials, dissipates, has_torque, material_index
 from carom.physics.contact.solver.prepare import ImpulseCache
@@ -69,7 +69,7 @@ class _Kernels(NamedTuple):
     finish: Callable[..., None]
 
     @classmethod
-    def of(cls, T: Trajectories, log: Records) -> _Kernels:
+    def of(cls, T: Trajectories, log: RecordArray[ImpactRecord]) -> _Kernels:
         """Compile the kernels, or load them."""
         none = np.zeros(0, dtype=np.int64)
         nobody = Neighbours(none, none, none)
@@ -145,7 +145,7 @@ class EventDrivenDrift:
             everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
-        drift = self._trajectories.drift[0]
+        drift = self._trajectories.drift
         drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
         drift["field_x"], drift["field_y"], drift["field_z"] = self._bending
         self._kernels = _Kernels.of(self._trajectories, self._log)
@@ -226,7 +226,7 @@ class EventDrivenDrift:
         """
         T, bodies = self._trajectories, self._bodies
         T.rest_speed[:] = 0.0
-        drift = T.drift[0]
+        drift = T.drift
         drift["dt"] = drift["kick"] = drift["clock"] = dt
         drift["exhausted"] = drift["strays"] = 0
         pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
@@ -298,7 +298,7 @@ def _fill_queue(T: Trajectories) -> int:
 
 
 @long_kernel
-def resolve_touching(T: Trajectories, pairs: IntArray, log: Records) -> int:
+def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRecord]) -> int:
     """Resolve the impacts of all pairs that touch at one moment; return their number.
 
     An integrator that ends its steps at impacts calls this there. The pairs are resolved one by one, in their order as

@@ -13,11 +13,9 @@ holds under drag, with the velocities and times of `trajectories`.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from carom.arrays import Records
+from carom.arrays import RecordArray
 from carom.physics.contact.events.held_group import MOST_CONTACTS, hold_group
 from carom.physics.contact.events.time_of_impact import (
     time_of_impact,
@@ -40,7 +38,7 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
-from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
     exerts_torque,
@@ -78,7 +76,7 @@ def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 
 @long_kernel
-def resolve(neighbours: Neighbours, T: Trajectories, log: Records) -> int:
+def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord]) -> int:
     """Resolve impacts until none is left or the log, (k,) `IMPACT`, is full; return their number."""
     n, row = len(T.x), 0
     while row + MOST_CONTACTS <= len(log):
@@ -298,7 +296,7 @@ def _time_to_plane(gap: float, rate: float, bend: float) -> float:
 
 
 @inner
-def collide(i: int, j: int, entry: Any, T: Trajectories) -> None:
+def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
     """Resolve one impact with the velocities at its time, and log it."""
     v, omega, clock, f = T.v, T.omega, T.drift[0].clock, slowing(T)
     n, mi, mj = len(T.x), T.inverse_mass[i], T.inverse_mass[j]

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.events.trajectories import (
     Neighbours,
     Trajectories,
@@ -38,7 +38,7 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
-from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
@@ -64,7 +64,9 @@ class Group(NamedTuple):
 
 
 @inner
-def hold_group(i: int, j: int, neighbours: Neighbours, T: Trajectories, log: Records, row: int) -> tuple[IntArray, int]:
+def hold_group(
+    i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int
+) -> tuple[IntArray, int]:
     """Hold the contacts of a pair that meets, and those of its group.
 
     Parameters
@@ -348,7 +350,7 @@ def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: Flo
 
 
 @inner
-def _log(contacts: int, T: Trajectories, group: Group, log: Records, row: int) -> int:
+def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
     """Log the contacts that had an impulse, with half the sum of the speeds before and after it; return the next row.
 
     Summed over the group, -λ (v_n + v_n')/2 is the energy that is lost.

@@ -23,64 +23,78 @@ impact was predicted last. Impacts at the same time come in the order of their p
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
+from carom.physics.contact.constraints import ContactRecord
 from carom.physics.contact.geometry import height_above, normal_and_distance
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
+from carom.scene.schema import Coefficients
 
 FIRST_STANDOFF = 1e-9  # of the radius, of an exhausted body
 MOST_HOLDS = 100  # of an exhausted body in a drift; then only others meet it. Its standoff is beyond any gap by then.
 MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
-TRAJECTORY = np.dtype(
-    [
-        ("now", np.float64),  # s from the beginning of the drift, the time of the body's position
-        ("impacts", np.int64),  # so far in this drift
-        ("negligible_speed", np.float64),  # m/s; slower closing is rounding, not an impact
-        ("impact_time", np.float64),  # s, of its next impact; infinite if there is none
-        ("partner", np.int64),  # the other end of that impact: body j, or n + p for plane p
-        ("partner_impacts", np.int64),  # impacts of the partner when that impact was predicted
-        ("queue_place", np.int64),  # in the event queue; -1 outside
-        ("search_radius", np.float64),  # m, from its start, relative to the bulk: neighbours are known up to there
-        ("start_x", np.float64),  # m, where it was at the beginning of the drift
-        ("start_y", np.float64),
-        ("start_z", np.float64),
-        ("standoff", np.float64),  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
-        ("holds", np.int64),  # how often its contacts were held in this drift
-        ("strays", np.bool_),  # whether its path leaves that radius
-        ("is_straight", np.bool_),  # whether its path does not bend with the field: it is held or does not move
-        ("is_free", np.bool_),  # whether it has touched nothing since the last step: it bounces at any speed
-        ("exhausted", np.bool_),  # whether it has had its largest number of impacts
-    ],
-    align=True,
-)
 
-DRIFT = np.dtype(
-    [
-        ("dt", np.float64),  # s, length of the drift
-        ("kick", np.float64),  # s, the kick before it: velocities are those of this time
-        ("damping", np.float64),  # 1/s, rate at which drag slows bodies down; 0 without drag
-        ("clock", np.float64),  # s, the present time
-        ("slow", np.float64),  # of the rest speed; slower contacts are left to the end of the step
-        ("field_x", np.float64),  # m/s², the uniform field that bends paths; zeros where no path bends
-        ("field_y", np.float64),
-        ("field_z", np.float64),
-        ("bulk_x", np.float64),  # m/s, the velocity that search radii are relative to
-        ("bulk_y", np.float64),
-        ("bulk_z", np.float64),
-        ("queued", np.int64),  # bodies in the event queue
-        ("strays", np.int64),  # bodies that left their search radius
-        ("exhausted", np.int64),  # bodies that reached the largest number of impacts
-    ],
-    align=True,
-)
+class QueuedRecord(Protocol):
+    """A body that can be in the event queue, as `TrajectoryRecord` states it."""
+
+    impact_time: float
+    partner: int
+    queue_place: int
+
+
+class TrajectoryRecord(Protocol):
+    """The path of a body in a drift."""
+
+    now: float  # s from the beginning of the drift, the time of the body's position
+    impacts: int  # so far in this drift
+    negligible_speed: float  # m/s; slower closing is rounding, not an impact
+    impact_time: float  # s, of its next impact; infinite if there is none
+    partner: int  # the other end of that impact: body j, or n + p for plane p
+    partner_impacts: int  # impacts of the partner when that impact was predicted
+    queue_place: int  # in the event queue; -1 outside
+    search_radius: float  # m, from its start, relative to the bulk: neighbours are known up to there
+    start_x: float  # m, where it was at the beginning of the drift
+    start_y: float
+    start_z: float
+    standoff: float  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
+    holds: int  # how often its contacts were held in this drift
+    strays: bool  # whether its path leaves that radius
+    is_straight: bool  # whether its path does not bend with the field: it is held or does not move
+    is_free: bool  # whether it has touched nothing since the last step: it bounces at any speed
+    exhausted: bool  # whether it has had its largest number of impacts
+
+
+TRAJECTORY = dtype_of(TrajectoryRecord)
+
+
+class DriftRecord(Protocol):
+    """A drift."""
+
+    dt: float  # s, length of the drift
+    kick: float  # s, the kick before it: velocities are those of this time
+    damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
+    clock: float  # s, the present time
+    slow: float  # of the rest speed; slower contacts are left to the end of the step
+    field_x: float  # m/s², the uniform field that bends paths; zeros where no path bends
+    field_y: float
+    field_z: float
+    bulk_x: float  # m/s, the velocity that search radii are relative to
+    bulk_y: float
+    bulk_z: float
+    queued: int  # bodies in the event queue
+    strays: int  # bodies that left their search radius
+    exhausted: int  # bodies that reached the largest number of impacts
+
+
+DRIFT = dtype_of(DriftRecord)
 
 
 class Neighbours(NamedTuple):
@@ -94,8 +108,8 @@ class Neighbours(NamedTuple):
 class Trajectories(NamedTuple):
     """n bodies and p planes in a drift."""
 
-    body: Records  # (n,) `TRAJECTORY`
-    drift: Records  # (1,) `DRIFT`
+    body: RecordArray[TrajectoryRecord]  # (n,)
+    drift: RecordArray[DriftRecord]  # (1,)
     x: FloatArray  # (n, 3) m, at the time `now` of each
     v: FloatArray  # (n + p, 3) m/s, of the straight paths
     a: FloatArray  # (n + p, 3) m/s², without drag
@@ -108,7 +122,7 @@ class Trajectories(NamedTuple):
     box: FloatArray  # (3,) m; zeros in open space
     surface: FloatArray  # (p, 3) normals
     offset: FloatArray  # (p,) m
-    materials: Records  # (k,) `MATERIAL`, coefficients by `law.material_index`
+    materials: RecordArray[Coefficients]  # (k,) `MATERIAL`, by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
     queue: IntArray  # (n,) the event queue
     everyone: Neighbours  # all bodies
@@ -117,7 +131,13 @@ class Trajectories(NamedTuple):
 
 @kernel
 def write_search_radii(
-    v: FloatArray, mass: FloatArray, radius: FloatArray, anchored: bool, dt: float, body: Records, drift: Records
+    v: FloatArray,
+    mass: FloatArray,
+    radius: FloatArray,
+    anchored: bool,
+    dt: float,
+    body: RecordArray[TrajectoryRecord],
+    drift: RecordArray[DriftRecord],
 ) -> float:
     """Write the search radii of all bodies in dt, and the velocity they are relative to; return the largest in radii.
 
@@ -179,7 +199,9 @@ def arrive(i: int, T: Trajectories) -> None:
 
 
 @kernel
-def straighten(pairs: IntArray, place: IntArray, contacts: Records, body: Records) -> None:
+def straighten(
+    pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], body: RecordArray[TrajectoryRecord]
+) -> None:
     """Make the paths of held bodies straight, those with an impulse in ``contacts[place]``; they are not free."""
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
@@ -309,7 +331,7 @@ def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
 
 
 @kernel
-def is_sooner(i: int, j: int, body: Records) -> bool:
+def is_sooner(i: int, j: int, body: RecordArray[QueuedRecord]) -> bool:
     """Return whether body i's next impact comes before body j's."""
     one, other = body[i], body[j]
     if one.impact_time != other.impact_time:
@@ -321,7 +343,7 @@ def is_sooner(i: int, j: int, body: Records) -> bool:
 
 
 @kernel
-def put(i: int, size: int, queue: IntArray, body: Records) -> int:
+def put(i: int, size: int, queue: IntArray, body: RecordArray[QueuedRecord]) -> int:
     """Update the place of body i after its next impact has changed; remove it if there is none.
 
     Parameters

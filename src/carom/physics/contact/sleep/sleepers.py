@@ -23,7 +23,12 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import CONTACT, CONTACT_STATE, RECORDED, ends_of
+from carom.physics.contact.constraints import (
+    CONTACT,
+    CONTACT_STATE,
+    RECORDED,
+    ends_of,
+)
 from carom.physics.contact.contact_checkpoint import SleepCheckpoint
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.contact.islands import join_islands, root_of

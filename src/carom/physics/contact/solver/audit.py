@@ -25,9 +25,7 @@ a falling heap of 1000 spheres, one `hold` in twenty is; a pass of its own took 
 
 from __future__ import annotations
 
-from typing import Any
-
-from carom.physics.contact.constraints import ConstraintSystem, contacts_of, ends_of
+from carom.physics.contact.constraints import ConstraintSystem, ContactRecord, ContactStateRecord, contacts_of, ends_of
 from carom.physics.contact.islands import join_islands
 from carom.physics.contact.law import exerts_torque
 from carom.physics.contact.rolling import angular_impulse, relative_spin, set_angular_impulse, spin_before
@@ -122,14 +120,16 @@ def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
 
 
 @inline
-def normal_energies(contact: Any, state: Any, vn: float) -> tuple[float, float]:
+def normal_energies(contact: ContactRecord, state: ContactStateRecord, vn: float) -> tuple[float, float]:
     """Return λ_n (v_n + c) and λ_n (v_n' - v_n), in J."""
     Jn = contact.normal_impulse
     return Jn * (state.normal_before + contact.velocity_bias), Jn * (vn - state.normal_before)
 
 
 @inline
-def friction_energies(contact: Any, state: Any, ux: float, uy: float, uz: float) -> tuple[float, float]:
+def friction_energies(
+    contact: ContactRecord, state: ContactStateRecord, ux: float, uy: float, uz: float
+) -> tuple[float, float]:
     """Return λ_t·u and λ_t·(u' - u), in J."""
     tx, ty, tz = contact.friction_x, contact.friction_y, contact.friction_z
     before = tx * state.slip_x + ty * state.slip_y + tz * state.slip_z

@@ -9,15 +9,23 @@ Velocities at a contact are those of body j relative to body i:
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.contact.constraints import ends_of
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
+
+
+class Moving(Protocol):
+    """A record with a velocity in m/s."""
+
+    vx: float
+    vy: float
+    vz: float
 
 
 def active_bodies(pairs: IntArray, count: int) -> IntArray:
@@ -43,7 +51,7 @@ def gather(
     omega: FloatArray,
     inverse_mass: FloatArray,
     inverse_inertia: FloatArray,
-    bodies: Records,
+    bodies: RecordArray[BodyStateRecord],
 ) -> None:
     """Copy the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
     for k in range(lo, hi):
@@ -61,7 +69,9 @@ def gather(
 
 
 @long_kernel
-def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, omega: FloatArray) -> None:
+def scatter(
+    lo: int, hi: int, active: IntArray, bodies: RecordArray[BodyStateRecord], v: FloatArray, omega: FloatArray
+) -> None:
     """Copy the velocities of the active bodies [lo, hi) back into the arrays."""
     for k in range(lo, hi):
         b = from_front(active[k])
@@ -72,7 +82,7 @@ def scatter(lo: int, hi: int, active: IntArray, bodies: Records, v: FloatArray, 
 
 
 @inline
-def prefetch_ends(bodies: Records, pairs: IntArray, c: int) -> None:
+def prefetch_ends(bodies: RecordArray[object], pairs: IntArray, c: int) -> None:
     """Fetch the first lines of the two bodies of the contact that comes `AHEAD` places after c."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
@@ -80,7 +90,7 @@ def prefetch_ends(bodies: Records, pairs: IntArray, c: int) -> None:
 
 
 @inline
-def prefetch_records(bodies: Records, pairs: IntArray, c: int) -> None:
+def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: int) -> None:
     """Fetch the same lines, and those with their changes in the iteration."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
@@ -95,7 +105,16 @@ def prefetch_records(bodies: Records, pairs: IntArray, c: int) -> None:
 
 
 @inline
-def apply_impulse(contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: float, ty: float, tz: float) -> None:
+def apply_impulse(
+    contact: ContactRecord,
+    a: BodyStateRecord,
+    b: BodyStateRecord,
+    turns: bool,
+    normal: float,
+    tx: float,
+    ty: float,
+    tz: float,
+) -> None:
     """Change the velocities of two bodies by an impulse λ_n and λ_t, in N s."""
     push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
@@ -104,7 +123,14 @@ def apply_impulse(contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: 
 
 @inline
 def accumulate_impulse(
-    contact: Any, a: Any, b: Any, turns: bool, normal: float, tx: float, ty: float, tz: float
+    contact: ContactRecord,
+    a: BodyStateRecord,
+    b: BodyStateRecord,
+    turns: bool,
+    normal: float,
+    tx: float,
+    ty: float,
+    tz: float,
 ) -> None:
     """Add the change of velocities by an impulse, in N s, to that of the iteration."""
     accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
@@ -113,7 +139,7 @@ def accumulate_impulse(
 
 
 @inline
-def push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
+def push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
     """Change the velocities by an impulse J, in N s."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
@@ -127,14 +153,14 @@ def push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
 
 
 @inline
-def torque_of(contact: Any, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def torque_of(contact: ContactRecord, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
     """Return λ_t × n of a tangential impulse, in N s."""
     nx, ny, nz = contact.nx, contact.ny, contact.nz
     return nz * ty - ny * tz, nx * tz - nz * tx, ny * tx - nx * ty
 
 
 @inline
-def turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
+def turn(contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float) -> None:
     """Change the angular velocities by a tangential impulse λ_t, in N s."""
     lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
@@ -149,7 +175,7 @@ def turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
 
 
 @inline
-def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
+def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
     """Add the changes by `push` to those of the iteration."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
@@ -163,7 +189,9 @@ def accumulate_push(a: Any, b: Any, Jx: float, Jy: float, Jz: float) -> None:
 
 
 @inline
-def accumulate_turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> None:
+def accumulate_turn(
+    contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float
+) -> None:
     """Add the changes by `turn` to those of the iteration."""
     lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
@@ -178,13 +206,15 @@ def accumulate_turn(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: floa
 
 
 @inline
-def relative_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
+def relative_velocity(
+    contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord
+) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies, in m/s."""
     return velocity_along(contact.nx, contact.ny, contact.nz, a, b)
 
 
 @inline
-def velocity_along(nx: float, ny: float, nz: float, a: Any, b: Any) -> tuple[float, float, float, float]:
+def velocity_along(nx: float, ny: float, nz: float, a: Moving, b: Moving) -> tuple[float, float, float, float]:
     """Return v_n and v_t of two bodies, in m/s, for a normal from a to b."""
     ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
     vn = ux * nx + uy * ny + uz * nz
@@ -210,7 +240,9 @@ def slip_velocity(
 
 
 @inline
-def slip(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> tuple[float, float, float]:
+def slip(
+    contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float
+) -> tuple[float, float, float]:
     """Return the slip u of two bodies, in m/s, given v_t."""
     ri, rj = contact.arm_i, contact.arm_j
     wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
@@ -218,7 +250,9 @@ def slip(contact: Any, a: Any, b: Any, tx: float, ty: float, tz: float) -> tuple
 
 
 @inline
-def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, float, float]:
+def change_of_velocity(
+    contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord
+) -> tuple[float, float, float, float]:
     """Return the changes of v_n and u in the last iteration, in m/s."""
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     px, py, pz = b.dvx - a.dvx, b.dvy - a.dvy, b.dvz - a.dvz
@@ -229,7 +263,7 @@ def change_of_velocity(contact: Any, a: Any, b: Any) -> tuple[float, float, floa
 
 
 @inline
-def bias_of(contact: Any, between_bodies: bool, tx: float, ty: float, tz: float, drift: float) -> float:
+def bias_of(contact: ContactRecord, between_bodies: bool, tx: float, ty: float, tz: float, drift: float) -> float:
     """Return the bias c of a contact at these velocities, in m/s: after a drift of two bodies `bias_along_arc`."""
     bias: float = contact.velocity_bias
     if drift > 0.0 and between_bodies:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import Buffer, aligned_empty, columns
 from carom.physics.bodies import Bodies
 from carom.physics.contact.constraints import (
@@ -29,6 +27,10 @@ from carom.physics.contact.constraints import (
     SETTINGS,
     SHARED_FROM,
     ConstraintSystem,
+    ContactRecord,
+    ContactStateRecord,
+    ImpulseRecord,
+    SettingsRecord,
 )
 from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
@@ -108,7 +110,7 @@ class ContactSolver:
         self._code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work` for systems of this solver
 
-    def lay(self, order: SolveOrder, keep: Records | None = None, rounding: float = 0.0) -> None:
+    def lay(self, order: SolveOrder, keep: RecordArray[ContactRecord] | None = None, rounding: float = 0.0) -> None:
         """Begin a step: lay out the records of its contacts, and find their geometry.
 
         Parameters
@@ -131,17 +133,17 @@ class ContactSolver:
         self._team.divide(len(order.pairs), MIN_PER_TASK, begin_contacts, *begun)
 
     @property
-    def contacts(self) -> Records:
+    def contacts(self) -> RecordArray[ContactRecord]:
         """(m,) `CONTACT`, in the order in which the contacts are solved, as in all properties below."""
         return self._system.contacts
 
     @property
-    def states(self) -> Records:
+    def states(self) -> RecordArray[ContactStateRecord]:
         """(m,) `CONTACT_STATE`."""
         return self._system.states
 
     @property
-    def recorded(self) -> Records:
+    def recorded(self) -> RecordArray[ImpulseRecord]:
         """(m,) `RECORDED`; empty unless contacts are recorded."""
         return self._system.recorded
 
@@ -309,7 +311,7 @@ class ContactSolver:
         self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, negligible, dt, closing)
         return bool(closing[0])
 
-    def _geometry(self) -> tuple[NDArray[Any], ...]:
+    def _geometry(self) -> tuple[object, ...]:
         bodies, planes, system = self._bodies, self._planes, self._system
         shapes = (bodies.position, bodies.radius, self._box, planes.normal, planes.offset)
         return system.pairs, *shapes, system.contacts, system.states
@@ -335,7 +337,7 @@ class ContactSolver:
 
 
 @kernel
-def _gather_rest_speeds(place: IntArray, states: Records, speeds: FloatArray) -> None:
+def _gather_rest_speeds(place: IntArray, states: RecordArray[ContactStateRecord], speeds: FloatArray) -> None:
     for c in range(len(place)):
         speeds[c] = states[place[c]].rest_speed
 
@@ -386,7 +388,11 @@ class Workspace:
         self._islands = np.empty(count, ISLAND)
 
     def system(
-        self, order: SolveOrder, active: IntArray, settings: Records, keep: Records | None = None
+        self,
+        order: SolveOrder,
+        active: IntArray,
+        settings: RecordArray[SettingsRecord],
+        keep: RecordArray[ContactRecord] | None = None,
     ) -> ConstraintSystem:
         """Return the system of a step; the one before becomes invalid.
 

@@ -18,10 +18,17 @@ With plain e, the energy of each rebound is wrong by the change of the potential
 
 from __future__ import annotations
 
-from typing import Any
-
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.contact.constraints import ConstraintSystem, body_count, contacts_of, ends_of
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.physics.contact.constraints import (
+    BodyStateRecord,
+    ConstraintSystem,
+    ContactRecord,
+    ContactStateRecord,
+    ImpulseRecord,
+    body_count,
+    contacts_of,
+    ends_of,
+)
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.contact.law import (
@@ -134,14 +141,14 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
 
 
 @inline
-def _sum_of_speeds(a: Any, b: Any) -> float:
+def _sum_of_speeds(a: BodyStateRecord, b: BodyStateRecord) -> float:
     """Return a bound of the speeds of two bodies, in m/s."""
     bound: float = abs(a.vx) + abs(a.vy) + abs(a.vz) + abs(b.vx) + abs(b.vy) + abs(b.vz)
     return bound
 
 
 @inline
-def _record_friction(given: Any, tx: float, ty: float, tz: float) -> None:
+def _record_friction(given: ImpulseRecord, tx: float, ty: float, tz: float) -> None:
     given.friction_x += tx
     given.friction_y += ty
     given.friction_z += tz
@@ -152,8 +159,8 @@ def check_closing(
     lo: int,
     hi: int,
     pairs: IntArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     v: FloatArray,
     negligible: float,
     dt: float,

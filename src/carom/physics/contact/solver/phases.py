@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import IntArray, Records
+from carom.arrays import IntArray, RecordArray
 from carom.physics.contact.constraints import (
     AUDIT,
     CONJUGATE_DIRECTION,
@@ -30,7 +30,10 @@ from carom.physics.contact.constraints import (
     SCALE_BACK,
     SOLVE,
     WARM_START,
+    BlockSumsRecord,
     ConstraintSystem,
+    PieceResultsRecord,
+    SettingsRecord,
 )
 from carom.physics.contact.solver.impacts import CONVERGED
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS
@@ -55,9 +58,9 @@ class Phases(NamedTuple):
     doer: int  # address of the function that does a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
     edges: IntArray  # this and the rest as in `ConstraintSystem`
-    piece_results: Records
-    sums: Records
-    settings: Records
+    piece_results: RecordArray[PieceResultsRecord]
+    sums: RecordArray[BlockSumsRecord]
+    settings: RecordArray[SettingsRecord]
 
 
 @leading(borrowing)

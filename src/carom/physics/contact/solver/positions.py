@@ -26,12 +26,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import (
     CONTACT_STATE,
     PUSHED_BODY,
     RECORDED,
     ConstraintSystem,
+    ContactStateRecord,
+    PushedBodyRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -44,6 +46,7 @@ from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import DOUBLE, WIDTH, WORD, Lanes, Mask, at_least, gathered, in_lanes, spread
 from carom.physics.vector import is_periodic, nearest_image, vector, write
+from carom.scene.schema import Coefficients
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 
@@ -71,7 +74,9 @@ def count_contacts(pairs: IntArray, counts: IntArray) -> None:
 
 
 @long_kernel
-def find_push_fractions(lo: int, hi: int, pairs: IntArray, counts: IntArray, states: Records) -> None:
+def find_push_fractions(
+    lo: int, hi: int, pairs: IntArray, counts: IntArray, states: RecordArray[ContactStateRecord]
+) -> None:
     """Find the part of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
 
     Removing whole overlaps pushes each body into the next. A compressed pile then never comes to rest, and in a falling
@@ -170,17 +175,19 @@ def _enough(system: ConstraintSystem) -> float:
 
 
 @inline
-def _move(body: Any, s: float, nx: float, ny: float, nz: float) -> None:
+def _move(body: PushedBodyRecord, s: float, nx: float, ny: float, nz: float) -> None:
     body.x, body.y, body.z = body.x + s * nx, body.y + s * ny, body.z + s * nz
 
 
 @inline
-def _accelerate(body: Any, s: float, tx: float, ty: float, tz: float) -> None:
+def _accelerate(body: PushedBodyRecord, s: float, tx: float, ty: float, tz: float) -> None:
     body.vx, body.vy, body.vz = body.vx + s * tx, body.vy + s * ty, body.vz + s * tz
 
 
 @inline
-def _geometry(a: Any, b: Any, plane: int, system: ConstraintSystem) -> tuple[float, float, float, float, float]:
+def _geometry(
+    a: PushedBodyRecord, b: PushedBodyRecord, plane: int, system: ConstraintSystem
+) -> tuple[float, float, float, float, float]:
     """Return the normal, the distance of the centres or from the plane, and the distance at which they touch, in m.
 
     ``plane`` is negative between two bodies.
@@ -197,7 +204,12 @@ def _geometry(a: Any, b: Any, plane: int, system: ConstraintSystem) -> tuple[flo
 
 @long_kernel
 def audit_corrections(
-    lo: int, hi: int, pairs: IntArray, acceleration: FloatArray, inverse_mass: FloatArray, states: Records
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    acceleration: FloatArray,
+    inverse_mass: FloatArray,
+    states: RecordArray[ContactStateRecord],
 ) -> None:
     """Book the change of the potential energy by the pushes, -μ (a_j - a_i)·Σ δ n, in J."""
     a = acceleration
@@ -222,7 +234,9 @@ def separates(vn: float, rest_speed: float, e: float) -> bool:
 
 
 @inline
-def push_of(fraction: float, overlap: float, a: Any, b: Any) -> tuple[float, float, float, float]:
+def push_of(
+    fraction: float, overlap: float, a: PushedBodyRecord, b: PushedBodyRecord
+) -> tuple[float, float, float, float]:
     """Return δ in m, the parts of it by which the bodies move, and the reduced mass μ in kg."""
     total = a.inverse_mass + b.inverse_mass
     return fraction * overlap, a.inverse_mass / total, b.inverse_mass / total, 1.0 / total
@@ -249,7 +263,7 @@ def gather_positions(
     v: FloatArray,
     radius: FloatArray,
     inverse_mass: FloatArray,
-    bodies: Records,
+    bodies: RecordArray[PushedBodyRecord],
     pushed_in: IntArray,
 ) -> None:
     """Copy the active bodies and planes [lo, hi) into `PUSHED_BODY`; none of them was pushed yet."""
@@ -265,7 +279,13 @@ def gather_positions(
 
 @long_kernel
 def scatter_positions(
-    lo: int, hi: int, active: IntArray, bodies: Records, pushed_in: IntArray, x: FloatArray, v: FloatArray
+    lo: int,
+    hi: int,
+    active: IntArray,
+    bodies: RecordArray[PushedBodyRecord],
+    pushed_in: IntArray,
+    x: FloatArray,
+    v: FloatArray,
 ) -> None:
     """Copy positions and velocities of the active bodies [lo, hi) that were pushed back into the arrays."""
     for k in range(lo, hi):
@@ -390,6 +410,6 @@ class _Correction:
         return spread(builder, builder.select(self._block.flag("as_needed"), as_needed, by_rounding))
 
 
-def _restitution_of_one(material: Any, approach: float, rest_speed: float) -> float:
+def _restitution_of_one(material: Coefficients, approach: float, rest_speed: float) -> float:
     """Call the law: `Code.call` takes a plain function of Python, not a kernel."""
     return restitution(material, approach, rest_speed)

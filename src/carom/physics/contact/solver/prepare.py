@@ -11,17 +11,18 @@ onto its new tangential plane.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.aligned import columns
 from carom.physics.contact.constraints import (
     CONTACT,
     MIN_PER_TASK,
     ROLLING_CONTACT,
     ConstraintSystem,
+    ContactRecord,
+    ContactStateRecord,
     contacts_of,
     ends_of,
 )
@@ -73,8 +74,8 @@ def begin_contacts(
     box: FloatArray,
     surface: FloatArray,
     offset: FloatArray,
-    contacts: Records,
-    states: Records,
+    contacts: RecordArray[ContactRecord],
+    states: RecordArray[ContactStateRecord],
     rounding: float,
     normals: FloatArray,
 ) -> None:
@@ -94,7 +95,7 @@ def begin_contacts(
 
 
 @inline
-def _clear(contact: Any, state: Any) -> None:
+def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
     """Clear the fields that `update_geometry` does not write."""
     contact.normal_mass = contact.tangent_mass = contact.velocity_bias = 0.0
     contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
@@ -164,7 +165,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
     return largest
 
 
-def impulses_of(contacts: Records) -> FloatArray:
+def impulses_of(contacts: RecordArray[ContactRecord]) -> FloatArray:
     """Return λ_n and λ_t, (m, 4) N s, as a view."""
     return columns(contacts, IMPULSES)
 
@@ -175,7 +176,7 @@ class ImpulseCache:
 
     pairs: IntArray  # (m, 2), sorted
     place: IntArray  # (m,) index of each one's record
-    contacts: Records  # (m,) CONTACT
+    contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     kick: float  # s, length of that kick
 
     @classmethod
@@ -200,13 +201,15 @@ class ImpulseCache:
         angular = angular_impulses_of(self.contacts)
         return np.concatenate((impulses, angular[self.place]), axis=1) if angular.shape[1] else impulses
 
-    def impulse_of(self, contacts: Records) -> FloatArray:
+    def impulse_of(self, contacts: RecordArray[ContactRecord]) -> FloatArray:
         """Return `impulse`, with angular impulses if these contacts have them: 0 where none were found yet."""
         impulses = self.impulse
         missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - impulses.shape[1]
         return np.pad(impulses, ((0, 0), (0, missing))) if missing else impulses
 
-    def carry_to(self, pairs: IntArray, place: IntArray, kick: float, contacts: Records, team: Team) -> None:
+    def carry_to(
+        self, pairs: IntArray, place: IntArray, kick: float, contacts: RecordArray[ContactRecord], team: Team
+    ) -> None:
         """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
 
         Parameters
@@ -232,7 +235,13 @@ class ImpulseCache:
 
 @long_kernel
 def mark_pressed(
-    lo: int, hi: int, pairs: IntArray, place: IntArray, contacts: Records, inverse_mass: FloatArray, pressed: BoolArray
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    place: IntArray,
+    contacts: RecordArray[ContactRecord],
+    inverse_mass: FloatArray,
+    pressed: BoolArray,
 ) -> None:
     """Mark the moving ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
     for c in range(lo, hi):
@@ -243,7 +252,7 @@ def mark_pressed(
 
 
 @kernel
-def _gather_impulses(place: IntArray, contacts: Records, impulses: FloatArray) -> None:
+def _gather_impulses(place: IntArray, contacts: RecordArray[ContactRecord], impulses: FloatArray) -> None:
     for c in range(len(place)):
         contact = contacts[place[c]]
         impulses[c, NORMAL] = contact.normal_impulse
@@ -252,7 +261,9 @@ def _gather_impulses(place: IntArray, contacts: Records, impulses: FloatArray) -
 
 
 @long_kernel
-def _carry_each(lo: int, hi: int, old_contacts: Records, ratio: float, contacts: Records) -> None:
+def _carry_each(
+    lo: int, hi: int, old_contacts: RecordArray[ContactRecord], ratio: float, contacts: RecordArray[ContactRecord]
+) -> None:
     """Carry the impulses of the contacts [lo, hi) over, in the order of their records: no search, half the time."""
     for c in range(lo, hi):
         old = old_contacts[c]
@@ -267,11 +278,11 @@ def _carry(
     hi: int,
     old_pairs: IntArray,
     old_place: IntArray,
-    old_contacts: Records,
+    old_contacts: RecordArray[ContactRecord],
     ratio: float,
     pairs: IntArray,
     place: IntArray,
-    contacts: Records,
+    contacts: RecordArray[ContactRecord],
 ) -> None:
     """Find each pair among the old ones, both sorted, and carry its impulse over."""
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
@@ -295,7 +306,7 @@ def _carry(
 
 
 @inline
-def _set_impulse(contact: Any, ratio: float, normal: float, x: float, y: float, z: float) -> None:
+def _set_impulse(contact: ContactRecord, ratio: float, normal: float, x: float, y: float, z: float) -> None:
     """Start from an earlier impulse, N s: scale it, and project its tangential part onto the tangential plane."""
     along = x * contact.nx + y * contact.ny + z * contact.nz
     contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)

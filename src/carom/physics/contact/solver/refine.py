@@ -32,12 +32,15 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import Records
+from carom.arrays import RecordArray
 from carom.physics.aligned import CACHE_LINE
 from carom.physics.contact.constraints import (
     BODIES_PER_BLOCK,
     BODY_STATE,
+    BlockSumsRecord,
+    BodyStateRecord,
     ConstraintSystem,
+    PieceResultsRecord,
     body_count,
     contacts_of,
     ends_of,
@@ -92,7 +95,7 @@ def _sum_up(block: int, system: ConstraintSystem) -> None:
 
 
 @unowned
-def step_length(piece_results: Records, sums: Records) -> float:
+def step_length(piece_results: RecordArray[PieceResultsRecord], sums: RecordArray[BlockSumsRecord]) -> float:
     """Return α; 0 if repeating the change would not help."""
     slope, curvature, step_limit = 0.0, 0.0, np.inf
     for k in range(len(piece_results)):
@@ -118,7 +121,7 @@ assert (BODY_STATE.names or ())[MOTION] == "inverse_mass"
 
 
 @inline
-def _repeat_each(bodies: Records, body: int, alpha: float) -> None:
+def _repeat_each(bodies: RecordArray[BodyStateRecord], body: int, alpha: float) -> None:
     b = bodies[body]
     b.vx, b.vy, b.vz = b.vx + b.dvx * alpha, b.vy + b.dvy * alpha, b.vz + b.dvz * alpha
     b.wx, b.wy, b.wz = b.wx + b.dwx * alpha, b.wy + b.dwy * alpha, b.wz + b.dwz * alpha

@@ -37,7 +37,16 @@ from typing import Any
 
 import numpy as np
 
-from carom.physics.contact.constraints import BODY_STATE, CONTACT, ConstraintSystem, body_count, ends_of
+from carom.physics.contact.constraints import (
+    BODY_STATE,
+    CONTACT,
+    BodyStateRecord,
+    ConstraintSystem,
+    ContactRecord,
+    ContactStateRecord,
+    body_count,
+    ends_of,
+)
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
@@ -76,6 +85,7 @@ from carom.physics.jit.vectors import (
     read_doubles,
     spread,
 )
+from carom.scene.schema import Coefficients
 
 HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
 Vector = Sequence[Lanes]
@@ -175,7 +185,13 @@ def _solve_each(
 
 @inline
 def friction(
-    state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
+    state: ContactStateRecord,
+    material: Coefficients,
+    keeps_sliding: bool,
+    normal: float,
+    tx: float,
+    ty: float,
+    tz: float,
 ) -> tuple[float, ...]:
     """Return the tangential impulse that a contact exerts, (3,) N s.
 
@@ -197,7 +213,9 @@ def friction(
 
 
 @inline
-def _resist_rotation(contact: Any, material: Any, a: Any, b: Any, normal: float, alpha: float) -> float:
+def _resist_rotation(
+    contact: ContactRecord, material: Coefficients, a: BodyStateRecord, b: BodyStateRecord, normal: float, alpha: float
+) -> float:
     """Change the angular impulse by that which ends Ω, as far as the law allows; return the change of a speed, in m/s.
 
     The speed is that of a surface, a lever arm away from the centre.
@@ -314,7 +332,13 @@ class _Solution:
 
 
 def _friction_of_one(
-    state: Any, material: Any, keeps_sliding: bool, normal: float, tx: float, ty: float, tz: float
+    state: ContactStateRecord,
+    material: Coefficients,
+    keeps_sliding: bool,
+    normal: float,
+    tx: float,
+    ty: float,
+    tz: float,
 ) -> tuple[float, ...]:
     """Call `friction`: `Code.call` takes a plain function of Python, not a kernel."""
     return friction(state, material, keeps_sliding, normal, tx, ty, tz)

@@ -15,11 +15,11 @@ coordinate: they have to be recomputed for bodies that share one.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.instructions import atomic_add, atomic_load, atomic_store
 from carom.physics.jit.team import SOLO, Team
@@ -32,8 +32,25 @@ MIN_BODIES_PER_TASK = 20_000  # for copying
 UNSORTED, PUT, TAKEN = 0, 8, 16  # words of the queue's counters, each in a cache line of its own
 COUNTERS = 24
 
-RANGE = np.dtype([("begin", np.int64), ("end", np.int64)])  # of sorted bodies
-BODY = np.dtype([("x", np.float64), ("y", np.float64), ("z", np.float64), ("index", np.int64)])  # a body to be sorted
+
+class RangeRecord(Protocol):
+    """A range of sorted bodies."""
+
+    begin: int
+    end: int
+
+
+class SortedBodyRecord(Protocol):
+    """A body to be sorted."""
+
+    x: float  # m
+    y: float
+    z: float
+    index: int  # in the scene
+
+
+RANGE = dtype_of(RangeRecord)
+BODY = dtype_of(SortedBodyRecord)
 
 
 class Queue(NamedTuple):
@@ -48,8 +65,8 @@ class Queue(NamedTuple):
 class Sorting(NamedTuple):
     """Memory of the sort."""
 
-    rows: Records  # (n,) BODY
-    spare: Records  # (n,) BODY
+    rows: RecordArray[SortedBodyRecord]  # (n,)
+    spare: RecordArray[SortedBodyRecord]  # (n,)
     stacks: Records  # (threads, GRAIN) RANGE
 
 
@@ -117,7 +134,7 @@ class Boxes:
 
 
 @long_kernel
-def _lay_out(lo: int, hi: int, position: FloatArray, rows: Records) -> None:
+def _lay_out(lo: int, hi: int, position: FloatArray, rows: RecordArray[SortedBodyRecord]) -> None:
     """Write a record for each of the bodies [lo, hi)."""
     for i in range(lo, hi):
         row = rows[i]

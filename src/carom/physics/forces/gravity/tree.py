@@ -22,11 +22,11 @@ Pieces assigned beforehand would be uneven, because crowded bodies take far long
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.physics.aligned import aligned_empty
 from carom.physics.forces.gravity.boxes import GROUP, RANGE, Boxes
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
@@ -38,19 +38,34 @@ from carom.scene.schema import Gravity
 
 BOXES_PER_TASK = 64  # about 10 µs
 EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and hardly slower than their moments
-CENTRE = np.dtype(
-    [
-        ("x", np.float64),  # m, X
-        ("y", np.float64),
-        ("z", np.float64),
-        ("far_squared", np.float64),  # m², (b/θ)²: beyond this distance M and Q replace the bodies
-    ]
-)
-MOMENTS = np.dtype(  # a cache line
-    [("mass", np.float64)]  # kg, M
-    + [(component, np.float64) for component in ("xx", "xy", "xz", "yy", "yz", "zz")]  # kg m², of Q
-    + [("trace_sixth", np.float64)]  # kg m², tr Q / 6
-)
+
+
+class CentreRecord(Protocol):
+    """The centre of a box, and the distance from which its moments replace its bodies."""
+
+    x: float  # m, X
+    y: float
+    z: float
+    far_squared: float  # m², (b/θ)²: beyond this distance M and Q replace the bodies
+
+
+CENTRE = dtype_of(CentreRecord)
+
+
+class MomentsRecord(Protocol):
+    """The moments of a box, in a cache line."""
+
+    mass: float  # kg, M
+    xx: float  # kg m², of Q
+    xy: float
+    xz: float
+    yy: float
+    yz: float
+    zz: float
+    trace_sixth: float  # kg m², tr Q / 6
+
+
+MOMENTS = dtype_of(MomentsRecord)
 X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, and their sums
 LANES_PER_REGISTER = 8  # of float64, in the widest registers; loops over whole registers leave no remainder
 
@@ -62,8 +77,8 @@ class BoxTree(NamedTuple):
     first: IntArray  # first body of each box
     last: IntArray  # the one after its last body
     skip: IntArray  # the box after it and all boxes in it
-    centres: Records  # CENTRE
-    moments: Records  # MOMENTS
+    centres: RecordArray[CentreRecord]
+    moments: RecordArray[MomentsRecord]
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
     body: IntArray  # (n,) number of each body in the scene

@@ -29,11 +29,10 @@ It uses sums, products, quotients and square roots only, so the bits are the sam
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.bodies import Bodies
 from carom.physics.forces.kernel_forces import Parameters, parameters_of_all
 from carom.physics.integrators.batch_integrator import Batch, IntegratorCheckpoint, Meeting
@@ -47,9 +46,11 @@ from carom.physics.integrators.gauss_radau.radau_impacts import (
 )
 from carom.physics.integrators.gauss_radau.radau_step import (
     CONVERGED,
+    PROGRESS,
     TERMS,
     WIDTH,
     Motion,
+    ProgressRecord,
     accelerate,
     attempt,
     motion_of,
@@ -72,27 +73,6 @@ MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact: two reac
 IMPACT_ROUNDING = 2.0**-51  # of that length
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that set a step
 ERROR, CAP, FIXED, END, IMPACT = range(len(LIMITS))
-
-PROGRESS = np.dtype(
-    [
-        ("time", np.float64),  # s
-        ("before", np.float64),  # s, the time before the last step
-        ("next_dt", np.float64),  # s
-        ("last_dt", np.float64),  # s, 0 before the first step
-        ("fraction", np.float64),  # η
-        ("tolerance", np.float64),  # of the largest acceleration, residual at a node
-        ("steps", np.int64),
-        ("limit", np.int64),  # index of `LIMITS`
-        ("iterations", np.int64),
-        ("after_impact", np.bool_),  # whether the last step ended at an impact, and predicts nothing
-        ("meets", np.bool_),  # whether bodies meet where the last step ended
-        ("rests", np.bool_),  # whether their contact is at rest
-        ("i", np.int64),  # the two that meet: bodies, or n + p for plane p
-        ("j", np.int64),
-        ("clearance", np.float64),  # m, no gap is smaller
-    ],
-    align=True,
-)
 
 
 class GaussRadau15:
@@ -250,7 +230,7 @@ def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray)
 def advance(
     motion: Motion,
     solids: Solids | None,
-    progress: Records,
+    progress: RecordArray[ProgressRecord],
     end: float,
     until: float,
     most: int,
@@ -297,7 +277,7 @@ def advance(
 
 
 @unowned
-def _end_at_impact(motion: Motion, solids: Solids, run: Any, h: float, dt: float) -> float:
+def _end_at_impact(motion: Motion, solids: Solids, run: ProgressRecord, h: float, dt: float) -> float:
     """Repeat the step so that it ends where the pair of ``run`` touches; return its length in s.
 
     Within a step the polynomial is less accurate than at its end, so each iteration corrects the length.

@@ -19,13 +19,13 @@ A contact comes to rest if forces press it together and it will be back within `
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.physics.contact.impact_log import ROUNDING
-from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, acceleration_at_start
+from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, ProgressRecord, acceleration_at_start
 from carom.physics.jit.decorators import inline, unowned
 
 COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
@@ -55,7 +55,7 @@ class Solids(NamedTuple):
 
 
 @unowned
-def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displacement: float) -> float:
+def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float, displacement: float) -> float:
     """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; write its pair to ``run``.
 
     No body moves farther than ``displacement``, in m.
@@ -87,7 +87,9 @@ def first_impact(motion: Motion, solids: Solids, run: Any, dt: float, displaceme
 
 
 @unowned
-def _earlier(i: int, j: int, R: float, motion: Motion, solids: Solids, run: Any, dt: float, first: float) -> float:
+def _earlier(
+    i: int, j: int, R: float, motion: Motion, solids: Solids, run: ProgressRecord, dt: float, first: float
+) -> float:
     """Return the earlier of the first impact so far and that of a pair, and note the pair."""
     negligible = ROUNDING * _pace(motion, i, j, R, dt)
     h = _first_root(solids.path, R, rounding(motion.position, i, j, R), negligible)

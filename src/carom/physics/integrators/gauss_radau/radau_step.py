@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from fractions import Fraction
 from math import comb, prod
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import FloatArray, IntArray, dtype_of
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.jit.decorators import inline, unowned
@@ -65,6 +65,29 @@ ON_ACCELERATION = _table([[h ** (k + 1) for k in range(TERMS)] for h in NODES])
 ON_POSITION = _table([[h ** (k + 3) / ((k + 2) * (k + 3)) for k in range(TERMS)] for h in NODES])
 TO_DIFFERENCE = np.array([0.0] + [float(1 / prod(NODES[s] - h for h in NODES[:s])) for s in range(1, len(NODES))])
 SHIFTED = _table([[Fraction(comb(j + 1, k + 1)) for j in range(TERMS)] for k in range(TERMS)])  # [k, j], of b_j in b'_k
+
+
+class ProgressRecord(Protocol):
+    """The progress of an integration."""
+
+    time: float  # s
+    before: float  # s, the time before the last step
+    next_dt: float  # s
+    last_dt: float  # s, 0 before the first step
+    fraction: float  # η
+    tolerance: float  # of the largest acceleration, residual at a node
+    steps: int
+    limit: int  # index of `LIMITS`
+    iterations: int
+    after_impact: bool  # whether the last step ended at an impact, and predicts nothing
+    meets: bool  # whether bodies meet where the last step ended
+    rests: bool  # whether their contact is at rest
+    i: int  # the two that meet: bodies, or n + p for plane p
+    j: int
+    clearance: float  # m, no gap is smaller
+
+
+PROGRESS = dtype_of(ProgressRecord)
 
 
 class Motion(NamedTuple):
@@ -138,7 +161,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 
 @unowned
-def attempt(motion: Motion, run: Any, dt: float) -> float:
+def attempt(motion: Motion, run: ProgressRecord, dt: float) -> float:
     """Compute the polynomial of a step; return the longest next step, in s."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
     _converge(motion, run, dt)
@@ -146,7 +169,7 @@ def attempt(motion: Motion, run: Any, dt: float) -> float:
 
 
 @unowned
-def shorten(motion: Motion, run: Any, dt: float, ratio: float) -> None:
+def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> None:
     """Compute the polynomial of a step of dt that begins like the present one and is ``ratio`` times as long."""
     b = motion.b
     for c in range(len(b)):
@@ -158,7 +181,7 @@ def shorten(motion: Motion, run: Any, dt: float, ratio: float) -> None:
 
 
 @unowned
-def _converge(motion: Motion, run: Any, dt: float) -> None:
+def _converge(motion: Motion, run: ProgressRecord, dt: float) -> None:
     """Iterate until the polynomial meets the accelerations at the nodes, up to the tolerance of the run."""
     before = np.inf
     for iteration in range(MAX_ITERATIONS):

@@ -11,17 +11,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray
 from carom.physics.forces.kernel_forces import parameters_of_all
-from carom.physics.integrators.gauss_radau.gauss_radau15 import LARGEST_CHANGE, PROGRESS, SHRINKING, STEP_FRACTION
+from carom.physics.integrators.gauss_radau.gauss_radau15 import LARGEST_CHANGE, SHRINKING, STEP_FRACTION
 from carom.physics.integrators.gauss_radau.radau_step import (
     MAX_ITERATIONS,
+    PROGRESS,
     TERMS,
     Motion,
+    ProgressRecord,
     accelerate,
     acceleration_at_start,
     iterate,
@@ -168,7 +170,7 @@ def _motion(scene: Scene, start: InitialBodies, position: FloatArray) -> Motion:
 def follow(
     motion: Motion,
     twin: Motion | None,
-    progress: Records,
+    progress: RecordArray[ProgressRecord],
     samples: TwinSamples,
     rule: TwinRule,
     k: int,
@@ -219,7 +221,7 @@ def follow(
 
 
 @unowned
-def _attempt(motion: Motion, twin: Motion | None, run: Any, dt: float) -> float:
+def _attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> float:
     """Compute a step's polynomial; return the longest next step, in s. The twin gets it before the last iteration."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
     before = np.inf

@@ -15,28 +15,31 @@ from __future__ import annotations
 
 from fractions import Fraction
 from math import factorial
-from typing import Any, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.integrators.wisdom_holman.kepler import END_X, END_Y, END_Z, LANES, X, Y, Z, revolve_all
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.step_rule import END_TOLERANCE
 from carom.physics.vector import add, between, square, vector, write
 
-RUN = np.dtype(
-    [
-        ("start", np.float64),  # s, the time at which the present series of equal steps began
-        ("count", np.int64),  # steps since then
-        ("dt", np.float64),  # s
-        ("time", np.float64),  # s
-        ("before", np.float64),  # s, the time before the last step
-        ("steps", np.int64),  # of this call
-        ("close", np.int64),  # 1 if the next step would meet a close encounter
-    ]
-)
+
+class RunRecord(Protocol):
+    """The progress of an integration."""
+
+    start: float  # s, the time at which the present series of equal steps began
+    count: int  # steps since then
+    dt: float  # s
+    time: float  # s
+    before: float  # s, the time before the last step
+    steps: int  # of this call
+    close: int  # 1 if the next step would meet a close encounter
+
+
+RUN = dtype_of(RunRecord)
 LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
 STAGES = 4  # of the corrector
 SPREAD = Fraction(2, 5)
@@ -266,7 +269,7 @@ def begin(o: OrbitArrays, h: float) -> None:
 
 
 @long_kernel
-def advance(o: OrbitArrays, progress: Records, end: float, until: float, most: int) -> None:
+def advance(o: OrbitArrays, progress: RecordArray[RunRecord], end: float, until: float, most: int) -> None:
     """Make whole steps; see `BatchIntegrator`."""
     run = progress[0]
     run.close = 0
@@ -323,7 +326,7 @@ def meets_soon(o: OrbitArrays, until: float) -> bool:
 
 
 @unowned
-def _step(o: OrbitArrays, run: Any, x: FloatArray, v: FloatArray) -> bool:
+def _step(o: OrbitArrays, run: RunRecord, x: FloatArray, v: FloatArray) -> bool:
     """Drift to the middle of the next step and kick, unless bodies meet there."""
     dt = run.dt
     drift(x, v, o.mu, o.lanes, dt if run.count > 0 else 0.5 * dt)

@@ -21,11 +21,10 @@ in a cluster).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
-import numpy as np
-
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, dtype_of
+from carom.physics.forces.gravity.boxes import RangeRecord
 from carom.physics.forces.gravity.fast_multipole.taylor import (
     AX,
     AXIS,
@@ -54,21 +53,40 @@ from carom.physics.jit.vectors import WIDTH as LANES
 FEW_PAIRS = 128  # of bodies, which take as long as a pair of boxes
 MANY_PAIRS = 1024  # 512 and 2048 are as fast at equal error
 
-ENTRY = np.dtype(  # a box to be walked
-    [
-        ("box", np.int64),
-        ("begin", np.int64),  # of the boxes that its parent left undecided
-        ("end", np.int64),
-        ("depth", np.int64),
-    ]
-)
+
+class BoxRecord(Protocol):
+    """A box, in a cache line."""
+
+    x: float  # m, X
+    y: float
+    z: float
+    radius: float  # m, r
+    first: int  # of its sorted bodies
+    last: int  # one beyond them
+    half: int  # its second half, a box; the first follows it. 0 for a leaf
+    skip: int  # the next box that is not in it
+
+
+BOX = dtype_of(BoxRecord)
+
+
+class EntryRecord(Protocol):
+    """A box to be walked."""
+
+    box: int
+    begin: int  # of the boxes that its parent left undecided
+    end: int
+    depth: int
+
+
+ENTRY = dtype_of(EntryRecord)
 
 
 class MultipoleBoxes(NamedTuple):
     """Boxes with their multipoles, and the bodies in their order."""
 
-    branches: Records  # RANGE, the first box of each branch
-    boxes: Records  # BOX
+    branches: RecordArray[RangeRecord]  # the first box of each branch
+    boxes: RecordArray[BoxRecord]
     poles: FloatArray  # (boxes + 1, ·), the last of a box without mass
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
@@ -99,7 +117,7 @@ class WalkBuffers(NamedTuple):
     near: IntArray  # boxes that attract body by body
     opened: IntArray  # boxes that are being opened
     left: IntArray  # boxes that are left to the halves
-    entries: Records  # ENTRY, boxes to be walked
+    entries: RecordArray[Any]  # `ENTRY`, boxes to be walked
     local: FloatArray  # (threads, depth, LOCAL + 3) local expansions with their centres
     expansion: FloatArray  # (threads, LOCAL * LANES) a local expansion in lanes
     powers: FloatArray  # (threads, LOCAL) v^n / n!
@@ -121,7 +139,8 @@ def walk(
 
     Each of the threads [lo, hi) takes the next branch until none is left; ``taken_so_far``, (1,), counts them.
     """
-    far, left, entries = buffers.far[lo], buffers.left[lo], buffers.entries[lo]
+    far, left = buffers.far[lo], buffers.left[lo]
+    entries: RecordArray[EntryRecord] = buffers.entries[lo]
     own = WalkBuffers(
         far,
         buffers.near[lo],
@@ -177,7 +196,9 @@ def walk(
 
 
 @unowned
-def _decide(a: int, begin: int, end: int, theta2: float, boxes: Records, own: WalkBuffers) -> tuple[int, int, int]:
+def _decide(
+    a: int, begin: int, end: int, theta2: float, boxes: RecordArray[BoxRecord], own: WalkBuffers
+) -> tuple[int, int, int]:
     """Decide on the boxes that are left to box a, from begin to end.
 
     Returns
@@ -229,7 +250,7 @@ def _decide(a: int, begin: int, end: int, theta2: float, boxes: Records, own: Wa
 
 
 @unowned
-def _inherit(depth: int, boxes: Records, a: int, unit: float, own: WalkBuffers) -> None:
+def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own: WalkBuffers) -> None:
     """Begin the local expansion of box a with that of its parent, moved to the centre of a."""
     local, powers = own.local, own.powers
     x, y, z = boxes[a].x, boxes[a].y, boxes[a].z

@@ -19,12 +19,14 @@ import math
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.aligned import Buffer
-from carom.physics.forces.gravity.boxes import RANGE, Boxes
+from carom.physics.forces.gravity.boxes import RANGE, Boxes, RangeRecord
 from carom.physics.forces.gravity.direct import PARALLEL_FROM, potential_energy
 from carom.physics.forces.gravity.fast_multipole.box_walk import (
+    BOX,
     ENTRY,
+    BoxRecord,
     MultipoleBoxes,
     MultipoleLaw,
     MultipoleSums,
@@ -51,25 +53,19 @@ from carom.physics.jit.vectors import WIDTH as LANES
 from carom.scene.schema import Gravity
 
 BRANCH = 2048  # largest number of bodies whose boxes one thread takes; the walk to each repeats 2 % of the work
-BOX = np.dtype(  # a cache line
-    [
-        ("x", np.float64),  # m, X
-        ("y", np.float64),
-        ("z", np.float64),
-        ("radius", np.float64),  # m, r
-        ("first", np.int64),  # of its sorted bodies
-        ("last", np.int64),  # one beyond them
-        ("half", np.int64),  # its second half, a box; the first follows it. 0 for a leaf
-        ("skip", np.int64),  # the next box that is not in it
-    ]
-)
 DEEPEST = 6400  # boxes within boxes: the sides of a box are halved 2100 times each from the largest float to the least
 UNIT_BITS = 300  # lengths are multiplied by 2^k with |k| up to this, so that no power of them overflows
 
 
 @long_kernel
 def describe(
-    count: int, first: IntArray, last: IntArray, skip: IntArray, boxes: Records, branches: Records, trunk: Records
+    count: int,
+    first: IntArray,
+    last: IntArray,
+    skip: IntArray,
+    boxes: RecordArray[BoxRecord],
+    branches: RecordArray[RangeRecord],
+    trunk: RecordArray[RangeRecord],
 ) -> tuple[int, int]:
     """Write where the bodies and halves of all boxes are; return the numbers of branches and of boxes above them.
 
@@ -114,7 +110,7 @@ def expand(
     hi: int,
     taken_so_far: IntArray,
     count: int,
-    ranges: Records,
+    ranges: RecordArray[RangeRecord],
     tree: MultipoleBoxes,
     unit: float,
     powers_of: FloatArray,
@@ -169,9 +165,9 @@ def expand(
             else:
                 box.radius = 0.0
                 for h in range(2):
-                    half = boxes[b + 1] if h == 0 else boxes[box.half]
-                    dx, dy, dz = half.x - X, half.y - Y, half.z - Z
-                    box.radius = max(box.radius, half.radius + np.sqrt(dx * dx + dy * dy + dz * dz))
+                    child = boxes[b + 1] if h == 0 else boxes[box.half]
+                    dx, dy, dz = child.x - X, child.y - Y, child.z - Z
+                    box.radius = max(box.radius, child.radius + np.sqrt(dx * dx + dy * dy + dz * dz))
             for c in range(POLES):
                 poles[b, c] = 0.0
             if box.half == 0:
@@ -252,7 +248,7 @@ class FastMultipoleGravity:
             self._buffers = self._buffers._replace(left=np.empty((size, 2 * most), np.int64))
         return potential_energy(self._mass, self._potential) if potential else None
 
-    def _expand(self, count: int, ranges: Records, tree: MultipoleBoxes, unit: float) -> None:
+    def _expand(self, count: int, ranges: RecordArray[RangeRecord], tree: MultipoleBoxes, unit: float) -> None:
         """Compute the multipoles of ranges of boxes; those above the branches one after another, by one thread."""
         team = self._team if ranges is self._branches else SOLO
         self._taken[0] = 0
