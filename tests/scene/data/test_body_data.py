@@ -508,7 +508,7 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "two columns of one name": ("a.csv", repeated, "two columns for position"),
     "arrays of different lengths": ("a.npz", unlike, "mass has 2 rows, and position has 3"),
     "an array of another shape": ("a.npz", flat, "position has the shape (9,), and position needs (n, 3)"),
-    "an unknown format": ("a.xlsx", noise, 'no format has the ending ".xlsx"; t'),
+    "an unknown format": ("a.xlsx", noise, 'no format has the ending ".xlsx"; '),
     "a device": ("a.csv", lambda path: path.symlink_to("/dev/zero"), "a.csv: a device or a pipe; give a file"),
     "a pipe": ("a.parquet", os.mkfifo, "a.parquet: a device or a pipe; give a file"),
     "a file of holes": ("a.csv", hollow, "a.csv: 1000000000000 bytes are too many"),

@@ -1,6 +1,6 @@
 """Text files of LAMMPS and LIGGGHTS: dumps (dump custom) and data files (write_data).
 
-A reader of our own: lammpsio and ASE leave out the radii, spins and densities of spheres.
+carom reads them itself: lammpsio leaves out the radii, spins and densities of spheres.
 """
 
 from __future__ import annotations
