@@ -69,7 +69,7 @@ def test_a_name_that_the_viewer_would_not_take_for_a_recording_is_refused(
     command: tuple[str, ...], name: str, tmp_path: Path
 ) -> None:
     done = carom(*command, "-o", name, cwd=tmp_path)
-    assert (done.returncode, done.stderr) == (2, f"carom: cannot write {name}: a recording is an .rrd\n")
+    assert (done.returncode, done.stderr) == (2, f"carom: cannot write {name}: a recording is an .rrd file\n")
     assert not list(tmp_path.iterdir())
 
 

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from carom import registry
 from carom.scene.conversion import Wrong, members_of_list, parts_of, place_of
 from carom.scene.key_places import KeyPath, KeyPlaces
 from carom.scene.schema import Coefficients, Scene
@@ -81,12 +82,16 @@ def _meant(keys: list[str]) -> str:
 
 
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
-    """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index."""
+    """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index.
+
+    The coefficients of a contact law are left out: few scenes choose one.
+    """
     places: dict[str, list[str]] = {}
+    laws = registry.names("contact_laws")
     for key, field in model.model_fields.items():
         places.setdefault(key, []).append(f"{above}{key}")
         inner = model_in(field.annotation)
-        if inner is not None:
+        if inner is not None and key not in laws:
             several = "0." if typing.get_origin(field.annotation) is tuple else ""
             for below, paths in _places(inner, f"{above}{key}.{several}").items():
                 places.setdefault(below, []).extend(paths)

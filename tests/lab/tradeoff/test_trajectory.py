@@ -87,7 +87,7 @@ def test_a_trajectory_is_read_as_it_was_written(tmp_path: Path) -> None:
     assert np.array_equal(read.position, run.position) and np.array_equal(read.pair, run.pair)
     assert (read.impacts, read.steps, read.overlap) == (run.impacts, run.steps, run.overlap)
     np.savez(tmp_path / "other.npz", time=np.zeros(3))
-    with pytest.raises(ValueError, match="no position in it"):
+    with pytest.raises(ValueError, match="it contains no position"):
         Trajectory.load(tmp_path / "other.npz")
 
 

@@ -305,7 +305,7 @@ def test_the_trajectory_of_a_study_has_the_impacts_at_their_times() -> None:
 @pytest.mark.parametrize(
     ("contact", "message"),
     [
-        ({"timing": "end-of-step"}, 'contact.timing = "end-of-step" with .*leave contact.timing out'),
+        ({"timing": "end-of-step"}, 'contact.timing = "end-of-step" with .*remove contact.timing'),
         ({"allow_overlap": True}, "contact.allow_overlap with .*does not correct overlaps"),
     ],
 )

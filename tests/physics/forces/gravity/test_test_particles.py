@@ -162,7 +162,7 @@ def test_arrays_and_files_may_have_test_particles(tmp_path: Path) -> None:
     for mass, inertia, said in (
         ([1.0, -1.0], None, "column mass, row 1: -1 must not be negative"),
         ([1.0, 0.0], [1.0, 1.0], "row 1 has a mass of 0 and a moment of inertia"),
-        ([1.0, 1.0], [1.0, 0.0], "row 1 has no moment of inertia"),
+        ([1.0, 1.0], [1.0, 0.0], "row 1 has a mass, but no moment of inertia"),
     ):
         with pytest.raises(SceneError, match=said):
             Scene.from_arrays(position=x, radius=0.1, mass=mass, inertia=inertia, **sections)
