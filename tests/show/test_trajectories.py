@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from carom import Scene, Space
 from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.container import Container
+from carom.recording.schema import palette
 from carom.show.overlays import ComparedTrajectory, write_trajectories
 
 RUNS = {"reference": "", "mujoco, dt = 1": "mujoco", "mujoco, dt = 2": "mujoco", "box3d, dt = 1": "box3d", "carom": ""}
@@ -18,14 +20,28 @@ Style = tuple[int, float]  # colour, and width of the curve in points
 
 
 @pytest.fixture
-def styles(tmp_path: Path) -> list[Style]:
-    """The style of each run's curve, that of the reference apart."""
+def entities(tmp_path: Path) -> Entities:
     path = tmp_path / "runs.rrd"
     runs = [ComparedTrajectory(name, np.zeros((3, 1, 3)), np.ones(3), family) for name, family in RUNS.items()]
-    write_trajectories(path, "four runs", np.arange(1.0, 4.0), np.ones(1), runs)
-    entities = Entities(Container.open(path), Recording.open(path).store)
+    write_trajectories(path, Space(Scene.load("bouncing-ball"), 1), np.arange(1.0, 4.0), runs)
+    return Entities(Container.open(path), Recording.open(path).store)
+
+
+@pytest.fixture
+def styles(entities: Entities) -> list[Style]:
+    """The style of each run's curve, that of the reference apart."""
     drawn = [entities.static(f"distance/{name}") for name in sorted(entities.below("distance"))][1:]
     return [(int(each["SeriesLines:colors"][0]), float(each["SeriesLines:widths"][0])) for each in drawn]
+
+
+def test_a_body_has_one_colour_in_all_runs_and_the_wires_around_it_have_that_of_the_curve(
+    entities: Entities, styles: list[Style]
+) -> None:
+    names = sorted(entities.below("distance"))
+    fills = [int(entities.static(f"world/{name}/bodies")["Points3D:colors"][0]) for name in names]
+    assert fills == [palette.LINES["grey"], *[palette.SKY] * (len(names) - 1)]
+    wires = [int(entities.static(f"world/{name}/wires")["Ellipsoids3D:colors"][0]) for name in names[1:]]
+    assert wires == [colour for colour, _ in styles]
 
 
 def test_runs_of_one_engine_share_a_colour_and_those_of_others_have_another(styles: list[Style]) -> None:

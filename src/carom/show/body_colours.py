@@ -18,6 +18,7 @@ from carom.recording.layout import colouring
 from carom.recording.layout.drawing import shape
 from carom.recording.read.entities import reading
 from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import STATIC_COLOURS, Header
@@ -133,6 +134,14 @@ def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> 
     """Return the colours (n,) of trails: those of the bodies if they are fixed, else those of the groups."""
     fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
     return palette.legible(fixed[recording.shown], theme)
+
+
+def fixed_colours(recording: Recording) -> ColourArray:
+    """Return the colours (n,) of the bodies on a dark ground; those of their groups if they change with time."""
+    header = header_of_recording(recording)
+    if shape(header) == "mesh":
+        return np.full(len(header.radius), palette.SKY, dtype=np.uint32)
+    return trail_colours(recording, header, header.coloured_by, "dark")
 
 
 def redrawn_for(header: Header, theme: str) -> bool:

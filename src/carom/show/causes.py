@@ -1,4 +1,8 @@
-"""Writes the bodies and contacts behind an answer for the viewer: edges by share, all else faded, and a graph."""
+"""Writes the bodies and contacts behind an answer for the viewer: edges by impulse, all else faded, and a graph.
+
+Bodies have their own colours. An edge stays where its last impulse was, so that impacts mark the place where they
+happened while the bodies move on along their paths.
+"""
 
 from __future__ import annotations
 
@@ -11,27 +15,34 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray, SingleArray
-from carom.recording.layout.camera import CameraFit, CameraMotion, View
+from carom.arrays import ColourArray, FloatArray, IntArray, SingleArray
+from carom.recording.layout import drawing
+from carom.recording.layout.blueprint import WINDOW
+from carom.recording.layout.camera import FEW, CameraFit, CameraMotion, View
 from carom.recording.read.frame_rows import drawn_paths
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.recording.schema.paths import STEP
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
-from carom.show.overlays import beside_bodies
+from carom.scene.units.dimension import IMPULSE
+from carom.show.body_colours import fixed_colours
+from carom.show.cause_graph import MOST_NODES, CauseGraph, GraphEdge
+from carom.show.overlays import BESIDE, beside_bodies
 
 MOST_EDGES = 200  # that are drawn, of the largest shares
-_MOST_NODES = 16  # of the graph; more are a hairball
-_CONE, _OTHERS, _EDGES, _GRAPH, _TEXT = "world/cone", "world/others", "world/edges", "graph", "why"
+_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
+    *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
+    "why",
+)
 _FADED = 0x232A35FF
-_ASKED = palette.YELLOW
-_SHARES = np.array([0x9AA5B8FF, 0x56B4E9FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)  # below 1, 5 and 20 %, and above
-_LIMITS = (0.01, 0.05, 0.2)
-_WIDTHS = (0.8, 1.6, 2.8, 4.5)  # pixels, of edges
+_SHOWN = 0.01  # share from which a body or an edge is shown
 _LEAST = 0.003  # share of an edge that is drawn
+_WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # points of the screen, of edges by impulse
+_HALO = 1.25  # scale of the wires around bodies that are asked about
+_SHARES = (3, 2)  # heights of the graph and of the text
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +53,8 @@ class CauseEdge:
     j: int
     first: float  # s
     share: float
+    impulse: float = 0.0  # N s, sum of the magnitudes
+    last: float = np.inf  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +76,7 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
     recording.refuse_some_bodies()
     steps, times, position = _frames(recording, causes)
     inside = _shown(causes)
-    outside = np.setdiff1d(np.arange(len(radius)), inside)
+    outside, colours = np.setdiff1d(np.arange(len(radius)), inside), fixed_colours(recording)
     camera = CameraFit(radius[inside], position[-1, inside].astype(np.float64), motion=CameraMotion.STILL)
     camera.look(position[:, inside].astype(np.float64))
     application = f"carom-{paths.SCHEMA_VERSION}-{uuid.uuid4().hex[:12]}"
@@ -73,15 +86,25 @@ def write_causes(out: Path, recording: Recording, causes: Causes) -> None:
         writer.send_property("carom", {"title": causes.title, "time_scale": clock.scale, "bodies": len(radius)})
         writer.send_property("diff", {"a": recording.path.name, "b": "why", "verdict": causes.title})
         index = clock.columns(steps, times)
-        _bodies(writer, index, recording, inside, position, _colours(causes)[inside], solid=True)
-        _bodies(writer, index, recording, outside, position, np.full(len(outside), _FADED, np.uint32), solid=False)
+        faded = np.full(len(radius), _FADED, np.uint32)
+        _bodies(writer, index, _CONE, recording, inside, position, colours, rr.components.FillMode.Solid)
+        wires = rr.components.FillMode.MajorWireframe
+        _bodies(writer, index, _OTHERS, recording, outside, position, faded, wires)
+        asked = np.array(causes.asked, dtype=np.int64)
+        white = np.full(len(radius), palette.WHITE, np.uint32)
+        _bodies(writer, index, _ASKED, recording, asked, position, white, wires, larger=_HALO, named=True)
+        if len(inside) <= FEW and header_of_recording(recording).box is None:
+            strips = list(position[:, inside].transpose(1, 0, 2))
+            writer.log(_TRAILS, rr.LineStrips3D(strips, colors=colours[inside], radii=rr.Radius.ui_points(0.75)))
         drawn = [edge for edge in causes.edges[:MOST_EDGES] if edge.share >= _LEAST]
         _edges(writer, index, drawn, np.array(times), position)
-        _graph(writer, recording, causes)
+        graph = _graph(recording, causes, colours)
+        for path, archetype in graph.statics():
+            writer.log(path, archetype)
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         columns = rr.AnyValues.columns(True, time=pa.array(times), fingerprint=fingerprints)
         writer.send_columns(paths.FINGERPRINT, index, columns)
-        writer.send_layout(_layout(camera.view()))
+        writer.send_layout(_layout(camera.view(BESIDE.aspect), graph))
         writer.flush()
 
 
@@ -98,47 +121,49 @@ def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float
 
 def _shown(causes: Causes) -> IntArray:
     """Return the bodies to draw as solids: those asked about, and those with a share of at least 1 %."""
-    ends = [end for edge in causes.edges if edge.share >= _LIMITS[0] for end in (edge.i, edge.j)]
-    large = np.flatnonzero(causes.share >= _LIMITS[0]).tolist()
+    ends = [end for edge in causes.edges if edge.share >= _SHOWN for end in (edge.i, edge.j)]
+    large = np.flatnonzero(causes.share >= _SHOWN).tolist()
     return np.array(sorted({*causes.asked, *large, *ends}), dtype=np.int64)
-
-
-def _colours(causes: Causes) -> NDArray[np.uint32]:
-    """Return colours of bodies by what they are the cause of; those asked about are yellow."""
-    colours: NDArray[np.uint32] = _SHARES[np.searchsorted(_LIMITS, causes.share, side="right")].copy()
-    colours[list(causes.asked)] = _ASKED
-    return colours
 
 
 def _bodies(
     writer: Writer,
     index: list[rr.TimeColumn],
+    path: str,
     recording: Recording,
     bodies: IntArray,
     position: SingleArray,
-    colours: NDArray[np.uint32],
+    colours: ColourArray,
+    fill: rr.components.FillMode,
     *,
-    solid: bool,
+    larger: float = 1.0,
+    named: bool = False,
 ) -> None:
+    """Draw some bodies; ``colours`` are of all."""
     if not len(bodies):
         return
-    path = _CONE if solid else _OTHERS
-    fill = rr.components.FillMode.Solid if solid else rr.components.FillMode.MajorWireframe
-    names = [recording.bodies.name[body] for body in bodies]
+    names = [recording.bodies.name[body] or f"body {body}" for body in bodies]
     writer.log(
         path,
         rr.Ellipsoids3D.from_fields(
-            half_sizes=np.repeat(recording.bodies.radius[bodies].astype(np.float32), 3).reshape(-1, 3),
-            colors=colours,
+            half_sizes=np.repeat(larger * recording.bodies.radius[bodies].astype(np.float32), 3).reshape(-1, 3),
+            colors=colours[bodies],
             fill_mode=fill,
-            line_radii=rr.Radius.ui_points(0.3),
+            line_radii=rr.Radius.ui_points(0.6 if named else 0.3),
             labels=names,
-            show_labels=False,
+            show_labels=named,
         ),
     )
     centres = position[:, bodies].reshape(-1, 3)
     each = [len(bodies)] * len(position)
     writer.send_columns(path, index, rr.Ellipsoids3D.columns(centers=centres).partition(each))
+
+
+def _levels(edges: Sequence[CauseEdge]) -> IntArray:
+    """Return the level of the impulse of each edge, as in other views; their median is in the middle."""
+    impulses = np.array([edge.impulse for edge in edges])
+    positive = impulses[impulses > 0.0]
+    return drawing.level(impulses, float(np.median(positive)) if len(positive) else 1.0)
 
 
 def _edges(
@@ -148,46 +173,53 @@ def _edges(
     times: FloatArray,
     position: SingleArray,
 ) -> None:
-    """Draw each edge from its first impulse on."""
+    """Draw each edge from its first impulse on, and after its last one at the place of that."""
+    levels = _levels(edges)
+    until = np.minimum(np.searchsorted(times, [edge.last for edge in edges]), len(times) - 1)
     strips: list[SingleArray] = []
     colours: list[int] = []
     widths: list[float] = []
     each: list[int] = []
-    rank = [int(np.searchsorted(_LIMITS, edge.share, side="right")) for edge in edges]
     for row, time in enumerate(times):
         drawn = [k for k, edge in enumerate(edges) if edge.first <= time]
-        strips += [position[row, [edges[k].i, edges[k].j]] for k in drawn]
-        colours += [int(_SHARES[rank[k]]) for k in drawn]
-        widths += [-_WIDTHS[rank[k]] for k in drawn]  # negative: pixels
+        strips += [position[min(row, until[k]), [edges[k].i, edges[k].j]] for k in drawn]
+        colours += [int(drawing.COLOURS[levels[k]]) for k in drawn]
+        widths += [-float(_WIDTHS[levels[k]]) for k in drawn]  # negative: points of the screen
         each.append(len(drawn))
     shades = np.array(colours, dtype=np.uint32)  # a list of three numbers may be one colour
     columns = rr.LineStrips3D.columns(strips=strips, colors=shades, radii=widths)
     writer.send_columns(_EDGES, index, columns.partition(each))
 
 
-def _graph(writer: Writer, recording: Recording, causes: Causes) -> None:
-    """Draw the bodies of the largest shares as a graph."""
+def _graph(recording: Recording, causes: Causes, colours: ColourArray) -> CauseGraph:
+    """Choose the bodies and edges of the largest shares for the graph."""
     nodes, edges = list(causes.asked), []
     for edge in causes.edges:
         new = [end for end in (edge.i, edge.j) if end not in nodes]
-        if len(nodes) + len(new) <= _MOST_NODES and edge.share > 0.0:
+        if len(nodes) + len(new) <= MOST_NODES and edge.share > 0.0:
             nodes += new
-            edges.append((str(edge.i), str(edge.j)))
-    colours = _colours(causes)
-    labels = [recording.bodies.name[node] or f"body {node}" for node in nodes]
-    writer.log(
-        _GRAPH,
-        rr.GraphNodes([str(node) for node in nodes], labels=labels, colors=colours[nodes], radii=[6.0] * len(nodes)),
+            edges.append(edge)
+    levels = _levels(edges)
+    return CauseGraph(
+        names=[recording.bodies.name[node] or f"body {node}" for node in nodes],
+        colours=colours[nodes].tolist(),
+        asked=len(causes.asked),
+        edges=[
+            GraphEdge(
+                nodes.index(edge.i),
+                nodes.index(edge.j),
+                recording.units.text(edge.impulse, IMPULSE, ".3g"),
+                int(drawing.COLOURS[level]),
+                float(_WIDTHS[level] / _WIDTHS[-1]),
+            )
+            for edge, level in zip(edges, levels, strict=True)
+        ],
+        area=WINDOW.area(2 / 5, _SHARES[0] / sum(_SHARES)),
     )
-    if edges:
-        writer.log(_GRAPH, rr.GraphEdges(edges, graph_type="undirected"))
 
 
-def _layout(view: View) -> rrb.Blueprint:
-    panels = rrb.Vertical(
-        rrb.GraphView(name="Impulses between bodies", origin=_GRAPH),
-        rrb.TextDocumentView(name="Why", origin=_TEXT),
-        row_shares=[1, 1],
-    )
-    title = "Causes: yellow is asked about, red to blue by share"
-    return beside_bodies(title, [_CONE, _OTHERS, _EDGES], view, panels)
+def _layout(view: View, graph: CauseGraph) -> rrb.Blueprint:
+    text = rrb.TextDocumentView(name="Why", origin=_TEXT)
+    panels = rrb.Vertical(graph.view(), text, row_shares=list(_SHARES))
+    title = "Causes: in white wires what is asked about, faint what had no effect"
+    return beside_bodies(title, [_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES], view, panels)

@@ -19,7 +19,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import LENGTH
-from carom.show.overlays import beside_bodies
+from carom.show.overlays import BESIDE, beside_bodies
 
 _BODIES, _TEXT = "world/bodies", "fork"
 _BAND = (
@@ -97,7 +97,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
         writer.send_layout(
-            _layout(camera.view(), recording.units.recorded_unit(LENGTH.unit), len(forecast.chances) > 0)
+            _layout(camera.view(BESIDE.aspect), recording.units.recorded_unit(LENGTH.unit), len(forecast.chances) > 0)
         )
         writer.flush()
 

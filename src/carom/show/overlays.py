@@ -15,20 +15,24 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.components import FillMode
 
-from carom.arrays import FloatArray
+from carom.arrays import ColourArray, FloatArray
+from carom.physics.space import Space
 from carom.recording.layout.blueprint import WINDOW
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
 from carom.recording.layout.canvas import spatial_view
 from carom.recording.layout.plot_views import curve_style, time_beside_legend, whole_time
 from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
-from carom.recording.schema.header import Scalar
+from carom.recording.schema.header import Scalar, ShownMaterials
 from carom.recording.schema.paths import SIM_TIME
 from carom.recording.schema.series import THICK, THIN
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import ENERGY, LENGTH, Dimension
 from carom.scene.units.system import UnitSystem
+from carom.show.body_colours import fixed_colours
+
+BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
@@ -100,8 +104,9 @@ def write_overlay(
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
-        writer.log(_A, _spheres(radius, palette.SKY, list(a.bodies.name), FillMode.Solid))
-        writer.log(_B, _spheres(_HALO * radius, palette.ORANGE, list(a.bodies.name), FillMode.MajorWireframe))
+        colours = fixed_colours(a)
+        writer.log(_A, _spheres(radius, colours, list(a.bodies.name), FillMode.Solid))
+        writer.log(_B, _spheres(_HALO * radius, colours, list(a.bodies.name), FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, dimension, colour in _SERIES.values():
             writer.log(path, curve_style(_heading(name, dimension, a.units), colour))
@@ -117,7 +122,7 @@ def write_overlay(
             _send(writer, clock, batch, origin, _SEEN * float(np.median(radius)), part)
             done += len(batch)
         if extent is not None:
-            writer.send_layout(_layout(extent.view(), a.units))
+            writer.send_layout(_layout(extent.view(BESIDE.aspect), a.units))
         writer.flush()
 
 
@@ -153,10 +158,10 @@ def _logarithm(values: FloatArray) -> FloatArray:
     return np.where(np.isfinite(logarithm), logarithm, np.nan)
 
 
-def _spheres(radius: FloatArray, colour: int, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
+def _spheres(radius: FloatArray, colours: ColourArray, names: list[str], fill: FillMode) -> rr.Ellipsoids3D:
     return rr.Ellipsoids3D.from_fields(
         half_sizes=np.repeat(radius.astype(np.float32), 3).reshape(-1, 3),
-        colors=colour,
+        colors=colours,
         fill_mode=fill,
         line_radii=rr.Radius.ui_points(0.9),
         labels=names,
@@ -168,8 +173,9 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
     lines = [
         f"# {a.title}: two runs",
         text,
-        f"- Blue, solid: **A**, {a.path.name}",
-        f"- Orange, wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+        f"- Solid: **A**, {a.path.name}",
+        f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
+        "- A body has the same colour in both.",
         f"- Red lines join counterparts that are further apart than {_SEEN:.0%} of the median radius.",
         "- The plots are logarithms: a difference that grows exponentially is a straight line.",
     ]
@@ -193,12 +199,13 @@ def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
         for path, name, dimension, _ in _SERIES.values()
     ]
     panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
-    return beside_bodies("A blue, B orange", [_A, _B, _LINES], view, panels)
+    return beside_bodies("A solid, B in wires; red lines join counterparts", [_A, _B, _LINES], view, panels)
 
 
 TRADEOFF_PROPERTY = "tradeoff"
 
-PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, not paths
+PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, in the colours of the runs
+_ROWS = (3, 2)  # heights of the bodies and of the curves
 SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
 
 
@@ -212,28 +219,29 @@ class ComparedTrajectory:
     family: str = ""  # the engine that made it, whose runs share a colour
 
 
-def write_trajectories(
-    path: Path, title: str, time: FloatArray, radius: FloatArray, trajectories: list[ComparedTrajectory]
-) -> None:
+def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories: list[ComparedTrajectory]) -> None:
     """Write a recording of several runs.
 
     Parameters
     ----------
     path
         The ``.rrd``, in place of an earlier one.
+    space
+        The scene that ran, for the radii and the colours of its bodies.
     time
         (K,) s.
-    radius
-        (n,) m.
     trajectories
         The reference first, which is drawn grey. Each other family has a colour, and so has each run without a family.
-        Of runs that share a colour, the first has a wide curve.
+        Of runs that share a colour, the first has a wide curve. A few bodies are filled with their own colours, and
+        have wires and paths in those of the run.
 
     Raises
     ------
     RecordingError
         If it cannot be written.
     """
+    title, radius = space.scene.title, space.state.radius
+    bodies = _own_colours(space) if len(radius) <= PATHS_UP_TO else None
     clock = TimeScale.fitting(float(time[-1]), float(time[0]))
     origin = trajectories[0].position[0].mean(axis=0)
     layout = hashlib.sha256("\n".join(("tradeoff", title, *(each.name for each in trajectories))).encode()).hexdigest()
@@ -249,14 +257,22 @@ def write_trajectories(
         writer.send_property("carom", about)
         writer.send_property(TRADEOFF_PROPERTY, {"courses": "; ".join(each.name for each in trajectories)})
         for name, trajectory, colour, width in zip(names, trajectories, colours, widths, strict=True):
-            _send_trajectories(writer, name, trajectory, colour, width, time, radius, origin, clock)
+            own = None if bodies is None or trajectory is trajectories[0] else bodies
+            _send_trajectories(writer, name, trajectory, colour, own, width, time, radius, origin, clock)
         index = clock.columns(list(range(1, len(time) + 1)), time.tolist())
         frames = rr.AnyValues.columns(True, time=pa.array(time), fingerprint=pa.array([0] * len(time), pa.uint64()))
         writer.send_columns(paths.FINGERPRINT, index, frames)
         legends = [trajectory.name for trajectory in trajectories if len(trajectory.distance)]
         axis = time_beside_legend(legends, clock.nanoseconds(time[[0, -1]].tolist()), WINDOW.width)
-        writer.send_layout(_trajectory_layout(_view(radius, trajectories[0].position - origin), axis))
+        view = _view(radius, trajectories[0].position - origin)
+        writer.send_layout(_trajectory_layout(view, axis, are_filled=bodies is not None))
         writer.flush()
+
+
+def _own_colours(space: Space) -> ColourArray:
+    """Return the colours (n,) of the bodies of a scene, those of materials or of groups."""
+    materials = ShownMaterials.of(space.scene)
+    return materials.body_colours() if materials and materials.has_colours else palette.body_colours(space.groups)
 
 
 def _styles(trajectories: list[ComparedTrajectory]) -> tuple[list[int], list[float]]:
@@ -277,6 +293,7 @@ def _send_trajectories(
     name: str,
     trajectory: ComparedTrajectory,
     colour: int,
+    own: ColourArray | None,
     width: float,
     time: FloatArray,
     radius: FloatArray,
@@ -287,9 +304,14 @@ def _send_trajectories(
     count, n, _ = position.shape
     index = clock.columns(list(range(1, count + 1)), time[:count].tolist())
     bodies = f"world/{name}/bodies"
-    writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour))
+    writer.log(bodies, rr.Points3D.from_fields(radii=radius.astype(np.float32), colors=colour if own is None else own))
     columns = rr.Points3D.columns(positions=position.reshape(-1, 3)).partition(np.full(count, n))
     writer.send_columns(bodies, index, columns)
+    if own is not None:
+        wires = f"world/{name}/wires"
+        writer.log(wires, _spheres(_HALO * radius, np.full(n, colour, np.uint32), [name] * n, FillMode.MajorWireframe))
+        centres = rr.Ellipsoids3D.columns(centers=position.reshape(-1, 3)).partition(np.full(count, n))
+        writer.send_columns(wires, index, centres)
     if n <= PATHS_UP_TO:
         writer.log(f"world/{name}/paths", rr.LineStrips3D(list(position.transpose(1, 0, 2)), colors=colour))
     if len(trajectory.distance):
@@ -303,20 +325,21 @@ def _view(radius: FloatArray, position: FloatArray) -> View:
     """Place the camera so that all positions, (K, n, 3) m, are in the picture."""
     camera = CameraFit(radius, position[0], motion=CameraMotion.STILL)
     camera.look(position)
-    return camera.view()
+    return camera.view(WINDOW.area(down=_ROWS[0] / sum(_ROWS)).aspect)
 
 
-def _trajectory_layout(view: View, time: rrb.TimeAxis) -> rrb.Blueprint:
+def _trajectory_layout(view: View, time: rrb.TimeAxis, *, are_filled: bool) -> rrb.Blueprint:
+    runs = "paths and wires: the run, as below; fill: the body" if are_filled else "colours: the run, as below"
     return paused(
         rrb.Vertical(
-            spatial_view("Settings over the reference", view, [f"/{paths.WORLD}/**"]),
+            spatial_view(f"Runs over the reference, grey; {runs}", view, [f"/{paths.WORLD}/**"]),
             rrb.TimeSeriesView(
                 name="log10 of the distance from the reference, over the size",
                 origin="/distance",
                 plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop),
                 axis_x=time,
             ),
-            row_shares=[3, 2],
+            row_shares=list(_ROWS),
         )
     )
 

@@ -11,10 +11,13 @@ from carom.errors import RecordingError
 from carom.lab.diff.diff import Diff, _nearest_in_order, diff, differing, impact_divergence, overlay
 from carom.lab.diff.diff_command import _short
 from carom.recording.edit.clip import clip
+from carom.recording.read.entities import Entities
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.container import Container
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs.run import run
 from carom.scene.schema import Scene
+from carom.show.body_colours import fixed_colours
 from edited_recordings import changed, without_column
 from scripted_run import ScriptedRun
 from small_scenes import scene_of
@@ -233,6 +236,9 @@ def test_the_overlay_shows_both_and_a_line_where_they_part(tmp_path: Path) -> No
         both.moment(-1.0)
     paths = {entry.entity_path for entry in both.store.entries}
     assert paths >= {"world/a/bodies", "world/b/bodies", "world/apart", "difference/rms", "difference/energy"}
+    entities = Entities(Container.open(both.path), both.store)
+    first, second = (entities.static(f"world/{run}/bodies")["Ellipsoids3D:colors"] for run in "ab")
+    assert list(first) == list(second) == fixed_colours(a).tolist(), "a body has one colour in both runs and in its own"
 
 
 def test_the_bodies_of_an_overlay_are_refused_because_it_shows_several_runs(tmp_path: Path) -> None:

@@ -225,4 +225,4 @@ def record(study: Study, path: Path) -> None:
             compared = overlays.ComparedTrajectory(result.setting.name, run.position, distance, result.setting.engine)
             trajectories.append(compared)
             longest = run
-    overlays.write_trajectories(path, study.scene.title, longest.time, Space(study.scene, 1).state.radius, trajectories)
+    overlays.write_trajectories(path, Space(study.scene, 1), longest.time, trajectories)

@@ -346,7 +346,11 @@ def write_answer(out: Path, recording: Recording, answer: Answer, text: str) -> 
     from carom.extend import CauseEdge, Causes, write_causes
 
     cone = answer.cone
-    edges = [CauseEdge(edge.i, edge.j, edge.first, edge.share) for edge in answer.edges if edge.j < cone.count]
+    edges = [
+        CauseEdge(edge.i, edge.j, edge.first, edge.share, edge.impulse, edge.last)
+        for edge in answer.edges
+        if edge.j < cone.count
+    ]
     write_causes(
         out,
         recording,
