@@ -198,14 +198,14 @@ def test_the_series_of_a_package_is_recorded_where_the_scene_asks_for_it(folder:
 
 
 def test_formats_and_commands_of_a_package_work_like_those_of_carom(folder: Path, site: Path) -> None:
-    (folder / "three.xyz").write_text("3\nwater\nO 0 0 0\nH 3 0 0\nH 0 3 0\n", encoding="utf-8")
-    (folder / "xyz.toml").write_text(
-        'time.duration = 1.0\n[[bodies]]\nfile = "three.xyz"\nradius = 1.0\ndensity = 1.0\n'
+    (folder / "three.atoms").write_text("3\nwater\nO 0 0 0\nH 3 0 0\nH 0 3 0\n", encoding="utf-8")
+    (folder / "atoms.toml").write_text(
+        'time.duration = 1.0\n[[bodies]]\nfile = "three.atoms"\nradius = 1.0\ndensity = 1.0\n'
     )
-    commands = ("centre xyz.rrd --json", "export xyz.rrd -o xyz.positions --force", "--help")
-    _, centre, _, help_text = said(folder, site, "run xyz.toml -o xyz.rrd --force", *commands)
+    commands = ("centre atoms.rrd --json", "export atoms.rrd -o atoms.positions --force", "--help")
+    _, centre, _, help_text = said(folder, site, "run atoms.toml -o atoms.rrd --force", *commands)
     assert json.loads(centre)["start"] == [1.0, 1.0, 0.0]
-    assert len((folder / "xyz.positions").read_text().splitlines()) == 4
+    assert len((folder / "atoms.positions").read_text().splitlines()) == 4
     assert "centre" in help_text
 
 

@@ -110,7 +110,7 @@ def test_the_interrupt_key_lets_the_runs_under_way_finish(tmp_path: Path) -> Non
         os.killpg(client.pid, signal.SIGINT)  # workers get it, too
         _, stderr = client.communicate(timeout=120)
     assert client.returncode == 1 and "Traceback" not in stderr, stderr
-    waited = re.search(r"Waiting for ([12]) runs? under way", stderr)  # one, if a worker is between two runs
+    waited = re.search(r"Waiting for ([12]) runs? in progress", stderr)  # one, if a worker is between two runs
     assert waited and "run the same command again to continue" in stderr, stderr
     assert 2 + int(waited[1]) <= done(out) < RUNS
     assert {run["status"] for run in manifest(out)["runs"]} == {"done", "pending"}

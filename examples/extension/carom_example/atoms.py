@@ -1,4 +1,4 @@
-"""The data format XYZ: the number of bodies, a line of text, and for each body a word and three coordinates."""
+"""The data format .atoms: the number of bodies, a line of text, and for each body a word and three coordinates."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carom.errors import SceneError
 from carom.extend import Arrays, DataFormat, DataTable
 
 
-def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
+def open_atoms(path: Path, called: str, snapshot: int) -> DataTable:
     """Read a file."""
     lines = path.read_text(encoding="utf-8").splitlines()
     count = int(lines[0])
@@ -22,4 +22,4 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     return Arrays(columns, called)
 
 
-XYZ = DataFormat("an XYZ file", open_xyz)
+ATOMS = DataFormat("a file of atoms", open_atoms)
