@@ -52,9 +52,12 @@ def test_pictures_of_the_gallery_have_all_bodies_inside_no_empty_half_and_equal_
             coloured = np.ptp(pixels, axis=2) > 40  # bodies and paths; floors, walls and letters are grey
             inner = coloured[2:-2, 2:-2]
             assert inner.sum() == coloured.sum(), f"{name}: a body leaves the picture"
-    heights = []
+    radii = []
     for colour in (palette.SKY, palette.ORANGE, palette.GREEN, palette.YELLOW, palette.PURPLE):
-        rows = np.flatnonzero(hue_mask(made["cradle"], colour).sum(axis=1) > 10)  # trails are thinner
-        heights.append(int(np.ptp(rows)))
-    assert min(heights) > 30
-    assert max(heights) <= 1.05 * min(heights) + 2, "5 %, and a pixel at each end"
+        widths = hue_mask(made["cradle"], colour).sum(axis=1)
+        rows = np.arange(12)  # from the top of a ball, where no path crosses it
+        chords = widths[np.flatnonzero(widths > 10)[0] + rows]
+        # a chord at the depth h is c²/4 = 2 r h - h²: the slope of c²/4 + h² is 2 r, less twice the fraction of a row
+        radii.append(float(np.polyfit(rows, chords**2 / 4 + rows**2, 1)[0]) / 2)
+    assert min(radii) > 15
+    assert max(radii) <= 1.05 * min(radii) + 1, "5 %, and a pixel of the depth"
