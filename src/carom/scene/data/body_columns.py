@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_of, texts_of
+from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_of, step_at, texts_of
 from carom.scene.data.mapping import (
     VECTORS,
     ColumnMapping,
@@ -305,11 +305,7 @@ class _Reader:
         """Return one of several steps, and check the shape."""
         dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
         if array.ndim == dimensions + 1:
-            if not -len(array) <= self._section.snapshot < len(array):
-                raise SceneError(
-                    f"{self._called}: there is no snapshot {self._section.snapshot}: {name} has {len(array)}"
-                )
-            array = array[self._section.snapshot]
+            array = array[step_at(self._called, self._section.snapshot, len(array), whose=name)]
         if array.ndim != dimensions or (dimensions == 2 and array.shape[1] != 3):
             right = "(n, 3)" if dimensions == 2 else "(n,)"
             raise SceneError(f"{self._called}: {name} has the shape {array.shape}, and {quantity} needs {right}")

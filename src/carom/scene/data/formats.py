@@ -104,6 +104,25 @@ def refuse_large(called: str, column: str, size: int) -> None:
         raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
 
 
+def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
+    """Return the index of a snapshot among several steps; a negative one counts from the last.
+
+    Raises
+    ------
+    SceneError
+        If there is no such step.
+    """
+    if not -steps <= snapshot < steps:
+        raise SceneError(f"{called}: there is no snapshot {snapshot}: {whose} has {steps}")
+    return snapshot % steps
+
+
+def periodic_note(called: str, size: Sequence[float] = ()) -> str:
+    """Return the note that the periodic box of a file, of this size if it is known, is ignored."""
+    shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
+    return f'{called}: its box{shown} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
+
+
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:
     """Refuse a file whose columns would take far more memory than the file, before they are read."""
     if claimed > max(ROOMY, MOST_TIMES * stored):

@@ -9,7 +9,16 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, refuse_bomb, refuse_many_rows
+from carom.scene.data.formats import (
+    Arrays,
+    DataFormat,
+    DataTable,
+    Raw,
+    periodic_note,
+    refuse_bomb,
+    refuse_many_rows,
+    step_at,
+)
 
 _CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia", "typeid", "charge", "orientation")
 
@@ -28,9 +37,7 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
         frames = int(file.nframes)
         if file.schema != "hoomd":
             raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}", and "hoomd" is needed')
-        if not -frames <= snapshot < frames:
-            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {frames}")
-        frame = snapshot % frames
+        frame = step_at(called, snapshot, frames)
 
         def chunk(name: str) -> Any:
             which = next((each for each in (frame, 0) if file.chunk_exists(each, name)), None)
@@ -46,13 +53,10 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
         }
         box, step = chunk("configuration/box"), chunk("configuration/step")
     table = Arrays(arrays, called)
-    notes = [f"frame {frame} of HOOMD, step {0 if step is None else int(step[0])}, in single precision"]
-    if box is not None:
-        size = " × ".join(f"{length:g}" for length in box[:3].tolist())
-        notes.append(
-            f'its box of {size} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
-        )
-    table.notes = tuple(f"{called}: {note}" for note in notes)
+    table.notes = (
+        f"{called}: frame {frame} of HOOMD, step {0 if step is None else int(step[0])}, in single precision",
+        *(() if box is None else (periodic_note(called, box[:3].tolist()),)),
+    )
     return table
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large
+from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large, step_at
 from carom.scene.data.mapping import printable
 
 _BEGIN, _END = "$$SOE", "$$EOE"
@@ -86,9 +86,7 @@ def _block(before: str, rows: str, called: str, snapshot: int, index: int) -> _B
         raise SceneError(
             f"{called}: the block of {name} has no vectors (X, Y, Z, VX, VY, VZ); ask Horizons for VECTORS"
         )
-    if not -len(vectors) <= snapshot < len(vectors):
-        raise SceneError(f"{called}: there is no snapshot {snapshot}: {name} has {len(vectors)}")
-    epoch, texts = vectors[snapshot]
+    epoch, texts = vectors[step_at(called, snapshot, len(vectors), whose=name)]
     values = [number for number in map(number_in, texts) if number is not None]
     if len(values) != len(_VECTOR):
         raise SceneError(f"{called}: the block of {name} has values that are not numbers at JD {epoch}")

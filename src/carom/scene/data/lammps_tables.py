@@ -15,9 +15,19 @@ import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
-from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, numbers_of, refuse_large, refuse_many_rows
+from carom.scene.data.formats import (
+    Arrays,
+    DataFormat,
+    DataTable,
+    Raw,
+    numbers_of,
+    periodic_note,
+    refuse_large,
+    refuse_many_rows,
+    step_at,
+)
 from carom.scene.data.mapping import printable
-from carom.scene.data.text_rows import LARGEST_STEP, TextRows
+from carom.scene.data.text_rows import TextRows
 
 _STEP = b"ITEM: TIMESTEP"
 _UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # of LAMMPS, and here
@@ -34,12 +44,9 @@ def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
             begins.append(place)
             place = content.find(b"\n" + _STEP, place)
             place += place >= 0
-        if not -len(begins) <= snapshot < len(begins):
-            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {len(begins)}")
-        index = snapshot % len(begins)
+        index = step_at(called, snapshot, len(begins))
         begin, end = begins[index], ([*begins, len(content)])[index + 1]
-        if end - begin > LARGEST_STEP:
-            refuse_large(called, "step", end - begin)
+        refuse_large(called, "step", end - begin)
         line = content[:begin].count(b"\n") + 1
         text = content[begin:end].decode("utf-8", "surrogateescape")
     return _Dump(called, text, line)
@@ -79,7 +86,8 @@ class _Dump(DataTable):
         self.units = _UNITS.get(units, "")
         self.notes = (f"{called}: step {printable(step)} of LAMMPS{f', units {printable(units)}' if units else ''}",)
         if "pp" in bounds[0].split() or bounds[0].split()[-1:] == ["p"]:
-            self.notes += (_periodic(called, self._box),)
+            size = () if self._box is None else (self._box[:, 1] - self._box[:, 0]).tolist()
+            self.notes += (periodic_note(called, size),)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""
@@ -110,11 +118,6 @@ def _box(called: str, rows: Sequence[str]) -> FloatArray | None:
     return bounds if bounds.shape == (3, 2) else None
 
 
-def _periodic(called: str, box: FloatArray | None) -> str:
-    size = "" if box is None else f" of {' × '.join(f'{length:g}' for length in (box[:, 1] - box[:, 0]).tolist())}"
-    return f'{called}: its box{size} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
-
-
 class _Section(NamedTuple):
     """A section of a data file."""
 
@@ -134,13 +137,11 @@ _COLUMNS = {  # of the section Atoms, by style
     "granular": "id type diameter density x y z",
     "bpm/sphere": "id molecule type diameter density x y z",
 }
-_LARGEST_DATA = 1_000_000_000  # bytes
 
 
 def open_data(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a data file: the sections Atoms, Velocities and Masses."""
-    if path.stat().st_size > _LARGEST_DATA:
-        refuse_large(called, "file", path.stat().st_size)
+    refuse_large(called, "file", path.stat().st_size)
     sections = _sections(path.read_text(encoding="utf-8", errors="surrogateescape").splitlines())
     if "Atoms" not in sections:
         raise SceneError(f'{called}: no section "Atoms", which a data file of LAMMPS has')

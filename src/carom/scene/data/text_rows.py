@@ -13,8 +13,6 @@ from carom.errors import SceneError
 from carom.scene.data.formats import DataTable, Raw, refuse_many_columns
 from carom.scene.data.mapping import printable
 
-LARGEST_STEP = 1_000_000_000  # bytes of the rows of one step
-
 
 class TextRows(DataTable):
     """A table of such rows, each of which is checked."""

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from carom.errors import SceneError
-from carom.scene.data.formats import DataFormat, DataTable, refuse_many_rows
+from carom.scene.data.formats import DataFormat, DataTable, periodic_note, refuse_many_rows, step_at
 from carom.scene.data.mapping import printable
 from carom.scene.data.text_rows import TextRows
 
@@ -43,9 +43,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
                     f"{called}: the step from line {line} on has {max(0, skipped - 1)} of its {count} rows"
                 )
             line += count + 2
-        if not -len(places) <= snapshot < len(places):
-            raise SceneError(f"{called}: there is no snapshot {snapshot}: it has {len(places)}")
-        offset, line, count = places[snapshot]
+        offset, line, count = places[step_at(called, snapshot, len(places))]
         file.seek(offset)
         file.readline()
         comment = file.readline(_LONGEST)
@@ -53,9 +51,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     names = _names(called, comment, rows)
     table = TextRows(called, names, rows, line + 2)
     if _PERIODIC.search(comment):
-        table.notes = (
-            f'{called}: its box is periodic, which is not taken over; domain.boundary = "periodic" is for that',
-        )
+        table.notes = (periodic_note(called),)
     return table
 
 
