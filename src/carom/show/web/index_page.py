@@ -12,6 +12,7 @@ from string import Template
 
 INDEX, STYLE = "index.html", "index.css"
 SIZE = (1000, 640)  # pixels of a picture
+_FRAME = "frame.html"  # the template around the others
 _CLASS = "class.html"  # the template of the page with cards
 
 
@@ -95,9 +96,14 @@ def write_style(folder: Path) -> None:
     (folder / STYLE).write_bytes((resources.files(__package__) / "page" / STYLE).read_bytes())
 
 
-def _write(path: Path, template: str, **texts: str) -> None:
-    page = (resources.files(__package__) / "page" / template).read_text(encoding="utf-8")
-    path.write_text(Template(page).substitute(texts), encoding="utf-8")
+def _write(path: Path, template: str, title: str, **texts: str) -> None:
+    """Write a page: the frame of all pages around the content of this one."""
+    frame, content = (
+        Template((resources.files(__package__) / "page" / name).read_text(encoding="utf-8"))
+        for name in (_FRAME, template)
+    )
+    page = frame.substitute(title=title, content=content.substitute(texts, title=title))
+    path.write_text(page, encoding="utf-8")
 
 
 def _figure(figure: Figure) -> str:
