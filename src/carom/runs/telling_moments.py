@@ -88,16 +88,17 @@ def _impacts(recording: Recording) -> Iterator[tuple[float, TellingMoment]]:
     times = recording.fingerprints()["time"]
     impulse = np.nan_to_num(table["normal_impulse"].to_numpy())
     time = table["time"].to_numpy()
-    inside = (time >= times[0].as_py()) & (time <= times[-1].as_py())
+    inside = np.flatnonzero((time >= times[0].as_py()) & (time <= times[-1].as_py()))
+    inside = inside[np.lexsort((-impulse[inside], time[inside]))]  # the hardest impact of an instant comes first
+    _, firsts, counts = np.unique(time[inside], return_index=True, return_counts=True)
+    loud = FAINTEST * impulse[inside].max(initial=0.0)
     names, units = names_of(recording), recording.units
-    for instant in np.unique(time[inside]):
-        rows = np.flatnonzero(time == instant)
-        hardest = int(rows[np.argmax(impulse[rows])])
-        if not impulse[hardest] >= FAINTEST * impulse[inside].max():
+    for hardest, together in zip(inside[firsts].tolist(), counts.tolist(), strict=True):
+        if impulse[hardest] < loud:
             continue
         row: dict[str, Any] = table.slice(hardest, 1).to_pylist()[0]
         number = int(numbers[hardest])
-        others = f", and {counted(len(rows) - 1, 'impact')} at the same time" if len(rows) > 1 else ""
+        others = f", and {counted(together - 1, 'impact')} at the same time" if together > 1 else ""
         measured = (
             ("approach {}", "approach_speed", VELOCITY),
             ("impulse {}", "normal_impulse", IMPULSE),
