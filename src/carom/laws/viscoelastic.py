@@ -15,6 +15,7 @@ The coefficient also depends on the sizes of the bodies. It is that of the state
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 from pydantic import Field
@@ -39,7 +40,7 @@ def numbers(section: Viscoelastic) -> dict[str, float]:
     low, high = 0.0, MOST
     for _ in range(HALVINGS):
         x = 0.5 * (low + high)
-        e = (1.0 + C1 * x) / (1.0 + x * (B1 + x * (B2 + x * (B3 + x * B4))))
+        e = restitution(SimpleNamespace(measured_x=x, measured_speed=1.0), 1.0, 0.0)
         low, high = (x, high) if e > section.restitution else (low, x)
     return {"measured_x": 0.5 * (low + high), "measured_speed": section.speed}
 

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from carom.arrays import FloatArray, IntArray
-from carom.scene.contact_laws import ContactLaw, Numbers, law_called
+from carom.scene.contact_laws import Numbers, law_called
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
 from carom.scene.schema.body import Matter, StaticPlane
@@ -210,24 +210,24 @@ def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) ->
     """
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
     coefficients: dict[str, float] = {}
-    for law_name in scene.contact.laws:
-        law, default = law_called(law_name), scene.contact.law_section(law_name)
+    for name in scene.contact.laws:
+        law, default = law_called(name), scene.contact.law_section(name)
         if default is None:
             continue
-
-        def completed(
-            numbers: Numbers, given: Surface | None, law: ContactLaw = law, name: str = law_name
-        ) -> dict[str, float]:
-            own = None if given is None else getattr(given, name)
-            if own is None:
-                return dict(numbers)
-            implied = type(own).model_fields.keys() - own.model_fields_set
-            return {**numbers, **{key: value for key, value in law.coefficients(own).items() if key not in implied}}
-
         common = law.coefficients(default)
-        mine, others = (completed(common, material_called(scene, name)) for name in (one, other))
-        coefficients |= completed(completed(law.combined(mine, others), pair), plane)
+        mine, others = (_completed(common, name, material_called(scene, material)) for material in (one, other))
+        coefficients |= _completed(_completed(law.combined(mine, others), name, pair), name, plane)
     return coefficients
+
+
+def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str, float]:
+    """Return the coefficients of a law with those that a surface states in place of these."""
+    own = None if surface is None else getattr(surface, law)
+    if own is None:
+        return dict(numbers)
+    implied = type(own).model_fields.keys() - own.model_fields_set
+    stated = law_called(law).coefficients(own)
+    return {**numbers, **{key: value for key, value in stated.items() if key not in implied}}
 
 
 def _table(scene: Scene, names: list[str]) -> FloatArray:
