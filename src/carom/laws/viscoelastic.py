@@ -9,7 +9,7 @@ solution of the equation of motion at any speed:
 For slow impacts, e = 1 - b₂ x² + … is the series 1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one
 measured coefficient and its speed. They fix the factor of x, and with it the curve.
 
-The coefficient also depends on the sizes of the bodies. It is that of the stated one for all pairs of two materials.
+The curve also depends on the sizes of the bodies. Here all pairs of two materials share the stated one.
 """
 
 from __future__ import annotations
