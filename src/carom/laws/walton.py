@@ -1,7 +1,7 @@
 """Walton's law of impacts: restitution, friction, and a tangential restitution of impacts that stick.
 
-Measured spheres reverse the slip in an impact that sticks, which Coulomb's friction cannot (Walton 1993; Foerster, Louge,
-Chang & Allia 1994). With the slip g_t before the impact and μ the kinetic friction,
+Measured spheres reverse the slip in an impact that sticks, which Coulomb's friction cannot (Walton 1993; Foerster,
+Louge, Chang & Allia 1994). With the slip g_t before the impact and μ the kinetic friction,
 
     g_t' = -β₀ g_t    where the contact sticks: J_t = (1 + β₀) times the impulse that ends the slip
     J_t = μ J_n       where that impulse would be larger
