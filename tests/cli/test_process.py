@@ -235,7 +235,7 @@ def test_a_scene_that_does_not_fit_into_the_address_space_is_refused_in_one_sent
     done = subprocess.run(["sh", "-c", script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.strip().splitlines() == [
-        "carom: 4e+05 bodies need about 2.7 GB of address space and `ulimit -v` allows 2 GB; "
+        "carom: 4e+05 bodies need about 2.7 GB of address space, but `ulimit -v` allows 2 GB; "
         "raise the limit or lower the count"
     ]
     assert not (tmp_path / "x.rrd").exists()

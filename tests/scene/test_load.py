@@ -102,7 +102,7 @@ MISTAKES = {
     ),
     "forces of the middle of the step where bodies may rest on each other": (
         "[time]\nintegrator = 'leapfrog-dkd'\n" + ONE_BODY + ONE_BODY + "position = [3, 0, 0]\n",
-        ['time.integrator = "leapfrog-dkd"', "contacts need them at the end", 'use "leapfrog"'],
+        ['time.integrator = "leapfrog-dkd"', "contacts need the forces at the end", 'use "leapfrog"'],
     ),
     "10¹² bodies": ("[[group]]\ncount = 1000000000000\nradius = 1e-3\n", ["1e+12 bodies", "GB of memory"]),
     "duration 0": ("[time]\nduration = 0\n" + ONE_BODY, [":2:", "time.duration = 0", "more than 0"]),

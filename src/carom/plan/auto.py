@@ -22,17 +22,18 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
 
-STEP_GROWS_UP_TO = 100  # bodies; for more, "auto" steps are a tenth of the time of a fall through the smallest radius
-STEP_PER_BODY = 1e-3  # of that time: steps of fewer bodies are cheap, so they get shorter ones for accurate flights;
-# bodies that contacts hold get the step of `STEP_GROWS_UP_TO` (docs/physics.md, 3)
+STEP_GROWS_UP_TO = 100  # bodies; above this, "auto" steps are a tenth of the time of a fall through the smallest radius
+# of that time, per body; steps of fewer bodies are cheap, so they may be shorter and flights more accurate;
+STEP_PER_BODY = 1e-3
+# bodies held by contacts get the step of `STEP_GROWS_UP_TO` (docs/physics.md, 3)
 
-SMOOTH_UP_TO = 8  # bodies without contacts: with more, a step that does not follow the pulls misses encounters, and
-# fourth order then gains less than it costs
+SMOOTH_UP_TO = 8  # bodies without contacts; with more, a step that ignores the forces misses encounters, and
+# fourth order then costs more than it gains
 
-PAIRS_UP_TO = 100  # bodies for which the step examines each pair; with more, that costs as much as gravity
+PAIRS_UP_TO = 100  # bodies up to which the step examines each pair; with more, that costs as much as gravity
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
 PULL_FRACTION = 0.02  # of the time scale of the largest acceleration, which is twice that of a pair of equal bodies
-SMOOTHING = 0.2  # weight of the new step in the average, where contacts come and go
+SMOOTHING = 0.2  # weight of the new step in the moving average, where contacts form and break
 
 LATE_CFL = 0.5  # largest motion of a body in a step over its radius, if impacts are resolved at the end
 FREE_CFL = 1.0  # the same with times of impact and without forces, where shorter steps only cost more (docs/trade.md)
@@ -41,10 +42,10 @@ EXACT_IMPACT = 1e-9  # largest relative error of the approach speed of an exact 
 
 BOUNCES_UP_TO = 200  # bouncing bodies; gauss-radau15 restarts all bodies at each impact (docs/trade.md)
 
-TREES = ("tree", "fast-multipole")  # methods that sort bodies into boxes, with an error by the opening angle
-TREE_FROM = 5000  # bodies, for "auto"; there a tree takes a half to a third of the time of a direct sum
+TREES = ("tree", "fast-multipole")  # methods that sum over boxes of bodies, with an error set by the opening angle
+TREE_FROM = 5000  # bodies, for "auto"; from here on, a tree takes a third to a half of the time of a direct sum
 
-HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps a revolution of two rolling ones
+HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
@@ -55,7 +56,7 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", 
     """Decide how gravity is summed.
 
     Direct sum and tree take equally long for 800 bodies in a uniform ball and for 2000 in a cluster. "auto" switches at
-    `TREE_FROM`: below it, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
+    `TREE_FROM`. Below that, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
     """
     method = scene.gravity.method
     if method == "none" or not (pulls.gravity(scene).modelled or "gravity" in forced_parts(scene)):
@@ -73,8 +74,8 @@ def uses_tree(scene: Scene) -> bool:
 def timing(scene: Scene) -> Literal["end-of-step", "time-of-impact"]:
     """Decide when impacts are resolved: at their own times, wherever the integrator can locate them.
 
-    At the end of a step, an impact has the direction, friction and spin of spheres that overlap. That does not depend
-    on whether forces press the bodies together, so no force changes the timing (docs/trade.md).
+    An impact at the end of a step has the direction, friction and spin of overlapping spheres. That error is the same
+    with and without forces that press the bodies together, so no force changes the timing (docs/trade.md).
     """
     return "end-of-step" if why_late(scene) else "time-of-impact"
 
@@ -86,7 +87,8 @@ def why_late(scene: Scene) -> str:
         return f'contact.timing = "{asked}"' if asked == "end-of-step" else ""
     if not contact_parts.contact(scene).modelled:
         return "no contact is possible"
-    if chosen.locates_impacts or scene.time.accuracy is not None:  # with an accuracy, `limits` refuses any other
+    # with an accuracy, `limits` refuses any other integrator
+    if chosen.locates_impacts or scene.time.accuracy is not None:
         return ""
     return f"a step of {chosen.name} is more than one drift"
 
@@ -94,9 +96,9 @@ def why_late(scene: Scene) -> str:
 def inexact_impacts(scene: Scene) -> str:
     """Describe the error of an impact of two bodies that touch nothing else; empty if it is exact.
 
-    A force that varies along a step changes the approach of the bodies relative to their true paths. The relative error
-    by self-gravity is about a dt²/r, below rounding for small and fast bodies. The impulse follows exactly from the
-    approach.
+    A force that varies within a step changes the relative motion of the two bodies. With self-gravity, the relative
+    error is about a dt²/r, below rounding for small and fast bodies. The impulse follows exactly from the approach
+    speed.
     """
     chosen = integrator(scene)
     if not contact_parts.contact(scene).modelled or chosen.ends_steps_at_impacts or scene.time.accuracy is not None:
@@ -105,26 +107,26 @@ def inexact_impacts(scene: Scene) -> str:
         return f"impacts are detected up to a step late, with an overlap: {why_late(scene)}"
     second_order = "approach speeds of impacts are accurate to second order in the step"
     if force := pulls.further(scene):
-        return f"{force} changes along a step: {second_order}"
+        return f"{force} changes during a step: {second_order}"
     if scene.domain.boundary == "periodic" and scene.anchored and pulls.pushing(scene):
         return f"paths are straight within a step in a periodic box: with fixed bodies, {second_order}"
     if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
         longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
         return (
-            f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag: impacts in such steps are accurate "
-            f"to first order; time.max_dt = {longest} makes them exact"
+            f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag, and impacts in such steps are "
+            f"accurate only to first order; set time.max_dt = {longest} for exact impacts"
         )
     if not pulls.gravity(scene).modelled:
         return ""
     error = _error_by_gravity(scene)
     if error <= EXACT_IMPACT:
         return ""
-    keeps = "; time.accuracy keeps a smaller error" if scene.count <= BOUNCES_UP_TO else ""
-    return f"self-gravity changes along a step: approach speeds of impacts err by up to about {error:.0e}{keeps}"
+    keeps = "; time.accuracy keeps the error smaller" if scene.count <= BOUNCES_UP_TO else ""
+    return f"self-gravity changes during a step: approach speeds of impacts err by up to about {error:.0e}{keeps}"
 
 
 def ended_bounces(scene: Scene) -> str:
-    """Return a sentence about bounces that end at rest; empty if there are none."""
+    """Return a sentence about bounces that become resting contacts; empty if there are none."""
     contact = contact_parts.contact(scene)
     bounces = contact_parts.restitution(scene, contact).modelled and not integrator(scene).ends_steps_at_impacts
     if not (bounces and contact_parts.resting(scene, contact).modelled):
@@ -137,8 +139,8 @@ def ended_bounces(scene: Scene) -> str:
 def _error_by_gravity(scene: Scene) -> float:
     """Estimate the relative error of an approach speed by self-gravity in a step.
 
-    The acceleration a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. The step is at
-    most κ r/v by the velocity limit, and lets a body fall by Δx from rest.
+    The acceleration a at a contact is at most G M / r², with M the mass of two of the heaviest bodies. A step is at
+    most κ r/v by the velocity limit, and short enough that a body falls less than Δx from rest.
     """
     r, slowest = smallest_radius(scene), _relative_speed(scene)
     a = 2.0 * scene.gravity.constant * _largest_mass(scene) / (r * r)
@@ -149,7 +151,7 @@ def _error_by_gravity(scene: Scene) -> float:
 
 
 def _relative_speed(scene: Scene) -> float:
-    """Estimate the largest relative speed (m/s) of two bodies at the start; 0 if all velocities are equal."""
+    """Estimate the largest relative speed (m/s) of two bodies at the start; 0 if all have the same velocity."""
     velocities = [body.velocity for body in scene.body] + [group.velocity.mean for group in scene.group]
     for columns in scene.data:
         velocities += [tuple(columns.velocity.min(axis=0)), tuple(columns.velocity.max(axis=0))]
@@ -158,14 +160,14 @@ def _relative_speed(scene: Scene) -> float:
 
 
 def _largest_mass(scene: Scene) -> float:
-    """Return the largest mass (kg) of a body, or mean mass of a group's bodies."""
+    """Return the largest mass (kg) of a body, or of the mean body of a group."""
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     masses += [mean_mass(made_of(scene, group)) for group in scene.group]
     return max(masses + [float(columns.mass.max()) for columns in scene.data])
 
 
 def integrator(scene: Scene) -> Integrator:
-    """Decide how the motion is integrated: with a high order where the motion is smooth (docs/trade.md)."""
+    """Choose the integrator: one of high order where the motion is smooth (docs/trade.md)."""
     if scene.time.integrator != AUTO:
         return integrator_called(scene.time.integrator)
     if scene.time.accuracy is not None:
@@ -181,18 +183,18 @@ def integrator(scene: Scene) -> Integrator:
 def _meets_seldom(scene: Scene) -> bool:
     """Return whether encounters are rare, as for planets, moons and comets.
 
-    With leapfrog's steps of at most a second, eighty years of a comet took hours; Gauss–Radau takes a second.
+    With leapfrog's steps of at most a second, eighty years of a comet took hours. Gauss–Radau takes a second.
     """
     if not (contact_parts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
         return False
     alone = scene.domain.boundary == "open" and not scene.plane and not pulls.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
-    drifts = contact_parts.moves_relatively(scene)  # bodies that begin at rest fall together
+    drifts = contact_parts.moves_relatively(scene)  # bodies that start at rest fall towards each other
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
 
 
 def _accurate(scene: Scene) -> str:
-    """Return the integrator with the lowest cost for an accuracy, unless a look-ahead finds a cheaper one."""
+    """Return the integrator with the lowest cost for an accuracy, before a look-ahead may find a cheaper one."""
     if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
     if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.boundary == "periodic":
@@ -216,7 +218,7 @@ def holding(scene: Scene) -> Scene:
 
 
 def _leaves_step_free(scene: Scene) -> bool:
-    """Return whether an integrator may choose the steps by their error: in open space, if no key sets a step."""
+    """Return whether an integrator may choose its steps by its own error: in open space, if no key sets a step."""
     rule = scene.time
     if scene.domain.boundary == "periodic":
         return False
@@ -227,12 +229,12 @@ def _leaves_step_free(scene: Scene) -> bool:
 def _is_smooth(scene: Scene) -> bool:
     if not pulls.differing(scene) or contact_parts.contact(scene).modelled or pulls.damping(scene):
         return False
-    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step for every encounter
+    resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step that resolves each encounter
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
 
 
 def largest_step(scene: Scene) -> float:
-    """Return the largest step (s); infinite if the integrator chooses its steps by their error or by the orbits.
+    """Return the largest step (s); infinite if the integrator sets its steps by its error or by the orbits.
 
     With a limit of 1 s, two years of the Earth would take 63 million steps of Gauss–Radau instead of 79.
     """
@@ -242,10 +244,10 @@ def largest_step(scene: Scene) -> float:
 
 
 def target_dx(scene: Scene) -> float | None:
-    """Return the largest distance that an acceleration may move a body from rest in a step, in m; None for no limit.
+    """Return the largest distance (m) that an acceleration may move a body from rest in a step; None for no limit.
 
-    A fall from rest through the smallest radius r takes √(2 r/a), and in a fraction s of that time a body falls s² r.
-    Without contacts, radii do not matter; under gravity, the shortest time of a pair then limits the step.
+    A fall from rest through the smallest radius r takes √(2 r/a). In a fraction s of that time, a body falls s² r.
+    Without contacts, radii do not matter. With gravity, the shortest time of a pair then limits the step.
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
@@ -258,7 +260,7 @@ def held_dx(scene: Scene) -> float | None:
     """Return ``target_dx`` (m) for bodies held by lasting contacts; None if it is the same as for others.
 
     Short steps make flights between bounces accurate. Forces on a held body are balanced, so it does not fly. The step
-    for many bodies, a tenth of a fall, is short enough to hold it.
+    for many bodies, a tenth of a fall, is short enough to hold one.
     """
     if scene.time.target_dx != "auto" or scene.count >= STEP_GROWS_UP_TO or scene.contact.solver != "lasting":
         return None
@@ -278,7 +280,7 @@ def cfl(scene: Scene) -> float | None:
 
 
 def pull_fraction(scene: Scene) -> float | None:
-    """Return the step as a fraction of the shortest time in which forces change the motion; None for no limit.
+    """Return the step as a fraction of the shortest time scale of the forces; None for no limit.
 
     By default it replaces the limits by radius in scenes without contacts, unless the scene sets ``target_dx``.
     """
@@ -294,8 +296,8 @@ def pull_fraction(scene: Scene) -> float | None:
 def smoothing(scene: Scene) -> float:
     """Return the weight of the new step in the moving average.
 
-    The step allowed by contacts jumps, and is averaged. The step allowed by forces alone is smooth. An average would
-    lag behind it: an orbit would then have different steps on its way in and out, and drift.
+    The step allowed by contacts jumps, so it is averaged. The step allowed by forces alone is smooth, and an average
+    would lag behind it. An orbit would then have different steps on its way in and out, and its energy would drift.
     """
     if scene.time.smoothing != "auto":
         return scene.time.smoothing
@@ -315,26 +317,26 @@ def auto_step(scene: Scene) -> float:
 
 
 def frame_interval(scene: Scene) -> float:
-    """Return the simulated time between recorded frames in seconds; 0 records every step."""
+    """Return the simulated time (s) between recorded frames; 0 records every step."""
     if scene.record.every == "step":
         return 0.0
     return auto_interval(scene, scene.time.duration) if scene.record.every == "auto" else scene.record.every
 
 
 def auto_interval(scene: Scene, duration: float) -> float:
-    """Return the automatic time (s) between the frames of a recording of some duration (s)."""
+    """Return the automatic time (s) between frames for a recording of some duration (s)."""
     affordable = AUTO_BYTES // (BYTES_PER_BODY_AND_FRAME * scene.count)
     return duration / min(FRAMES, max(FEWEST_FRAMES, affordable))
 
 
 @dataclass(frozen=True, slots=True)
 class StepLimits:
-    """The limits by their keys; None if one does not apply."""
+    """The limits of the step, by their keys; None where one does not apply."""
 
     max_dt: float  # s, infinite for no limit
     cfl: float | None
     target_dx: float | None  # m
-    held_dx: float | None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None: the same
+    held_dx: float | None  # m, replaces ``target_dx`` for bodies held by lasting contacts; None if it is the same
     held_part: float  # largest motion of such a body in a step over its radius
     pull_fraction: float | None
     smoothing: float
@@ -356,11 +358,11 @@ def step_limits(scene: Scene) -> StepLimits:
 
 
 def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits:
-    """Return limits for steps shorter than the longest useful ones by a factor, with impacts at their own times.
+    """Return limits for steps shorter than the longest useful ones by a factor, with impacts at their exact times.
 
     All limits shrink by the same factor, so that runs with different refinements differ wherever the step matters. No
-    step is longer than the frame interval of an automatic recording of ``until`` seconds, the part covered by the
-    look-ahead. A longer, resumed run keeps that step.
+    step is longer than the frame interval of an automatic recording of ``until`` seconds, the span of the look-ahead. A
+    longer or resumed run keeps that step.
     """
     touches = cfl(scene) is not None
     return StepLimits(
@@ -375,7 +377,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
 
 
 def wider_limits(scene: Scene, stride: float) -> StepLimits:
-    """Return limits for steps up to ``stride`` times longer, if contacts are still detected and orbits resolved."""
+    """Return limits for steps up to ``stride`` times longer, as long as contacts are detected and orbits resolved."""
     if scene.promise is not None:
         return accurate_limits(scene, scene.promise.refinement / stride, scene.promise.until)
 

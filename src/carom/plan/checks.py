@@ -1,4 +1,4 @@
-"""Checks before a run: refused scenes, and doubts about valid ones."""
+"""Checks before a run: refusals of scenes, and doubts about valid ones."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
 from carom.scene.wording import body_key, counted
 
-BYTES_PER_BODY = 700  # state, workspace, queued frames and the start; measured at 10⁵ bodies and rounded up
-ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps
+BYTES_PER_BODY = 700  # state, workspace, queued frames and the initial state; measured at 10⁵ bodies and rounded up
+ADDRESSES_OF_LIBRARIES = 1_100_000_000  # bytes that a run of two bodies maps, mostly libraries
 ADDRESSES_PER_BODY = 4000  # bytes mapped by a run that records every step: with 2400, 4 × 10⁵ bodies abort
 GRAVITY_BYTES_PER_BODY = {"none": 0, "direct": 550, "tree": 130, "fast-multipole": 280}  # 16 slabs of sums; boxes
 
-EARTH = 9.81  # m/s², written as 9.8 to 9.82
+EARTH = 9.81  # m/s², as a user writes it: 9.8 to 9.82
 LIGHTEST = 100.0  # kg/m³; balls of cork have 200
 
 INTEGRATOR: KeyPath = ("time", "integrator")
@@ -33,7 +33,7 @@ BOUNDARY: KeyPath = ("domain", "boundary")
 
 
 class _TreeError(NamedTuple):
-    """The error of positions over the size of the system, as a power of the opening angle."""
+    """The error of positions relative to the size of the system, as a power of the opening angle."""
 
     error: float  # at 1 rad
     order: int
@@ -58,7 +58,7 @@ def refuse_impossible(scene: Scene) -> None:
     Raises
     ------
     SceneError
-        With the key and a valid value.
+        The message names the key and a valid value.
     """
     with naming_places(scene):
         _refuse_missing_parts(scene)
@@ -75,13 +75,13 @@ def refuse_impossible(scene: Scene) -> None:
 
 
 def _refuse_missing_parts(scene: Scene) -> None:
-    """Refuse a scene that needs a part which was removed from this installation (`carom.registry`)."""
+    """Refuse a scene that needs a part which was deleted from this installation (`carom.registry`)."""
     chosen, method = integrator(scene), gravity_method(scene)
     without_radau = 'set time.integrator = "leapfrog"'
     needed: list[tuple[str, str, KeyPath, str]] = []
     if chosen.controls_error:
         needed.append(("integrators", chosen.name, INTEGRATOR, without_radau))
-    if chosen.hierarchical:  # it takes over close encounters
+    if chosen.hierarchical:  # for close encounters
         needed.append(("integrators", ENCOUNTERS_BY, INTEGRATOR, without_radau))
     if method != "none":
         needed.append(("gravity_methods", method, METHOD, 'set gravity.method = "direct"'))
@@ -97,14 +97,14 @@ def _refuse_missing_parts(scene: Scene) -> None:
         if name not in registry.names(kind):
             called = registry.KINDS.get(kind, "part of the model")
             raise registry.ExtensionError(
-                f'this scene needs the {called} "{name}", which was removed from this installation of carom; {remedy}, '
-                "or install carom again",
+                f'this scene needs the {called} "{name}", which this installation of carom lacks; {remedy}, or '
+                "install carom again",
                 key,
             )
 
 
 def _refuse_test_particles(scene: Scene) -> None:
-    """Refuse bodies of mass 0 in scenes with contacts, where they exert no impulse, or without any massive body."""
+    """Refuse bodies of mass 0 in scenes with contacts, and scenes with bodies of mass 0 only."""
     count = scene.test_particles
     touches = count > 0 and require(scene).contact.modelled
     if not touches and (count == 0 or count < scene.count):
@@ -128,7 +128,7 @@ def _refuse_test_particles(scene: Scene) -> None:
 
 
 def _refuse_coarse_tree(scene: Scene) -> None:
-    """Refuse a tree whose error exceeds the requested one; the message has a small enough opening angle."""
+    """Refuse a tree whose error exceeds the requested one; the message names a sufficient opening angle."""
     accuracy, gravity, method = scene.time.accuracy, scene.gravity, gravity_method(scene)
     if accuracy is None or method not in TREE_ERRORS:
         return
@@ -138,7 +138,7 @@ def _refuse_coarse_tree(scene: Scene) -> None:
     if error <= accuracy:
         return
     tree = f'gravity.method = "{method}" and opening_angle = {gravity.opening_angle:g}'
-    rounded = int(100 * angle) / 100  # down
+    rounded = int(100 * angle) / 100  # rounded down
     better = f"gravity.opening_angle = {rounded}" if angle >= SMALLEST_ANGLE else 'gravity.method = "direct"'
     raise SceneError(
         f"time.accuracy = {accuracy:g} with {tree}, whose error is about {error:.0e}; set {better}",
@@ -159,20 +159,21 @@ def _refuse_times_of_impact(scene: Scene) -> None:
 
 
 def _refuse_forces_of_mid_step(scene: Scene) -> None:
-    """Refuse drift-kick-drift where bodies may rest, which requires the forces at the end of the step."""
+    """Refuse drift-kick-drift where bodies may rest: contacts need the forces at the end of the step."""
     chosen = integrator(scene)
     if chosen.controls_error:
         return
     if not chosen.holds_contacts and require(scene).resting.modelled:
         raise SceneError(
             f'time.integrator = "{chosen.name}" where bodies may press on each other: it computes forces in the '
-            'middle of the step, but contacts need them at the end; use "leapfrog", or set contact.enabled = false',
+            'middle of the step, but contacts need the forces at the end; use "leapfrog", or set contact.enabled = '
+            "false",
             INTEGRATOR,
         )
 
 
 def _refuse_damping(scene: Scene) -> None:
-    """Refuse more than one force that depends on velocities, and integrators that support none."""
+    """Refuse two forces that depend on velocities, and integrators that support none."""
     chosen, forces = integrator(scene), dampings(scene)
     if len(forces) > 1:
         names = " and ".join(f"[{force.name}]" for force in forces)
@@ -187,7 +188,7 @@ def _refuse_damping(scene: Scene) -> None:
 
 
 def _refuse_further_forces(scene: Scene) -> None:
-    """Refuse forces of installed packages where they are not defined."""
+    """Refuse forces of installed packages in scenes where they are not defined."""
     for name in scene.forces.given:
         force = force_called(name)
         if isinstance(force, BodyForce) and not force.periodic and scene.domain.boundary == "periodic":
@@ -205,7 +206,7 @@ def _refuse_further_forces(scene: Scene) -> None:
 
 
 def _refuse_what_no_error_controls(scene: Scene) -> None:
-    """Refuse parts with errors outside of the estimate by which the integrator chooses its step."""
+    """Refuse settings whose errors the integrator's own error estimate does not include."""
     chosen, contact = integrator(scene), scene.contact
     if not chosen.ends_steps_at_impacts:
         return
@@ -233,18 +234,18 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
         )
     if key := _limit_of_steps(scene):
         raise SceneError(
-            f"time.{key} with {name}, which sets the step by its own error; remove time.{key}", ("time", key)
+            f"time.{key} with {name}, which chooses the step by its own error; remove time.{key}", ("time", key)
         )
 
 
 def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
-    """Refuse scenes without orbits about a dominant body, if the integrator requires them."""
+    """Refuse scenes without orbits about a dominant body if the integrator requires them."""
     chosen = integrator(scene)
     if not chosen.hierarchical:
         if scene.time.encounters != "resolve":
             raise SceneError(
                 f'time.encounters = "{scene.time.encounters}" with time.integrator = "{chosen.name}", which does not '
-                'treat encounters separately; remove it, or use "wisdom-holman"',
+                'treat encounters separately; remove time.encounters, or use "wisdom-holman"',
                 ("time", "encounters"),
             )
         return
@@ -281,7 +282,7 @@ def _limit_of_steps(scene: Scene) -> str:
 
 
 def _refuse_narrow_box(scene: Scene) -> None:
-    """Refuse periodic boxes in which a body could touch another body and its image, or its own image."""
+    """Refuse periodic boxes so small that a body could touch its own image, or another body and its image."""
     if scene.domain.boundary != "periodic" or scene.domain.size is None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
@@ -296,7 +297,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
 
 
 def _refuse_small_memory(scene: Scene) -> None:
-    """Refuse scenes that do not fit into memory, or under ``ulimit -v``, at which Rerun and OpenBLAS abort."""
+    """Refuse scenes that exceed the memory, or the limit of ``ulimit -v``, where Rerun and OpenBLAS would abort."""
     import resource  # noqa: PLC0415 - POSIX only
 
     try:
@@ -306,7 +307,7 @@ def _refuse_small_memory(scene: Scene) -> None:
     needed, counts = memory_estimate(scene), [group.count for group in scene.group]
     if needed > memory:
         raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory and this machine has "
+            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of memory, but this machine has "
             f"{memory / 1e9:.3g} GB; lower the count",
             ("group", counts.index(max(counts)), "count") if counts else (),
         )
@@ -314,7 +315,7 @@ def _refuse_small_memory(scene: Scene) -> None:
     needed = ADDRESSES_OF_LIBRARIES + ADDRESSES_PER_BODY * scene.count
     if limit != resource.RLIM_INFINITY and limit < needed:
         raise SceneError(
-            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of address space and `ulimit -v` allows "
+            f"{scene.count:.3g} bodies need about {needed / 1e9:.3g} GB of address space, but `ulimit -v` allows "
             f"{limit / 1e9:.3g} GB; raise the limit or lower the count"
         )
 
@@ -338,7 +339,7 @@ def _nothing_moves(scene: Scene) -> list[str]:
 
 
 def _field_of_the_earth(scene: Scene) -> list[str]:
-    """Return a question about the unit of a uniform field with the Earth's number, but another size."""
+    """Return a question about a uniform field that has the digits of the Earth's field, but another size."""
     size = math.hypot(*scene.gravity.uniform)
     number = scene.unit_system.shown(size, ACCELERATION)
     if round(number, 1) != round(EARTH, 1) or math.isclose(size, EARTH, rel_tol=0.01):
@@ -350,11 +351,11 @@ def _field_of_the_earth(scene: Scene) -> list[str]:
 
 
 def _default_radius(scene: Scene) -> list[str]:
-    """Return a sentence about the first body with a given mass whose default radius makes it lighter than any solid."""
+    """Return a sentence about the first body that its mass and the default radius make lighter than any solid."""
     light = [
         (number, density)
         for number, body in enumerate(scene.body)
-        if "radius" not in body.model_fields_set and body.mass  # test particles have no mass
+        if "radius" not in body.model_fields_set and body.mass  # test particles have mass 0
         if (density := body.mass / (4.0 / 3.0 * math.pi * body.radius**3)) < LIGHTEST
     ]
     if not light:

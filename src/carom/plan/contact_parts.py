@@ -1,4 +1,4 @@
-"""The parts of the contact model that a scene needs, and the parts that ``model.force`` switches on."""
+"""The parts of the contact model that a scene needs, and those that ``model.force`` switches on."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def contact(scene: Scene) -> Part:
 
 
 def moves_relatively(scene: Scene) -> bool:
-    """Return whether two bodies start with different velocities, or may overlap and so be pushed apart.
+    """Return whether two bodies start with different velocities or overlap, and so may move apart or together.
 
-    Planes, walls and fixed bodies do not move; a uniform field or a moving medium moves bodies relative to them.
+    Planes, walls and fixed bodies do not move, so a uniform field or a moving medium moves bodies relative to them.
     """
     velocities: set[tuple[float, ...] | None] = {body.velocity for body in scene.body}
     velocities |= {columns.common_velocity for columns in scene.data} | {group.velocity.mean for group in scene.group}
-    if None in velocities:  # velocities in a file differ
+    if None in velocities:  # the velocities in a file differ
         return True
     if scene.anchored:
         velocities.add((0.0, 0.0, 0.0))
@@ -43,7 +43,7 @@ def moves_relatively(scene: Scene) -> bool:
 
 
 def where_bodies_meet(name: str, contact: Part, why: str) -> Part:
-    """Decide on a part that is modelled if contacts are."""
+    """Decide on a part that is modelled wherever contacts are."""
     return Part(name, contact.modelled, why if contact.modelled else "no contact is possible")
 
 
@@ -54,7 +54,7 @@ def broad_phase(scene: Scene, contact: Part) -> Part:
 
 
 def narrow_phase(contact: Part) -> Part:
-    """Decide whether distances are tested."""
+    """Decide whether distances of pairs are computed."""
     return where_bodies_meet("narrow-phase", contact, "the distance of each pair that may touch")
 
 
@@ -121,13 +121,13 @@ def _range(kinds: list[KindOfContact], coefficient: str) -> str:
 
 
 def torque(friction: Part) -> Part:
-    """Decide whether contacts turn bodies."""
+    """Decide whether contacts exert torques."""
     if friction.modelled:
         return Part("torque", True, "friction turns bodies")
     return Part("torque", False, "the normal force acts on the centre")
 
 
-# The parts that each part needs. Consequences, such as torques from friction, are decided as for any scene.
+# The parts that a part needs to work. Their consequences, such as torques from friction, are decided as for any scene.
 _NEEDS = {
     "potential": ("gravity",),
     "tree": ("gravity",),
@@ -145,7 +145,7 @@ _NEEDS = {
 
 
 def forced_parts(scene: Scene) -> dict[str, str]:
-    """Return the forced parts, each with the part in ``model.force`` that needs it."""
+    """Return the forced parts, each with the entry of ``model.force`` that needs it."""
     forced = {name: name for name in scene.model.force}
     for name in scene.model.force:
         for needed in _NEEDS.get(name, ()):

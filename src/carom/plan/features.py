@@ -1,6 +1,6 @@
 """The parts of the model that a scene needs, and why; decided from the scene alone.
 
-A part that is not required costs no time, no memory and no bytes in the recording. Leaving it out never changes the
+A part that is not required costs no time, no memory and no bytes in the recording. Leaving it out does not change the
 result.
 """
 
@@ -86,12 +86,12 @@ class Requirements:
 
 
 def require(scene: Scene) -> Requirements:
-    """Decide what a scene needs, and switch on the parts in ``model.force``.
+    """Decide what a scene needs, and switch on the parts named in ``model.force``.
 
     Raises
     ------
     SceneError
-        If a part cannot be forced on.
+        If a part cannot be forced.
     """
     forced, required = forced_parts(scene), _decide(scene, {})
     if not forced:
@@ -117,7 +117,7 @@ def _by_name(needs: Requirements) -> dict[str, Part]:
 
 
 def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
-    """Decide on each part; a forced part has the same consequences as a required one."""
+    """Decide on each part. A forced part has the same consequences as a required one."""
 
     def decide(part: Part) -> Part:
         if part.modelled or part.name not in forced:
@@ -156,7 +156,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
 
 
 def _contradiction(scene: Scene, name: str) -> str:
-    """Return why a part cannot be forced on, and what to do instead; empty if it can."""
+    """Return why a part cannot be forced, and the remedy; empty if it can."""
     match name:
         case "contact" if not scene.contact.enabled:
             return "contact.enabled = false; set it to true"
@@ -200,7 +200,7 @@ def _energy(scene: Scene) -> Part:
 
 
 def _times(scene: Scene) -> str:
-    """Describe the interval between checks at times of the run."""
+    """Describe the times at which a run is checked."""
     duration = scene.time.duration
     return f"{round(duration / auto_interval(scene, duration))} times a run"
 
@@ -250,7 +250,7 @@ def _integrator(scene: Scene) -> Part:
     if scene.time.accuracy is not None and (chosen != "leapfrog" or contact_parts.load(scene)):
         return Part(name, True, f"{chosen}: {_why_accurate(scene, chosen)}")
     if chosen == "gauss-radau15" and contact_parts.contact(scene).modelled:
-        why = f"{scene.count} bodies that start far apart and seldom collide; impacts end its steps"
+        why = f"{scene.count} bodies start far apart and seldom collide; impacts end its steps"
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "gauss-radau15":
         why = f"{scene.count} bodies attract each other, no contact is modelled, and the scene sets no step"
@@ -270,7 +270,7 @@ def _integrator(scene: Scene) -> Part:
 
 
 def _why_accurate(scene: Scene, chosen: str) -> str:
-    """Return the reason why an integrator is the cheapest for an accuracy."""
+    """Return why an integrator is the cheapest for an accuracy."""
     if chosen == "yoshida4":
         return f"the accuracy, and {_not_by_pairs(scene)}"
     if chosen == "wisdom-holman":
@@ -287,14 +287,14 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
 
 
 def _not_by_pairs(scene: Scene) -> str:
-    """Return why Gauss–Radau integration is too expensive for bodies that attract each other and never touch."""
+    """Return why Gauss–Radau integration is too expensive for bodies that attract each other but never touch."""
     if uses_tree(scene):
         return "a tree, whose error gauss-radau15 cannot control"
     return f"{scene.count} bodies; gauss-radau15 would sum all pairs several times a step"
 
 
 def _beyond_gauss_radau(scene: Scene) -> str:
-    """Return the first part of a scene that Gauss–Radau integration with impacts does not support."""
+    """Return the first feature of a scene that Gauss–Radau integration with impacts does not support."""
     return "overlap at the start" if scene.contact.allow_overlap else f"the {scene.gravity.method} method"
 
 
@@ -323,7 +323,7 @@ def _adaptive_step(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
         return Part(name, False, f"time.fixed_dt = {scene.unit_system.text(scene.time.fixed_dt, TIME, 'g')}")
     if integrator(scene).hierarchical:
-        parts = "a twentieth of the shortest orbit, a fiftieth of those of heavy bodies"
+        parts = "a twentieth of the shortest orbit, or a fiftieth of those of heavy bodies"
         return Part(name, True, parts + _capped(scene))
     if scene.time.accuracy is not None and not integrator(scene).controls_error:
         return Part(name, True, f"as short as the accuracy requires, by {', '.join(_limits(scene)) or 'max_dt'}")
@@ -338,7 +338,7 @@ def _capped(scene: Scene) -> str:
 
 
 def _limits(scene: Scene) -> list[str]:
-    """Describe the limits of the step besides ``max_dt``."""
+    """Describe the limits of the step other than ``max_dt``."""
     texts = []
     if (part := cfl(scene)) is not None:
         texts.append(f"cfl = {part:g}")
@@ -356,5 +356,5 @@ def _limits(scene: Scene) -> list[str]:
 
 def _warm_up(scene: Scene) -> Part:
     if scene.time.fixed_dt is not None:
-        return Part("warm-up", False, "time.fixed_dt: no first step to determine")
+        return Part("warm-up", False, "time.fixed_dt is set: no first step to determine")
     return Part("warm-up", True, "the first adaptive step needs accelerations")

@@ -16,22 +16,23 @@ from carom.scene.units.dimension import LENGTH
 from carom.scene.wording import body_called
 
 DOMINANT = 0.99  # smallest fraction of the mass of a dominant body
-FEWEST_ORBITS = 1000  # for "auto", of the innermost body: for fewer, Gauss–Radau integration to rounding is cheap
-MOST_BODIES = 100  # for "auto"; more may meet often, and all bodies are integrated in each close encounter
+# revolutions of the innermost body, for "auto"; for fewer, Gauss–Radau integration to rounding is cheap
+FEWEST_ORBITS = 1000
+MOST_BODIES = 100  # for "auto"; more bodies may meet often, and each close encounter integrates all of them
 HILL_RADII_APART = 5.0  # for "auto", between orbits, so that encounters are rare; Jupiter and Saturn are 8 apart
-LEAST_DISTANCE = 8.0  # sums of radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
-MOST_APART = 32  # bodies; more soon meet often when they contract
+LEAST_DISTANCE = 8.0  # in sums of the two radii; Europa is 9 from Jupiter, the Moon 47 from the Earth
+MOST_APART = 32  # bodies; more would soon meet often as the system contracts
 
 
 class Heaviest(NamedTuple):
     """The heaviest body of a scene."""
 
     name: str
-    fraction: float  # of the mass of all
+    fraction: float  # of the total mass
 
 
 class _Point(NamedTuple):
-    """A body without its extent."""
+    """A body as a point mass."""
 
     mass: float  # kg
     position: Sequence[float]  # m
@@ -48,7 +49,7 @@ class Orbit(NamedTuple):
 
 
 def heaviest(scene: Scene) -> Heaviest:
-    """Return the heaviest body, and its fraction of the expected total mass."""
+    """Return the heaviest body and its fraction of the expected total mass."""
     masses = [body_mass(made_of(scene, body)) for body in scene.body]
     groups = [mean_mass(made_of(scene, group)) for group in scene.group]
     total = math.fsum([*masses, *(mass * group.count for mass, group in zip(groups, scene.group, strict=True))])
@@ -68,7 +69,7 @@ def heaviest(scene: Scene) -> Heaviest:
 
 
 def why_no_hierarchy(scene: Scene) -> str:
-    """Return why bodies do not simply orbit a dominant one, and the remedy; empty if they do."""
+    """Return why the bodies do not orbit a dominant one, and the remedy; empty if they do."""
     gravity = scene.gravity
     if not pulls.gravity(scene).modelled:
         return 'without gravity between bodies; use "auto"'
@@ -106,7 +107,7 @@ def orbits_often(scene: Scene, hill_radii: float = HILL_RADII_APART) -> float:
 
 
 def _orbits(scene: Scene) -> list[Orbit] | None:
-    """Return the orbits about the heaviest body by their pericentres; None if a body is not bound."""
+    """Return the orbits about the heaviest body, ordered by pericentre; None if a body is not bound."""
     points = [_Point(body_mass(made_of(scene, body)), body.position, body.velocity) for body in scene.body]
     for columns in scene.data:
         state = columns.mass.tolist(), columns.position.tolist(), columns.velocity.tolist()

@@ -18,13 +18,13 @@ def gravity(scene: Scene) -> Part:
 
 
 def differing(scene: Scene) -> str:
-    """Return the first force that accelerates bodies at rest differently, so that they may meet; empty without one."""
+    """Return the first force that accelerates bodies at rest differently; empty if there is none."""
     found = (kind.short_name for kind in kinds_of(scene) if kind.differs and part(kind, scene).modelled)
     return next(found, "")
 
 
 def pushing(scene: Scene) -> str:
-    """Return the first force that accelerates all bodies at rest equally; empty without one."""
+    """Return the first force that gives all bodies at rest the same acceleration; empty if there is none."""
     return next((kind.short_name for kind in kinds_of(scene) if kind.pushes(scene)), "")
 
 
@@ -40,5 +40,5 @@ def dampings(scene: Scene) -> list[Part]:
 
 
 def further(scene: Scene) -> str:
-    """Return the first force of an installed package, which other engines do not know; empty without one."""
+    """Return the first force of an installed package, which other engines lack; empty if there is none."""
     return next(iter(scene.forces.given), "")
