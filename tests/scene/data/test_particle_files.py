@@ -213,3 +213,48 @@ def test_a_gsd_of_hoomd_is_read_at_a_frame(tmp_path: Path) -> None:
     assert "it has 2" in refusal(tmp_path, "a.gsd", "snapshot = 2")
     (tmp_path / "b.gsd").write_bytes((tmp_path / "a.gsd").read_bytes()[:300])
     assert "b.gsd: not a GSD file, or damaged" in refusal(tmp_path, "b.gsd")
+
+
+def write_snapshot(path: Path, **header: Any) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        attributes = {"NumPart_ThisFile": [2, 3, 0, 0, 1, 0], "MassTable": [0.0, 7.0, 0.0, 0.0, 0.0, 0.0]}
+        file.create_group("Header").attrs.update(attributes | {"NumFilesPerSnapshot": 1, "BoxSize": 0.0} | header)
+        for kind, count in ((0, 2), (1, 3), (4, 1)):
+            group = file.create_group(f"PartType{kind}")
+            group["Coordinates"] = np.arange(3.0 * count).reshape(count, 3) + 100.0 * kind
+            group["Velocities"] = np.full((count, 3), float(kind))
+            if kind != 1:
+                group["Masses"] = np.full(count, kind + 1.0)
+        file["PartType0/Density"] = [0.5, 0.25]
+
+
+@pytest.mark.needs("h5py")
+def test_a_snapshot_of_gadget_has_the_particles_of_all_types_with_masses_from_its_header(tmp_path: Path) -> None:
+    write_snapshot(tmp_path / "snapshot.hdf5", BoxSize=50.0)
+    scene = scene_of(tmp_path, "snapshot.hdf5", "radius = 0.01", NO_GRAVITY)
+    bodies = scene.data[0]
+    assert bodies.mass.tolist() == [1.0, 1.0, 7.0, 7.0, 7.0, 5.0]
+    assert bodies.position[:, 0].tolist() == [0.0, 3.0, 100.0, 103.0, 106.0, 400.0]
+    assert bodies.velocity[:, 2].tolist() == [0.0, 0.0, 1.0, 1.0, 1.0, 4.0]
+    said = "\n".join(scene.notes[0])
+    assert "particles 2 of type 0, 3 of type 1 of mass 7, 1 of type 4" in said and "box of 50 is periodic" in said
+
+
+@pytest.mark.needs("h5py")
+def test_one_type_of_a_snapshot_is_read_by_the_paths_of_its_datasets(tmp_path: Path) -> None:
+    write_snapshot(tmp_path / "snapshot.hdf5")
+    columns = {"position": "Coordinates", "velocity": "Velocities", "mass": "Masses"}
+    named = ", ".join(f'{quantity} = "PartType4/{name}"' for quantity, name in columns.items())
+    bodies = scene_of(tmp_path, "snapshot.hdf5", f"columns = {{ {named} }}\nradius = 0.01", NO_GRAVITY).data[0]
+    assert bodies.mass.tolist() == [5.0] and bodies.position[0, 0] == 400.0
+
+
+@pytest.mark.needs("h5py")
+def test_a_part_of_a_snapshot_is_refused_and_comoving_numbers_are_said(tmp_path: Path) -> None:
+    write_snapshot(tmp_path / "part.hdf5", NumFilesPerSnapshot=4)
+    assert "one of the 4 files of a snapshot" in refusal(tmp_path, "part.hdf5", "radius = 1")
+    write_snapshot(tmp_path / "comoving.hdf5", Omega0=0.3)
+    notes = scene_of(tmp_path, "comoving.hdf5", "radius = 0.01", NO_GRAVITY).notes[0]
+    assert any("its lengths are comoving" in note for note in notes)

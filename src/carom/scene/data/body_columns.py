@@ -140,7 +140,10 @@ def read_columns(
     """
     if material is not None:
         section = with_material(section, material, table.names)
-    mapping = mapping_of(section, table.names, table.called)
+    named = [columns for _, columns in section.columns if columns is not None]
+    asked = {name for columns in named for name in ((columns,) if isinstance(columns, str) else columns)}
+    names = [*table.names, *(name for name in table.hidden if name in asked)]
+    mapping = mapping_of(section, names, table.called)
     _refuse_other_units(table, units, mapping)
     wanted = list(dict.fromkeys(column for columns in mapping.values() for column in columns))
     raw = table.read(wanted, texts=mapping.get("name", ()))

@@ -49,6 +49,7 @@ class DataTable:
 
     called: str  # its name in messages
     names: Sequence[str]  # of its columns
+    hidden: Sequence[str] = ()  # names of further columns, which are read only if the scene names them
     unnamed: int = 0  # number of its columns if they have no names
     units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if not known
     law: MotionLaw | None = None  # None if not known
@@ -245,7 +246,7 @@ class _Guarded(DataTable):
         self._table = table
         self._form = form
         self.called, self.names, self.units = table.called, table.names, table.units
-        self.law, self.notes = table.law, table.notes
+        self.law, self.notes, self.hidden = table.law, table.notes, table.hidden
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names."""

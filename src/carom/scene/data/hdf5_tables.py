@@ -1,9 +1,10 @@
-"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or full paths."""
+"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or full paths; snapshots of Gadget."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +12,22 @@ import numpy as np
 
 from carom.errors import SceneError
 from carom.install import install_extra
-from carom.scene.data.formats import NUMBER, DataFormat, DataTable, Raw, refuse_bomb, refuse_large, refuse_many_rows
+from carom.scene.data.formats import (
+    NUMBER,
+    DataFormat,
+    DataTable,
+    Raw,
+    periodic_note,
+    refuse_bomb,
+    refuse_large,
+    refuse_many_rows,
+)
 
 _MOST_DATASETS = 10_000
+_HEADER = "Header"  # group of Gadget's snapshots, and of those of AREPO, GIZMO and SWIFT
+_OF_TYPE = re.compile(r"PartType(\d)/\w+")
+_MASSES = "Masses"
+_OF_GAS = ("Density",)  # of the gas at a particle, not of a sphere
 
 
 def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
@@ -31,10 +45,14 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
             return True if len(names) > _MOST_DATASETS else None
 
         file.visititems(add)  # follows no links, which could lead out of the file
+        if _HEADER in file and "NumPart_ThisFile" in file[_HEADER].attrs:
+            return _Snapshot(path, called, names, dict(file[_HEADER].attrs))
     return _Datasets(path, called, names)
 
 
 class _Datasets(DataTable):
+    """Datasets of a file, by their full paths."""
+
     def __init__(self, path: Path, called: str, names: Sequence[str]) -> None:
         self._path = path
         self.called = called
@@ -56,6 +74,76 @@ class _Datasets(DataTable):
         refuse_many_rows(self.called, max(dataset.shape, default=0))
         refuse_large(self.called, name, math.prod(dataset.shape) * dataset.dtype.itemsize)
         return np.asarray(dataset[()])
+
+
+class _Snapshot(_Datasets):
+    """A snapshot of Gadget: particles of all types, one type after the other.
+
+    A dataset that every type has is one column. The mass of a type stands in the header's table or in a dataset.
+    """
+
+    def __init__(self, path: Path, called: str, names: Sequence[str], header: Mapping[str, Any]) -> None:
+        super().__init__(path, called, names)
+        self.hidden = names
+        files = int(np.max(header.get("NumFilesPerSnapshot", 1)))
+        if files > 1:
+            raise SceneError(f"{called}: one of the {files} files of a snapshot; join them, or write one file")
+        counts = [int(count) for count in np.ravel(header["NumPart_ThisFile"])]
+        refuse_many_rows(called, sum(counts))
+        masses = [float(mass) for mass in np.ravel(header.get("MassTable", 0.0))]
+        masses += [0.0] * (len(counts) - len(masses))
+        self._counts = {kind: count for kind, count in enumerate(counts) if count > 0}
+        self._masses = {kind: mass for kind, mass in enumerate(masses) if mass > 0.0}
+        of_type = {kind: [name.rsplit("/")[-1] for name in names if _type_of(name) == kind] for kind in self._counts}
+        every = dict.fromkeys([*(name for each in of_type.values() for name in each), _MASSES])
+        self.names = [
+            name
+            for name in every
+            if name not in _OF_GAS
+            and all(name in each or self._has_in_header(kind, name) for kind, each in of_type.items())
+        ]
+        types = (
+            f"{count} of type {kind}" + (f" of mass {self._masses[kind]:g}" if kind in self._masses else "")
+            for kind, count in self._counts.items()
+        )
+        notes = [f"{called}: read as a snapshot of Gadget, particles {', '.join(types)}"]
+        if float(np.max(header.get("BoxSize", 0.0))) > 0.0:
+            notes.append(periodic_note(called, np.ravel(header["BoxSize"]).tolist()))
+        if float(np.max(header.get("Omega0", 0.0))) > 0.0:
+            notes.append(
+                f"{called}: Omega0 is above 0: its lengths are comoving, its velocities have Gadget's factor √a; "
+                "its numbers are read as they are"
+            )
+        self.notes = tuple(notes)
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read datasets, and columns of all types."""
+        paths = [name for name in names if "/" in name]
+        columns = [name for name in names if "/" not in name]
+        parts = [
+            f"PartType{kind}/{name}" for name in columns for kind in self._counts if not self._has_in_header(kind, name)
+        ]
+        found = super().read([*paths, *parts])
+        for name in columns:
+            found[name] = np.concatenate(
+                [
+                    np.full(count, self._masses[kind])
+                    if self._has_in_header(kind, name)
+                    else found[f"PartType{kind}/{name}"]
+                    for kind, count in self._counts.items()
+                ]
+            )
+        return {name: found[name] for name in names}
+
+    def _has_in_header(self, kind: int, name: str) -> bool:
+        """Return whether a column of a type stands in the header."""
+        return name == _MASSES and kind in self._masses
+
+
+def _type_of(name: str) -> int | None:
+    """Return the type of particles to which a dataset belongs."""
+    match = _OF_TYPE.fullmatch(name)
+    return int(match[1]) if match else None
 
 
 HDF5 = DataFormat("an HDF5 file", open_hdf5)
