@@ -67,6 +67,16 @@ def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
     assert list(csv.DictReader((folder / "c.csv").open(encoding="utf-8"))) == [line]
 
 
+def test_statistics_are_printed_as_json_and_as_rows(folder: Path) -> None:
+    said = carom("contacts", "run.rrd", "--statistics", cwd=folder).stdout
+    assert "2 bodies, 0 to 2 s, 21 frames" in said and " collisions of a body  0.5 " in said  # one each in 2 s
+    told = json.loads(carom("contacts", "run.rrd", "--statistics", "--json", cwd=folder).stdout)
+    rate = told["statistics"]["free_paths"]["collision_rate"]
+    assert (rate["value"], rate["unit"]) == (0.5, "1/s")
+    rows = csv.DictReader(io.StringIO(carom("contacts", "run.rrd", "--statistics", "--csv", cwd=folder).stdout))
+    assert [row["value"] for row in rows if row["quantity"] == "collision_rate"] == ["0.5"]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
@@ -77,6 +87,10 @@ def test_json_csv_and_parquet_have_the_same_rows(folder: Path) -> None:
         (("--body", "1", "--body", "1"), "a body has no contact with itself"),
         (("--json", "--csv"), "give only one of --json, --csv and -o"),
         (("--from", "1"), "add --impacts"),
+        (("--statistics", "--at", "1"), "with --statistics, use --from and --to"),
+        (("--statistics", "--impacts"), "give only one of --impacts and --statistics"),
+        (("--statistics", "--body", "1"), "--statistics are those of all bodies; leave --body out"),
+        (("--statistics", "--from", "8"), "has no frame from 8 to inf s"),
         (("--impacts", "--from", "8"), "covers 0 to 2 s; 8 to inf s is outside"),
         (("-o", "nowhere/c.parquet"), "there is no folder nowhere"),
     ],

@@ -55,11 +55,19 @@ def contacts(
             "--impacts", help="List the impacts of the run, or of an interval, instead of the contacts of a step."
         ),
     ] = False,
+    statistics: Annotated[
+        bool,
+        typer.Option(
+            "--statistics", help="Measure statistics of the run, or of an interval: free paths, rates, stress and more."
+        ),
+    ] = False,
     start: Annotated[
-        OptionalTime, typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts.")
+        OptionalTime,
+        typer.Option("--from", parser=seconds, metavar="T", help="First time of --impacts or --statistics."),
     ] = None,
     end: Annotated[
-        OptionalTime, typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts.")
+        OptionalTime,
+        typer.Option("--to", parser=seconds, metavar="T", help="Last time of --impacts or --statistics."),
     ] = None,
     again: Annotated[
         bool, typer.Option("--replay", help="Recompute the steps, for all rows and columns in double precision.")
@@ -71,7 +79,7 @@ def contacts(
     ] = None,
     force: ForceOption = False,
 ) -> None:
-    """List who touches whom at a moment, or all impacts, with impulses, modes and energies.
+    """List who touches whom at a moment, or all impacts, with impulses, modes and energies, or measure statistics.
 
     FILE may be the zip that `carom report` made. Contacts that the recording lacks are computed again.
     """
@@ -80,7 +88,7 @@ def contacts(
     from carom.recording.read.recording import Recording
     from carom.runs.output import refuse_output
 
-    _refuse_contradictions(at, impacts, start, end, bodies, as_json + as_csv + (output is not None))
+    _refuse_contradictions(at, impacts, statistics, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:
         refuse_format(output, FORMATS)
         refuse_output(output, force)
@@ -88,11 +96,15 @@ def contacts(
         recording = Recording.open(path)
         recording.refuse_overlay()
         at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
+        if statistics:
+            _measure(recording, start, end, again, as_json, as_csv, output)
+            return
         table = _table(recording, at, bodies or [], impacts, start, end, again)
         if output is not None:
-            _write(recording, table, output)
+            _write_table(_named(recording, table), output)
+            say(f"{output} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
         elif as_csv:
-            say(_csv(recording, table))
+            say(_csv_text(_named(recording, table)))
         elif as_json:
             say_json(_json(recording, table))
         else:
@@ -100,7 +112,13 @@ def contacts(
 
 
 def _refuse_contradictions(
-    at: OptionalTime, impacts: bool, start: OptionalTime, end: OptionalTime, bodies: list[str] | None, forms: int
+    at: OptionalTime,
+    impacts: bool,
+    statistics: bool,
+    start: OptionalTime,
+    end: OptionalTime,
+    bodies: list[str] | None,
+    forms: int,
 ) -> None:
     from carom.errors import RecordingError
 
@@ -110,10 +128,17 @@ def _refuse_contradictions(
         raise RecordingError(
             f"--body is given {len(bodies)} times; give it at most twice, once for each body of a contact"
         )
-    if impacts and at is not None:
-        raise RecordingError("--at selects the contacts of one step; with --impacts, use --from and --to")
-    if not impacts and (start is not None or end is not None):
-        raise RecordingError("--from and --to select impacts; add --impacts, or select one step with --at")
+    if impacts and statistics:
+        raise RecordingError("give only one of --impacts and --statistics")
+    if statistics and bodies is not None:
+        raise RecordingError("--statistics are those of all bodies; leave --body out")
+    if (impacts or statistics) and at is not None:
+        option = "--impacts" if impacts else "--statistics"
+        raise RecordingError(f"--at selects the contacts of one step; with {option}, use --from and --to")
+    if not (impacts or statistics) and (start is not None or end is not None):
+        raise RecordingError(
+            "--from and --to select an interval; add --impacts or --statistics, or select one step with --at"
+        )
 
 
 def _table(
@@ -150,6 +175,33 @@ def _table(
     return table
 
 
+def _measure(
+    recording: Recording,
+    start: OptionalTime,
+    end: OptionalTime,
+    again: bool,
+    as_json: bool,
+    as_csv: bool,
+    output: Path | None,
+) -> None:
+    """Print or write the statistics of an interval (s)."""
+    from carom.cli.terminal import replaying
+    from carom.lab.statistics.statistics_report import Statistics
+
+    with replaying(recording) as watch:
+        statistics = Statistics.of(recording, start, end, again, watch)
+    if output is not None:
+        table = statistics.table()
+        _write_table(table, output)
+        say(f"{output} written: {counted(table.num_rows, 'row')}.")
+    elif as_csv:
+        say(_csv_text(statistics.table()))
+    elif as_json:
+        say_json(statistics.document())
+    else:
+        statistics.print()
+
+
 def _hardest(recording: Recording, bodies: list[int]) -> OptionalTime:
     """Return the time of these bodies' hardest recorded impact; None without one."""
     import numpy as np
@@ -172,32 +224,30 @@ def _names(recording: Recording) -> Any:
     return names_of(recording)
 
 
-def _write(recording: Recording, table: pa.Table, path: Path) -> None:
+def _write_table(table: pa.Table, path: Path) -> None:
     import pyarrow.csv as pc
     import pyarrow.parquet as pq
 
     from carom.errors import RecordingError
     from carom.recording.write.whole_file import whole_file
 
-    named = _named(recording, table)
     try:
         with whole_file(path) as part:
             if path.suffix == ".csv":
-                pc.write_csv(_with_units(named), part)
+                pc.write_csv(_with_units(table), part)
             else:
-                pq.write_table(named, part)
+                pq.write_table(table, part)
     except OSError as error:
         raise RecordingError(f"cannot write {path}: {error.strerror or error}") from error
-    say(f"{path} written: {counted(table.num_rows, 'row')}, {_source(table)}.")
 
 
-def _csv(recording: Recording, table: pa.Table) -> str:
+def _csv_text(table: pa.Table) -> str:
     import io
 
     import pyarrow.csv as pc
 
     out = io.BytesIO()
-    pc.write_csv(_with_units(_named(recording, table)), out)
+    pc.write_csv(_with_units(table), out)
     return str(out.getvalue().decode()).rstrip("\n")
 
 

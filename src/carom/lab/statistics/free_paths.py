@@ -1,0 +1,107 @@
+"""Free times and free paths: how long and how far a body moves between two of its impacts.
+
+A body's path is the polyline through its positions in the frames and at its impacts, so it is also known across the
+faces of a periodic box and in a field. Its centre at an impact is one radius from the contact point. A path that the
+ends of the interval cut off is in no histogram, and a histogram therefore lacks long paths. The means have no such
+error: they divide the time, and the length of all paths, by the number of impacts (docs/statistics.md).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.arrays import FloatArray, IntArray
+from carom.extend import LENGTH, RATE, TIME, Dimension, minimum_images
+from carom.lab.statistics.interval import Interval
+from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
+
+_BEFORE, _IMPACT, _AFTER = range(3)  # kinds of vertices of a path, in order
+
+
+class Paths(NamedTuple):
+    """The paths of the moving bodies in an interval."""
+
+    length: float  # m, of all of them
+    free_times: FloatArray  # (k,) s, from an impact of a body to its next one
+    free_paths: FloatArray  # (k,) m, likewise
+
+
+def measure(interval: Interval) -> Statistic:
+    """Measure the free times and paths of moving bodies."""
+    impacts, moving = interval.impacts, interval.moving
+    ends = np.concatenate([impacts.i, impacts.j])
+    all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)
+    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them  # two in an impact of two bodies
+    exposure = np.count_nonzero(moving) * interval.duration
+    paths = paths_of(interval)
+    spread = 1.0 / np.sqrt(len(impacts.step))  # relative: impacts are independent
+
+    def known(label: str, value: float, dimension: Dimension) -> MeasuredValue:
+        return MeasuredValue(label, value, dimension, value * spread)
+
+    values = {
+        "impacts": MeasuredValue("impacts", len(impacts.step) + interval.impacts_left_out),
+        "collision_rate": known("collisions of a body", collisions / exposure, RATE),
+        "mean_free_time": known("mean free time", exposure / collisions, TIME),
+        "mean_free_path": known("mean free path", paths.length / collisions, LENGTH),
+    }
+    histograms = {
+        "free_times": Histogram.of("free time", paths.free_times, TIME),
+        "free_paths": Histogram.of("free path", paths.free_paths, LENGTH),
+    }
+    return Statistic(values, histograms)
+
+
+def paths_of(interval: Interval) -> Paths:
+    """Follow all bodies from frame to frame and from impact to impact."""
+    impacts, n = interval.impacts, interval.bodies
+    box = np.zeros(3) if interval.box is None else interval.box
+    moving = interval.moving
+    since = np.zeros(n)  # m, the path of each body since its last impact
+    last = np.full(n, -np.inf)  # s, the time of that impact
+    total, times, lengths = 0.0, [np.empty(0)], [np.empty(0)]
+    bounds = np.searchsorted(impacts.step, interval.step, side="right")
+    before = interval.positions.drawn(int(interval.step[0]))
+    for frame in range(1, len(interval.step)):
+        after = interval.positions.drawn(int(interval.step[frame]))
+        rows = slice(bounds[frame - 1], bounds[frame])
+        body, time, centre = _ends(interval, rows)
+        involved = np.unique(body)
+        direct = np.linalg.norm(minimum_images(after - before, box), axis=1)
+        direct[involved] = 0.0
+        since += direct
+        total += float(direct[moving].sum())
+        if len(involved):
+            # the polylines' vertices: the frame before, impacts, this frame
+            whose = np.concatenate([involved, body, involved])
+            kind = np.repeat([_BEFORE, _IMPACT, _AFTER], [len(involved), len(body), len(involved)])
+            when = np.concatenate([last[involved], time, np.zeros(len(involved))])
+            place = np.concatenate([before[involved], centre, after[involved]])
+            order = np.lexsort((when, kind, whose))
+            whose, kind, when, place = whose[order], kind[order], when[order], place[order]
+            begin = np.flatnonzero(kind[1:] != _BEFORE)  # of each piece
+            end, whose = begin + 1, whose[begin]
+            length = np.linalg.norm(minimum_images(place[end] - place[begin], box), axis=1)
+            total += float(length[moving[whose]].sum())
+            free = length + np.where(kind[begin] == _BEFORE, since[whose], 0.0)
+            strikes = kind[end] == _IMPACT
+            complete = strikes & np.isfinite(when[begin]) & moving[whose]
+            times.append(when[end][complete] - when[begin][complete])
+            lengths.append(free[complete])
+            since[whose[~strikes]] = free[~strikes]
+            np.maximum.at(last, body, time)
+        before = after
+    return Paths(total, np.concatenate(times), np.concatenate(lengths))
+
+
+def _ends(interval: Interval, rows: slice) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return both bodies of some impacts, (k,), the times (s), and their centres, (k, 3) m."""
+    impacts, radius = interval.impacts, interval.recording.bodies.radius
+    i, j, time, point, normal = (
+        column[rows] for column in (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
+    )
+    pair = j < interval.bodies  # the others meet planes
+    centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
+    return np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)
