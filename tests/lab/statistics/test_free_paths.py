@@ -43,8 +43,9 @@ def test_a_ball_between_two_walls_flies_the_distance_of_the_walls_less_its_diame
 def test_a_path_through_the_faces_of_a_periodic_box_is_longer_than_half_the_box(tmp_path: Path) -> None:
     # equal balls exchange their velocities: one flies 6 m - 2 m from one side of the other to its other side, then the
     # other does, and each waits while the other flies
+    resting: dict[str, Any] = {"radius": 0.5, "mass": 1.0}
     moving = {"radius": 0.5, "mass": 1.0, "position": [-2.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0]}
-    balls = [{"radius": 0.5, "mass": 1.0}, moving]
+    balls = [resting, moving]
     box = {"boundary": "periodic", "size": [6.0, 6.0, 6.0]}
     interval = interval_of(scene_of(balls, domain=box, time={"duration": 14.0, "fixed_dt": 0.25}, **FLIGHT), tmp_path)
     paths = free_paths.paths_of(interval)
