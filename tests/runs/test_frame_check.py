@@ -16,6 +16,7 @@ from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.framing import CHUNK
+from carom.recording.schema import series
 from carom.runs.replay import replay
 from carom.runs.resume import continue_run, resumable_run
 from edited_recordings import assembled, changed, is_of, mapped, messages_of, without_column
@@ -135,6 +136,16 @@ def test_a_recording_without_digests_replays_and_says_what_it_lacks(whole: Path,
     old = changed(whole, tmp_path / "old.rrd", "state/checkpoint", lambda batch: without_column(batch, "digest"))
     result = replay(Recording.open(old))
     assert result.same and result.not_compared == ["digest of /state/checkpoint, which is missing"]
+
+
+def test_a_series_that_an_earlier_version_did_not_record_is_mentioned_once(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with monkeypatch.context() as earlier:
+        earlier.setattr(series, "SERIES", [each for each in series.SERIES if each.path != "step/contact_force"])
+        carom.run(cloud(12, time={"duration": 0.1, "max_dt": 0.02}), tmp_path / "old.rrd")
+    result = replay(Recording.open(tmp_path / "old.rrd"))
+    assert result.same and result.not_compared == ["/step/contact_force, which the recording lacks"]
 
 
 def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: Path, tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.static_entities import arrow_styles
 from carom.scene.units.dimension import TIME
 from carom.show.body_colours import body_colours, redrawn_for, trail_colours
+from carom.show.panels import decades, impact_strip, whole_span
 from carom.show.picture import headless, stable_picture, window_of
 from carom.show.presentation import asked
 from carom.show.request import Request
@@ -205,13 +206,22 @@ def _layout(
     staging = Staging.of(recording, header, positions[int(middling)], colours, motion=motion)
     staging.camera.show_all()
     recoloured = redrawn_for(header, canvas.theme)
-    added = Additions(trails=staging.trails is not None, recoloured=recoloured)
-    layout = blueprint(header, staging.camera, recorded_curves(recording), canvas, view, added)
-    drawn = [*staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
+    clock, curves = TimeScale(float(recording.info["time_scale"])), recorded_curves(recording)
+    impulses, strip, bands = impact_strip(recording)
+    curves |= impulses
+    logarithms, drawn_logarithms, styles = decades(recording, header, curves)
+    added = Additions(
+        trails=staging.trails is not None,
+        recoloured=recoloured,
+        struck=bool(strip),
+        decades=logarithms,
+        span=clock.nanoseconds(whole_span(recording)),
+    )
+    layout = blueprint(header, staging.camera, curves, canvas, view, added)
+    drawn = [*strip, *drawn_logarithms, *staging.rows(), *staging.camera_rows(layout, steps, moments, positions)]
     if recoloured:
         drawn.append(body_colours(recording, header, header.coloured_by).on(canvas.theme).rows(header))
-    clock = TimeScale(float(recording.info["time_scale"]))
-    return Supplement(layout, clock, drawn, [*staging.statics(), *arrow_styles(header, canvas.theme)])
+    return Supplement(layout, clock, drawn, [*bands, *styles, *staging.statics(), *arrow_styles(header, canvas.theme)])
 
 
 def _extent(position: FloatArray) -> float:

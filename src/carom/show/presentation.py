@@ -30,6 +30,7 @@ from carom.show.body_colours import body_colours, change_with_time, recorded_col
 from carom.show.body_plots import BodyPlots, asked_quantities, body_series
 from carom.show.close_up import close_up
 from carom.show.legend import legend
+from carom.show.panels import decades, impact_strip, whole_span
 from carom.show.request import NamedEvent, Pair, Request, hardest_pair, named_event, named_pair, pair_of_step
 from carom.show.shown_step import ShownStep, Watcher, at_impact, shown_step
 from carom.show.staging import Staging
@@ -188,10 +189,21 @@ def presentation(
     spins = None if close is None else close.spin
     words = legend(*(header, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
     statics += [*words.statics(), *arrow_styles(header, canvas.theme)]
+    curves = _curves(recording, repeated)
+    impulses, strip, bands = impact_strip(recording)
+    curves |= impulses
+    logarithms, drawn_logarithms, styles = decades(recording, header, curves)
+    rows += [*strip, *drawn_logarithms]
+    statics += [*bands, *styles]
     named = names_fit(header, step.position, seen, area)
     shows_field = any(path == FIELD for path, _ in statics)
-    added = Additions(close, staging.trails is not None, recoloured, plots, words, named, shows_field)
-    layout = blueprint(header, staging.camera, _curves(recording, repeated), canvas, only, added)
+    added = Additions(
+        *(close, staging.trails is not None, recoloured, plots, words, named, shows_field),
+        struck=bool(strip),
+        decades=logarithms,
+        span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
+    )
+    layout = blueprint(header, staging.camera, curves, canvas, only, added)
     return Presentation(paused.time, step.missing, Supplement(layout, clock, rows, statics))
 
 

@@ -10,7 +10,7 @@ from carom.errors import RecordingError
 from carom.recording.layout.bodies_view import bodies_view, graph_view, has_graph
 from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import NONE, Additions, Area, Canvas
-from carom.recording.layout.plot_views import Curves, energy_view, plot_views, whole_time
+from carom.recording.layout.plot_views import Curves, energy_view, plot_views, time_axis
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME
@@ -110,8 +110,8 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     return rrb.Vertical(
         rrb.Horizontal(*views, column_shares=shares),
         *([] if added.plots is None else [rrb.Horizontal(*added.plots.views(plots))]),
-        rrb.Horizontal(*plot_views(header, curves, plots)),
-        rrb.Horizontal(_texts(), _states(), column_shares=[3, 2]),
+        rrb.Horizontal(*plot_views(header, curves, plots, added)),
+        rrb.Horizontal(_texts(), _states(canvas, added), column_shares=[3, 2]),
         row_shares=heights,
     )
 
@@ -140,7 +140,7 @@ def _single(
         case "close-up":
             raise RecordingError("there is no known impact for a close-up; name two bodies")
         case _:
-            return energy_view(header, curves, canvas.area())
+            return energy_view(header, curves, canvas.area(), added.span)
 
 
 def _texts() -> rrb.Container:
@@ -156,10 +156,11 @@ def _event_columns() -> rrb.TextLogColumns:
     return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 
 
-def _states() -> rrb.View:
+def _states(canvas: Canvas, added: Additions) -> rrb.View:
+    """Lay out the strips of what the run does: the impacts, if they are few enough for a strip, phases and limits."""
     return rrb.StateTimelineView(
-        name="Phase, and what limits dt",
+        name="Impacts, phase, and what limits dt" if added.struck else "Phase, and what limits dt",
         origin="/",
-        contents=[paths.PHASE, paths.DT_LIMIT],
-        time_view=whole_time(),
+        contents=[*([paths.IMPACTS] if added.struck else []), paths.PHASE, paths.DT_LIMIT],
+        time_view=time_axis(canvas.area(2.0 / 5.0), added.span),
     )

@@ -6,12 +6,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
-from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
 from carom.arrays import SingleArray
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings
+from carom.recording.layout.canvas import NONE, Additions, Area, spatial_view, surroundings, taken_from
 from carom.recording.layout.drawing import arrow_length, shape
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
@@ -37,10 +36,10 @@ def edges_by_impulse(header: Header, theme: str) -> Overrides:
         return plain_edges(header, theme)
     widths = {"LineStrips3D:radii": "impulse_width"}
     if theme == "light":
-        edges = rr.LineStrips3D.from_fields(colors=palette.VERMILION).visualizer(mappings=_from(widths))
+        edges = rr.LineStrips3D.from_fields(colors=palette.VERMILION).visualizer(mappings=taken_from(widths))
     else:
         colours = {"LineStrips3D:colors": "impulse_colour"}
-        edges = rr.LineStrips3D.from_fields().visualizer(mappings=_from(colours | widths))
+        edges = rr.LineStrips3D.from_fields().visualizer(mappings=taken_from(colours | widths))
     return {paths.CONTACTS: edges}
 
 
@@ -95,7 +94,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
         case "ellipsoids":
             colours = "Points3D:colors" if recoloured else "Ellipsoids3D:colors"
             spheres = rr.Ellipsoids3D.from_fields(show_labels=named).visualizer(
-                mappings=_from({"Ellipsoids3D:colors": colours})
+                mappings=taken_from({"Ellipsoids3D:colors": colours})
             )
             return {paths.BODIES: [spheres, *([_points(dots, "Ellipsoids3D:centers", colours)] if small.any() else [])]}
         case "points":
@@ -108,16 +107,8 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
 
 
 def _points(radii: SingleArray, centres: str, colours: str) -> VisualizerLike:
-    mappings = _from({"Points3D:positions": centres, "Points3D:colors": colours})
+    mappings = taken_from({"Points3D:positions": centres, "Points3D:colors": colours})
     return rr.Points3D.from_fields(radii=radii).visualizer(mappings=mappings)
-
-
-def _from(sources: dict[str, str]) -> list[VisualizerComponentMapping]:
-    """Map each component of a visualizer to its source component."""
-    return [
-        VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
-        for target, source in sources.items()
-    ]
 
 
 def bodies_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
@@ -185,10 +176,10 @@ def faint_bodies(header: Header, recoloured: bool = False) -> Overrides:
         case "ellipsoids":
             thin = rr.Ellipsoids3D.from_fields(fill_mode="MajorWireframe", line_radii=rr.Radius.ui_points(0.4))
             colours = {"Ellipsoids3D:colors": "Points3D:colors"} if recoloured else {}
-            return {paths.BODIES: thin.visualizer(mappings=_from(colours))}
+            return {paths.BODIES: thin.visualizer(mappings=taken_from(colours))}
         case "points":
             dots = rr.Points3D.from_fields(radii=rr.Radius.ui_points(1.0))
             colours = {"Points3D:colors": "Ellipsoids3D:colors"} if recoloured else {}
-            return {paths.BODIES: dots.visualizer(mappings=_from(colours))}
+            return {paths.BODIES: dots.visualizer(mappings=taken_from(colours))}
         case _:
             return {paths.BODIES: rr.Mesh3D.from_fields(albedo_factor=_GHOST)}

@@ -11,14 +11,17 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.api import VisualizerLike
+from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
+from carom.arrays import IntArray
 from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import PERIODIC_BOX, PLANES, WALLS
 
 if TYPE_CHECKING:
+    from carom.recording.layout.plot_views import Curves
     from carom.show.body_plots import BodyPlots
     from carom.show.close_up import CloseUp
     from carom.show.legend import Legend
@@ -73,6 +76,9 @@ class Additions:
     legend: Legend | None = None
     named: bool = False  # whether the names of the bodies stand beside them
     field: bool = False  # whether an arrow and axes show a uniform field
+    struck: bool = False  # whether a strip shows the impacts
+    decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
+    span: IntArray | None = None  # (2,) ns, the first and the last time of plots that nobody will zoom
 
 
 NONE = Additions()
@@ -203,3 +209,11 @@ def surroundings(header: Header) -> list[str]:
     """Return the entities of the planes, walls and periodic box of the scene."""
     parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
     return [path for path, part in parts if part is not None]
+
+
+def taken_from(sources: Mapping[str, str]) -> list[VisualizerComponentMapping]:
+    """Map each component of a visualizer to the component of the entity that it is taken from."""
+    return [
+        VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
+        for target, source in sources.items()
+    ]

@@ -5,8 +5,8 @@ Series that stay at 0 or constant are left out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -15,9 +15,10 @@ import rerun.blueprint as rrb
 from rerun.components import AggregationPolicy
 
 from carom.arrays import FloatArray, IntArray
-from carom.recording.layout.canvas import Area
+from carom.recording.layout.canvas import NONE, Additions, Area, taken_from
+from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import PLOTS, THIN, Plot, Series, all_plots, recorded
+from carom.recording.schema.series import CONTACTS, IMPULSES, PLOTS, RED, THIN, Plot, Series, all_plots, recorded
 
 _SPANS = 512  # resolves the edge of a legend to a few pixels
 _CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
@@ -66,6 +67,16 @@ class CurveOutline:
     def largest(self) -> float:
         """The largest absolute value; 0 if there is none."""
         return max(float(np.abs(self._low).max(initial=0.0)), float(np.abs(self._high).max(initial=0.0)))
+
+    @property
+    def first(self) -> float:
+        """The largest absolute value of the first span; 0 if there is none."""
+        return max(float(np.abs(self._low[:1]).max(initial=0.0)), float(np.abs(self._high[:1]).max(initial=0.0)))
+
+    @property
+    def usual(self) -> float:
+        """The median of the largest absolute values of the spans; 0 if there is none."""
+        return float(np.median(np.maximum(np.abs(self._low), np.abs(self._high)))) if len(self._time) else 0.0
 
     @property
     def is_flat(self) -> bool:
@@ -193,11 +204,17 @@ Curves = Mapping[str, CurveOutline]  # by the paths of the series
 
 _ROUNDING = 1e-12  # of the largest energy, of its scale, or of a radius; a curve of less shows rounding errors
 _SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
+_RATE = "step/impact_rate"
+_ABOVE = 1.1  # of the largest impulse, the end of the axis
+_MARKER = 3.5  # points, radius of the mark of an impact
+_NUMBER = 28.0  # points, half the width of a number below a plot
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
 
 
-def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.View | rrb.Container]:
-    """Lay out the plots of a recording as columns of tabs.
+def plot_views(
+    header: Header, curves: Curves | None, row: Area, added: Additions = NONE
+) -> list[rrb.View | rrb.Container]:
+    """Lay out the plots of a recording as columns of tabs; the first tab is in view.
 
     Parameters
     ----------
@@ -208,21 +225,59 @@ def plot_views(header: Header, curves: Curves | None, row: Area) -> list[rrb.Vie
         errors or overlaps that are rounding, are left out.
     row
         The area of all columns together.
+    added
+        Parts that are not in the file.
     """
-    plots = all_plots(recorded(header))
-    columns = [[plot for plot in column if shown_series(header, plot, curves)] for column in plots]
-    columns = [column for column in columns if column]
-    area = Area(row.width / max(1, len(columns)), row.height)
-    tabs = [[_plot(header, plot, curves, area) for plot in column] for column in columns]
+    columns: list[list[Plot]] = []
+    for column in all_plots(recorded(header)):
+        shown = [plot for plot in column if shown_series(header, plot, curves)]
+        if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
+            # impacts where impacts are, else contacts, which last; as long as nothing is known, contacts
+            shown.insert(0 if curves is not None else 1, IMPULSES)
+        if shown:
+            columns.append(shown)
+    area = replace(row, width=row.width / max(1, len(columns)))
+    tabs = [[_plot(header, plot, curves, area, added.span) for plot in column] for column in columns]
+    if added.decades:
+        tabs[0].insert(0, _decades(header, added.decades, area, added.span))
     return [column[0] if len(column) == 1 else rrb.Tabs(*column) for column in tabs]
 
 
-def energy_view(header: Header, curves: Curves | None, area: Area) -> rrb.View:
+def _largest(curves: Curves, path: str) -> float:
+    return curves[path].largest if path in curves else 0.0
+
+
+# Rerun 0.41 has no logarithmic axis. After an explosion an axis of energies would show one step, and all before it as
+# zero: then the logarithms are plotted instead.
+
+_DECADES = 1e3  # growth of the energies above which they are plotted as logarithms
+DECADES = "decades"
+
+
+def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
+    """Return whether the largest of some energies is a thousand times that of the first moment or of most moments."""
+    outlines = list(curves)
+    largest = max((curve.largest for curve in outlines), default=0.0)
+    usual = max((curve.usual for curve in outlines), default=0.0)
+    first = max((curve.first for curve in outlines), default=0.0)
+    return np.isfinite(largest) and largest > _DECADES * min(usual, first) > 0.0
+
+
+def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
+    """Lay out the plot of the logarithms of energies."""
+    unit = header.units.recorded_unit(PLOTS[0][0].unit)
+    legends = [each.legend for each in recorded(header) if each.path in curves]
+    paths_of = [f"{DECADES}/{path}" for path in curves]
+    title = "log10 of energy" if unit == "1" else f"log10 of energy in {unit}"
+    return time_series_view(title, paths_of, legends, list(curves.values()), area, span=span)
+
+
+def energy_view(header: Header, curves: Curves | None, area: Area, span: IntArray | None = None) -> rrb.View:
     """Lay out the plot of the energies alone in an area of this size, without a title; the legend has the unit."""
     plot = PLOTS[0][0]
     unit = header.units.recorded_unit(plot.unit)
     legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
-    return _laid_out(plot.name_in(header.units), legends, curves, area)
+    return _laid_out(plot.name_in(header.units), legends, curves, area, span)
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -245,27 +300,43 @@ def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
     return not (series.flat_is_dull and curve.is_flat)
 
 
-def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
+    if plot == IMPULSES:
+        points = rr.SeriesPoints.from_fields(colors=RED, markers="circle", marker_sizes=_MARKER, names="normal impulse")
+        largest = 0.0 if curves is None else _largest(curves, paths.IMPACTS)
+        impulses = points.visualizer(mappings=taken_from({"Scalars:scalars": "normal_impulse"}))
+        return rrb.TimeSeriesView(
+            name=plot.name_in(header.units),
+            origin="/",
+            contents=[paths.IMPACTS],
+            overrides={paths.IMPACTS: impulses},
+            plot_legend=rrb.PlotLegend(visible=False),
+            axis_x=time_axis(area, span),
+            axis_y=rrb.ScalarAxis(range=(0.0, _ABOVE * largest)) if largest > 0.0 else None,
+        )
     series = shown_series(header, plot, curves)
     legends = {each: each.legend if len(series) > 1 else "" for each in series}
-    return _laid_out(plot.name_in(header.units, header.engine), legends, curves, area)
+    return _laid_out(plot.name_in(header.units, header.engine), legends, curves, area, span)
 
 
-def _laid_out(title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area) -> rrb.TimeSeriesView:
+def _laid_out(
+    title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area, span: IntArray | None
+) -> rrb.TimeSeriesView:
     """Lay out the plot of some series, with the texts of its legend; plots without series are left out."""
     known = [curves[each.path] for each in legends] if curves is not None else []
     texts = [text for text in legends.values() if text]
     names = {each.path: text for each, text in legends.items() if text not in ("", each.legend)}
-    return time_series_view(title, [each.path for each in legends], texts, known, area, names)
+    return time_series_view(title, [each.path for each in legends], texts, known, area, names, span)
 
 
 def time_series_view(
     title: str,
-    paths: Sequence[str],
+    entities: Sequence[str],
     legends: Sequence[str],
     curves: Sequence[CurveOutline],
     area: Area,
     renamed: Mapping[str, str] = MappingProxyType({}),
+    span: IntArray | None = None,
 ) -> rrb.TimeSeriesView:
     """Lay out a plot whose legend covers no curve.
 
@@ -273,7 +344,7 @@ def time_series_view(
     ----------
     title
         Title above the plot, unless the plot fills the picture.
-    paths
+    entities
         Of the series.
     legends
         The lines of the legend; without any the plot has none.
@@ -283,18 +354,34 @@ def time_series_view(
         Of the plot.
     renamed
         By path, the names of series in the legend that differ from the recorded ones.
+    span
+        (2,) ns, as for `time_axis`.
     """
     between_axes = Area(max(1.0, area.width - _NUMBERS[0]), max(1.0, area.height - _NUMBERS[1]))
     place = place_legend(legends, curves, between_axes)
     return rrb.TimeSeriesView(
         name=title,
         origin="/",
-        contents=list(paths),
+        contents=list(entities),
         overrides={path: rr.SeriesLines.from_fields(names=name) for path, name in renamed.items()},
         plot_legend=rrb.PlotLegend(place.corner, visible=bool(legends)),
-        axis_x=whole_time(),
+        axis_x=time_axis(area, span),
         axis_y=None if place.range is None else rrb.ScalarAxis(range=place.range),
     )
+
+
+def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
+    """Return an axis of the whole time.
+
+    With a ``span`` (2,) ns, there is space for the number at its end. Its ends are numbers of one timeline, so that it
+    suits pictures, where nobody takes another.
+    """
+    if span is None:
+        return whole_time()
+    start, end = span.tolist()
+    later = end + int((end - start) * _NUMBER / max(_NUMBER, area.width - _NUMBERS[0] - _NUMBER))
+    absolute = [rr.TimeRangeBoundary.absolute(nanos=at) for at in (start, later)]
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=absolute[0], end=absolute[1]))
 
 
 def whole_time() -> rrb.TimeAxis:

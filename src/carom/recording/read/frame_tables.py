@@ -162,7 +162,9 @@ class FrameTables(Statics):
             if name not in known and name not in scalars:
                 raise RecordingError(f"there is no series {root}/{name}; there are {', '.join(known)}")
             if name not in scalars and self.frames and is_recorded(root, name, self.info):
-                raise RecordingError(f"{self.path} has no /{root}/{name}: part of the file is missing")
+                raise RecordingError(
+                    f"{self.path} has no /{root}/{name}: a part of the file is missing, or an older carom made it"
+                )
         columns = {name: frames[name] for name in (STEP, SIM_TIME, "time")}
         columns |= {name: rows["Scalars:scalars"] for name, rows in scalars.items()}
         steps = {name: rows[STEP].to_numpy() for name, rows in scalars.items()}

@@ -76,6 +76,7 @@ _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
+    "record.impacts": "records_contacts",  # no part of the model, but what series of contacts need
     "spin": "spins",
     "stabilisation": "stabilises",
 }

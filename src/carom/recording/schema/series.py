@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from carom import registry
 from carom.arrays import FloatArray
+from carom.contact_table import IMPACT_MODE
 from carom.plan.features import Requirements
 from carom.recording.schema import paths
 from carom.recording.schema.header import RECORDED_PARTS, Header, flag_of
@@ -51,10 +52,12 @@ class Plot:
 PLOTS = (  # from left to right; the plots of a column are tabs
     (Plot("Energy", "J"),),
     (Plot("Energy taken out", "J"), Plot("Relative error", "1")),
-    (Plot("Contacts", "1"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
+    (Plot("Contacts", "1"), Plot("Contact force", "N"), Plot("Impacts", "1/s"), Plot("Solver", "1")),
     (Plot("Overlap / radius", "1"), Plot("dt", "s")),
 )
-(_ENERGY,), (_TAKEN, _ERROR), (_CONTACTS, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
+(_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
+_TABLE = "record.impacts"  # of the scene, which must not be "none", for series of the contact table
+IMPULSES = Plot("Impulse of impacts", "N s")  # a point for each recorded impact, from its own row
 
 
 class Sample(NamedTuple):
@@ -109,6 +112,14 @@ def _impact_rate(sample: Sample) -> float:
     if before is None or frame.time <= before.time:
         return 0.0
     return (frame.books.moments.impacts - before.books.moments.impacts) / (frame.time - before.time)
+
+
+def _largest_force(sample: Sample) -> float:
+    """Return the largest normal force (N) of a contact that is no impact: its impulse over the step."""
+    rows, dt = sample.frame.contact_rows, sample.frame.dt
+    if rows is None or dt <= 0.0:
+        return 0.0
+    return float(rows["normal_impulse"][rows["mode"] != IMPACT_MODE].max(initial=0.0)) / dt
 
 
 def _potential(kind: ForceKind) -> Series:
@@ -168,8 +179,11 @@ SERIES = (
            lambda s: s.frame.dt, "length of the step; 0 at step 0", past=Past.STEP, flat_is_dull=True),
     Series("step/error", "1", "expected error / size", PURPLE, _ERROR,
            lambda s: s.frame.expected_error, "expected error of positions over the size of the system", "accuracy"),
-    Series("step/contacts", "1", "contacts", BLUE, _CONTACTS,
+    Series("step/contacts", "1", "contacts", BLUE, CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
+    Series("step/contact_force", "N", "largest force of a contact", GREEN, _FORCE,
+           _largest_force, "largest normal force of a contact that is no impact: its impulse over the step",
+           _TABLE, Past.STEP, inside=True),
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
            _impact_rate, "impacts since the previous frame, per time", "contact", Past.INTERVAL),
     Series("step/colours", "1", "colours (stages)", PURPLE, _SOLVER,
@@ -286,6 +300,9 @@ def _contact_data(header: Header) -> Iterator[Content]:
     without = "no contact" if not header.collides else 'record.impacts = "none"'
     kept = "all" if header.record_impacts == "all" else "at most a fifth of the file, else the largest"
     spins = header.records_contacts and header.spins
+    for series in SERIES:
+        if series.part == _TABLE:
+            yield Content(series.path, header.records_contacts, "contact" if header.records_contacts else without)
     yield Content(
         paths.IMPACT_SPINS, spins, "of the bodies that meet" if spins else without if header.spins else "no spin"
     )
@@ -302,6 +319,8 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     yield Content(paths.BODIES, True, "centres and quaternions" if header.has_orientation else "centres")
     needed = [*_PARTS.items(), *((series.path, series.part) for series in all_series(header.extensions))]
     for path, name in needed:
+        if name == _TABLE:
+            continue
         there = name is None or parts[name]
         yield Content(path, there, (name or "always") if there else f"no {name}")
     yield from _contact_data(header)

@@ -1,0 +1,67 @@
+"""What the panels show that is not in the file: a strip of the impacts, and logarithms of energies that explode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import rerun as rr
+
+from carom.recording.layout.plot_views import DECADES, CurveOutline, Curves, curve_style, grows_by_decades, shown_series
+from carom.recording.read.recorded_impacts import impacts_by_number
+from carom.recording.read.recording import Recording
+from carom.recording.schema import palette, paths
+from carom.recording.schema.header import Header
+from carom.recording.schema.paths import STEP
+from carom.recording.schema.series import PLOTS
+from carom.recording.write.rows import Index, Rows
+from carom.show.supplement import Static
+
+MOST_BANDS = 100
+_BANDS = (palette.ORANGE, palette.YELLOW)  # in turns
+
+
+def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:
+    """Return a band for each impact, which lasts until the next, and their colours; nothing if they are too many.
+
+    The outline of their impulses comes with them.
+    """
+    entries = [entry for entry in recording.store.entries if entry.entity_path == paths.IMPACTS]
+    if not 0 < sum(entry.rows for entry in entries if not entry.is_static) <= MOST_BANDS:
+        return {}, [], []
+    numbers, _ = impacts_by_number(recording)
+    impacts = recording.impacts()
+    if impacts.num_rows != len(numbers):
+        return {}, [], []
+    names = [f"impact {number}" for number in numbers.tolist()]
+    index = Index(impacts[STEP].to_numpy(), impacts["time"].to_numpy())
+    colours = np.array([_BANDS[k % len(_BANDS)] for k in range(len(names))], dtype=np.uint32)
+    rows = Rows(paths.IMPACTS, index, list(rr.StateChange.columns(state=names)), sum(map(len, names)))
+    outline = CurveOutline.of(index.times, impacts["normal_impulse"].to_numpy())
+    return {paths.IMPACTS: outline}, [rows], [(paths.IMPACTS, rr.StateConfiguration(values=names, colors=colours))]
+
+
+def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curves, list[Rows], list[Static]]:
+    """Return the logarithms of the energies with their outlines and styles; nothing unless they grow by decades."""
+    series = shown_series(header, PLOTS[0][0], curves)
+    if not grows_by_decades(curves[each.path] for each in series):
+        return {}, [], []
+    table = recording.energy()
+    index = Index(table[STEP].to_numpy(), table["time"].to_numpy())
+    outlines, rows = dict[str, CurveOutline](), list[Rows]()
+    statics: list[Static] = []
+    for each in series:
+        with np.errstate(divide="ignore"):
+            values = np.log10(np.abs(table[each.path.rpartition("/")[2]].to_numpy()))
+        values[~np.isfinite(values)] = np.nan
+        path = f"{DECADES}/{each.path}"
+        outlines[each.path] = CurveOutline.of(index.times, values)
+        rows.append(Rows(path, index, list(rr.Scalars.columns(scalars=values)), values.nbytes))
+        statics.append((path, curve_style(each.legend, each.colour, each.width)))
+    return outlines, rows, statics
+
+
+def whole_span(recording: Recording) -> Sequence[float]:
+    """Return the times (s) of the first and of the last frame."""
+    times = recording.fingerprints()["time"].to_numpy()
+    return [float(times[0]), float(times[-1])]

@@ -1,0 +1,100 @@
+"""The panels show what happened: impacts, contacts that last, or decades after an explosion."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import rerun.blueprint as rrb
+
+import carom
+from carom.recording.layout.canvas import Canvas, views_of
+from carom.recording.layout.plot_views import DECADES, CurveOutline, grows_by_decades
+from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.scene.schema import Scene
+from carom.show.panels import decades
+from carom.show.presentation import Presentation, asked
+from carom.show.request import Request
+from small_scenes import scene_of
+
+MASS, GRAVITY = 2.0, 9.81
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A ball that bounces twice."""
+    return carom.run(Scene.load("bouncing-ball", ["time.duration=1.3"]), tmp_path_factory.mktemp("ball") / "ball.rrd")
+
+
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    """A ball that lies on a floor."""
+    scene = scene_of(
+        [{"name": "ball", "mass": MASS, "radius": 0.1, "position": [0.0, 0.0, 0.1]}],
+        gravity={"constant": 0.0, "uniform": [0.0, 0.0, -GRAVITY]},
+        plane=[{"name": "floor", "point": [0.0, 0.0, 0.0]}],
+        time={"duration": 0.1, "fixed_dt": 0.01},
+        record={"every": "step", "impacts": "auto"},
+    )
+    return carom.run(scene, tmp_path_factory.mktemp("resting") / "resting.rrd")
+
+
+def tabs_in_view(shown: Presentation) -> list[str]:
+    """Return the names of the plots that are in view, from left to right."""
+    rows: Any = shown.supplement.layout.root_container
+    plots: Any = list(rows.contents)[1]
+    return [str(next(iter(part.contents)).name if isinstance(part, rrb.Tabs) else part.name) for part in plots.contents]
+
+
+def test_the_strip_has_a_band_for_each_bounce_that_begins_with_it(ball: Recording) -> None:
+    shown = asked(ball, Request())
+    (strip,) = (rows for rows in shown.supplement.rows if rows.path == paths.IMPACTS)
+    (column,) = strip.columns
+    assert column.as_arrow_array().flatten().to_pylist() == ["impact 1", "impact 2"]
+    assert strip.index.times.tolist() == ball.impacts()["time"].to_pylist()
+    strips: Any = views_of(shown.supplement.layout.root_container)[-1]
+    assert paths.IMPACTS in strips.contents and paths.PHASE in strips.contents
+
+
+def test_impacts_are_in_view_where_impacts_are_and_contacts_where_contacts_last(
+    ball: Recording, resting: Recording
+) -> None:
+    assert tabs_in_view(asked(ball, Request()))[-1] == "Impulse of impacts (N s)"
+    assert tabs_in_view(asked(resting, Request()))[-1] == "Contacts"
+
+
+def test_the_force_of_a_contact_at_rest_is_the_weight_and_an_impact_has_none(
+    ball: Recording, resting: Recording
+) -> None:
+    forces = resting.steps("contact_force")["contact_force"].to_numpy()
+    assert forces[0] == 0.0, "before the first step"
+    assert forces[1:] == pytest.approx(MASS * GRAVITY, rel=1e-12), "rounding of a product and a quotient"
+    assert not np.any(ball.steps("contact_force")["contact_force"].to_numpy())
+
+
+@pytest.mark.parametrize(
+    ("values", "grows"), [([1.0, 1.2, 5e3], True), ([1.0, 0.1, 1e-9], False), ([1.0, 900.0, 900.0], False)]
+)
+def test_energies_are_logarithms_if_they_grow_a_thousandfold(values: list[float], grows: bool) -> None:
+    assert grows_by_decades([CurveOutline.of(np.arange(3.0), np.array(values))]) is grows
+
+
+def test_logarithms_of_energies_are_those_of_the_recorded_ones(ball: Recording) -> None:
+    header, exploding = header_of_recording(ball), CurveOutline.of(np.arange(3.0), np.array([1.0, 1.0, 1e6]))
+    known = {**recorded_curves(ball), "energy/translational": exploding}
+    _, rows, _ = decades(ball, header, known)
+    (own,) = (each for each in rows if each.path == f"{DECADES}/energy/total")
+    (column,) = own.columns
+    values = column.as_arrow_array().flatten().to_numpy()
+    assert 10.0**values == pytest.approx(ball.energy("total")["total"].to_numpy(), rel=1e-12)
+    assert not any(each.path.startswith(DECADES) for each in asked(ball, Request()).supplement.rows), "without one"
+
+
+def test_the_number_at_the_end_of_the_time_axis_is_inside_a_picture(ball: Recording) -> None:
+    shown = asked(ball, Request(), Canvas(1200, 800, rendered=True))
+    for view in views_of(shown.supplement.layout.root_container):
+        if isinstance(view, rrb.TimeSeriesView):
+            axis: Any = view.properties["TimeAxis"]
+            end = axis.view_range.as_arrow_array().to_pylist()[0]["end"]
+            assert 1.3e9 * 1.04 < end < 1.3e9 * 1.2
