@@ -81,6 +81,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "vtp": "carom.scene.data.vtp_tables:VTP",
         "vtu": "carom.scene.data.vtp_tables:VTP",
         "gsd": "carom.scene.data.gsd_tables:GSD",
+        "mpcorb": "carom.scene.data.mpc_tables:MPC",
         "horizons": "carom.scene.data.horizons_tables:HORIZONS",
         "parquet": "carom.scene.data.arrow_tables:PARQUET",
         "arrow": "carom.scene.data.arrow_tables:ARROW",

@@ -245,7 +245,8 @@ def _with_bodies(
     for index, section in enumerate(scene.bodies):
         try:
             material = material_called(scene, section.material) if section.material else None
-            sources.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material)))
+            constant = scene.gravity.constant
+            sources.append(source.find(Wanted(section, index, len(scene.body) + row, row, units, material, constant)))
             row += len(sources[-1].columns)
         except SceneError as error:
             wrong.append(partial(str, f"{places.of(('bodies', index, 'file'))}bodies.{index}: {error}"))

@@ -1,7 +1,7 @@
-"""Cube roots, powers and exponentials with the same bits on any processor.
+"""Cube roots, powers, exponentials, sines and cosines with the same bits on any processor.
 
-The last bits of NumPy's ``cbrt``, ``power`` and ``exp`` differ on processors with AVX-512. These functions use only
-sums, products, quotients and changes of the exponent, which IEEE 754 defines to the last bit.
+The last bits of NumPy's ``cbrt``, ``power``, ``exp`` and ``sin`` differ on processors with AVX-512. These functions use
+only sums, products, quotients and changes of the exponent, which IEEE 754 defines to the last bit.
 """
 
 from __future__ import annotations
@@ -29,6 +29,22 @@ EXP = (
     -1.65339022054652515390e-06,
     4.13813679705723846039e-08,
 )
+SINE = (  # (sin x - x) / x³ in x², and (½ - (1 - cos x) / x²) / x² in x², for x up to π/4
+    -1.66666666666666324348e-01,
+    8.33333333332248946124e-03,
+    -1.98412698298579493134e-04,
+    2.75573137070700676789e-06,
+    -2.50507602534068634195e-08,
+    1.58969099521155010221e-10,
+)
+COSINE = (
+    4.16666666666666019037e-02,
+    -1.38888888888741095749e-03,
+    2.48015872894767294178e-05,
+    -2.75573143513906633035e-07,
+    2.08757232129817482790e-09,
+    -1.13596475577881948265e-11,
+)
 
 
 def cube_root(x: FloatArray) -> FloatArray:
@@ -54,6 +70,20 @@ def exponential(x: FloatArray) -> FloatArray:
     r = high - low
     c = r - r * r * _polynomial(r * r, EXP)
     return np.asarray(np.ldexp(1.0 - ((low - (r * c) / (2.0 - c)) - high), k.astype(np.int64)))
+
+
+def cosine_and_sine(degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the cosine and the sine of an angle in degrees."""
+    angle = np.fmod(degrees, 360.0)  # exact, and so is the distance from a multiple of 90°
+    quarter = np.rint(angle / 90.0)
+    x = (angle - 90.0 * quarter) * (np.pi / 180.0)
+    square = x * x
+    cosine = 1.0 - square * (0.5 - square * _polynomial(square, COSINE))
+    sine = x + x * square * _polynomial(square, SINE)
+    turn = quarter.astype(np.int64) % 4
+    is_odd = turn % 2 == 1
+    first, second = np.where(is_odd, sine, cosine), np.where(is_odd, cosine, sine)
+    return np.where((turn == 1) | (turn == 2), -first, first), np.where(turn >= 2, -second, second)
 
 
 def _log(x: FloatArray) -> FloatArray:

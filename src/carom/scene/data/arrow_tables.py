@@ -30,7 +30,11 @@ from carom.scene.data.mapping import printable
 from carom.scene.data.text_dialect import dialect_of, refuse_uneven
 
 _STREAM_IN_FILE = 8  # bytes before the stream in an Arrow file
-_SIGNS = {b"$$SOE": "horizons", b"ITEM: TIMESTEP": "dump"}  # in text files of other formats, whatever they are called
+_SIGNS = {
+    b"$$SOE": "horizons",
+    b"ITEM: TIMESTEP": "dump",
+    b"Des'n": "mpcorb",
+}  # in text files of other formats, whatever they are called
 _HEAD = 1_000_000  # bytes in which they are sought
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 

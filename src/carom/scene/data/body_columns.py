@@ -18,6 +18,7 @@ from carom.scene.data.formats import Arrays, DataTable, Raw, flags_of, numbers_o
 from carom.scene.data.mapping import (
     VECTORS,
     ColumnMapping,
+    column_factor,
     mapping_of,
     printable,
     question,
@@ -25,12 +26,12 @@ from carom.scene.data.mapping import (
     unused_columns,
     with_material,
 )
+from carom.scene.data.orbital_elements import OrbitTable
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
-from carom.scene.units.dimension import ANGULAR_VELOCITY, BASE, DENSITY, LENGTH, MASS, VELOCITY
+from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
 from carom.scene.units.system import OWN, UnitSystem
-from carom.scene.units.unit import UnitError, nearest_float, unit, unit_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,9 +125,15 @@ _DIMENSIONS = {  # dimensions whose product each quantity has
 
 
 def read_columns(
-    section: BodyData, table: DataTable, units: UnitSystem, material: Material | None = None
+    section: BodyData,
+    table: DataTable,
+    units: UnitSystem,
+    material: Material | None = None,
+    constant: float = 0.0,
 ) -> tuple[BodyColumns, tuple[str, ...]]:
     """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
+
+    The constant is the gravitational one, for orbital elements.
 
     Returns
     -------
@@ -138,6 +145,10 @@ def read_columns(
     SceneError
         With the table, the column and the row.
     """
+    if section.orbit is not None:
+        table = OrbitTable(table, section.orbit, constant, units)
+        own = {"position": table.position, "velocity": table.velocity}
+        section = section.model_copy(update={"columns": section.columns.model_copy(update=own)})
     if material is not None:
         section = with_material(section, material, table.names)
     named = [columns for _, columns in section.columns if columns is not None]
@@ -286,23 +297,8 @@ class _Reader:
             raise question(self._called, column, "radius", "the distance from the origin, which it equals in each row")
 
     def _factor(self, quantity: str, column: str) -> float:
-        """Return the units of the simulation in one unit of a column: that in its name, or that of the scene."""
-        dimensions, text = _DIMENSIONS[quantity], unit_in(column)
-        if not text or self._units.dimensionless:
-            return math.prod(self._units.factor(dimension) for dimension in dimensions)
-        try:
-            if len(dimensions) == 1:
-                unit_of(text, dimensions[0])
-                return self._units.number(f"1 {text}", dimensions[0])
-            its = unit(text)
-            if its.exponents != tuple(sum(each.exponents[k] for each in dimensions) for k in range(len(BASE))):
-                raise UnitError(f'"{text}" is not a {quantity.replace("_", " ")}')
-        except UnitError as error:
-            raise SceneError(f"{self._called}: column {printable(column)} for {quantity}: {error}") from None
-        factor = nearest_float(its.size)
-        for dimension in dimensions:
-            factor = self._units.of_si(factor, dimension)
-        return factor
+        """Return the units of the simulation in one unit of a column."""
+        return column_factor(self._called, column, quantity, _DIMENSIONS[quantity], self._units)
 
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
         """Return one of several steps, and check the shape."""

@@ -35,6 +35,7 @@ class SourcedBodies(NamedTuple):
     material: Material | None = None  # material that defined their density, if known
     notes: tuple[str, ...] = ()  # sentences about unused or reinterpreted parts of the source
     law: MotionLaw | None = None  # law of motion in their source, if known
+    constant: float | None = None  # gravitational, if they come from orbital elements
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Wanted:
     row: int  # number of its first body among the bodies of all [[bodies]]
     units: UnitSystem  # of the numbers in files
     material: Material | None = None  # of the section
+    constant: float = 0.0  # gravitational, of the scene
 
 
 class BodySource(Protocol):
@@ -90,8 +92,9 @@ class DataFiles:
                 f"{str(section.sha256)[:12]}…; restore the file, or remove sha256 and count"
             )
         table = open_table(path, section.file, section.snapshot, section.columns.header)
-        columns, notes = read_columns(section, table, wanted.units, wanted.material)
-        return SourcedBodies(columns, digest, wanted.material, notes, table.law)
+        columns, notes = read_columns(section, table, wanted.units, wanted.material, wanted.constant)
+        constant = wanted.constant if section.orbit is not None else None
+        return SourcedBodies(columns, digest, wanted.material, notes, table.law, constant)
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
@@ -138,7 +141,7 @@ class HeldBodies:
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
             bodies = self.bodies[wanted.index]
-            if bodies.material in (None, wanted.material):
+            if bodies.material in (None, wanted.material) and bodies.constant in (None, wanted.constant):
                 return bodies
         if self.files is None:
             raise SceneError("only its name can be changed, because its file is not at hand")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from functools import lru_cache
@@ -10,7 +11,9 @@ from carom.errors import SceneError
 from carom.scene.data.formats import BODY, STEP
 from carom.scene.schema.body import BodyData
 from carom.scene.schema.contact import Material
-from carom.scene.units.unit import UnitError, unit
+from carom.scene.units.dimension import BASE, Dimension
+from carom.scene.units.system import UnitSystem
+from carom.scene.units.unit import UnitError, nearest_float, unit, unit_of
 from carom.scene.wording import suggestion
 
 QUANTITIES = (
@@ -34,6 +37,17 @@ USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z in place of the st
     "position": ("*", "p*", "pos*", "pos_*", "position*", "position_*", "*u"),
     "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
     "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
+}
+ELEMENTS = {  # of orbits: names of their columns; one capital is not the same as a small letter
+    "a": ("a", "semi_major_axis", "sma"),
+    "q": ("q", "perihelion_distance", "pericentre_distance"),
+    "e": ("e", "ecc", "eccentricity"),
+    "i": ("i", "inc", "incl", "inclination"),
+    "node": ("om", "node", "Omega", "Ω", "raan", "ascending_node"),
+    "peri": ("w", "peri", "omega", "ω", "argument_of_pericentre", "argument_of_perihelion"),
+    "M": ("ma", "M", "mean_anomaly"),
+    "tp": ("tp", "t_p", "T", "time_of_perihelion", "time_of_pericentre"),
+    "epoch": ("epoch",),
 }
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # each determines the other
 _MOST_SHOWN = 12  # columns that a message lists
@@ -141,6 +155,42 @@ def printable(name: str) -> str:
 def unit_in(name: str) -> str:
     """Return the unit in the name of a column, such as "au" in "x [au]"; empty if it has none."""
     return _split(name.strip())[1]
+
+
+def elements_in(names: Sequence[str]) -> dict[str, str]:
+    """Return the columns of the orbital elements that a table has."""
+    plain = {_split(name.strip())[0]: name for name in reversed(names)}
+    small = {name.casefold(): column for name, column in plain.items() if not (len(name) == 1 and name.isupper())}
+    found = dict[str, str]()
+    for element, usual in ELEMENTS.items():
+        exact = [plain[name] for name in usual if name in plain]
+        alike = [small[name] for name in usual if name.islower() and name in small]
+        if columns := [*exact, *(column for column in alike if column not in found.values())]:
+            found[element] = columns[0]
+    return found
+
+
+def column_factor(called: str, column: str, quantity: str, dimensions: Sequence[Dimension], units: UnitSystem) -> float:
+    """Return the units of the simulation in one unit of a column: that in its name, or that of the scene.
+
+    The quantity has the product of the dimensions.
+    """
+    text = unit_in(column)
+    if not text or units.dimensionless:
+        return math.prod(units.factor(dimension) for dimension in dimensions)
+    try:
+        if len(dimensions) == 1:
+            unit_of(text, dimensions[0])
+            return units.number(f"1 {text}", dimensions[0])
+        its = unit(text)
+        if its.exponents != tuple(sum(each.exponents[k] for each in dimensions) for k in range(len(BASE))):
+            raise UnitError(f'"{text}" is not a {quantity.replace("_", " ")}')
+    except UnitError as error:
+        raise SceneError(f"{called}: column {printable(column)} for {quantity}: {error}") from None
+    factor = nearest_float(its.size)
+    for dimension in dimensions:
+        factor = units.of_si(factor, dimension)
+    return factor
 
 
 @lru_cache(maxsize=10_000)
@@ -268,6 +318,10 @@ def _refuse_missing(section: BodyData, mapping: ColumnMapping, names: Sequence[s
         given = quantity in mapping or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in mapping
         if not given:
             constant = "" if quantity == "position" else f", or give {quantity} = … for all bodies"
+            if quantity == "position" and {"e", "i", "node", "peri"} <= set(elements_in(names)):
+                raise SceneError(
+                    f'{called}: it has orbital elements; write orbit = {{ central_mass = "1 M_sun" }} to read them'
+                )
             one = '["…", "…", "…"]' if quantity in VECTORS else '"…"'
             raise SceneError(
                 f"{called}: no column for {quantity} (usually {usual}); {_listed(names)}; name it with "

@@ -109,6 +109,17 @@ class _OrNames:
         return {"anyOf": [handler(core), {"type": "array", "items": {"type": "string", "minLength": 1}}]}
 
 
+class Orbit(Section):
+    """How a file of orbital elements is read: columns a or q, e, i, om, w, and ma or tp, in degrees."""
+
+    central_mass: Annotated[Positive, MASS] = Field(description="kg, at rest at the origin; more than 0")
+    epoch: Real | None = Field(
+        None,
+        description="time of the scene's start, in the unit of the columns epoch and tp, such as a Julian date; by "
+        "default that of the file",
+    )
+
+
 class BodyData(Matter):
     """[[bodies]]: many bodies, from a file or from arrays; a value given here holds for all of them."""
 
@@ -123,6 +134,9 @@ class BodyData(Matter):
     )
     snapshot: Annotated[int, Field(strict=True)] = Field(
         -1, description="which step of a file of several, counted from 0, or from the end with -1, the last"
+    )
+    orbit: Orbit | None = Field(
+        None, description="{ central_mass, epoch }, for a file with orbital elements in place of positions"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, of all bodies, in place of a column; more than 0"
@@ -147,6 +161,11 @@ class BodyData(Matter):
             for given in (quantity, _RIVALS.get(quantity)):
                 if given in self.model_fields_set:
                     raise ValueError(f"{given} and columns.{quantity} are both given; leave one out")
+        if self.orbit is not None:
+            keys = self.columns.model_fields_set & {"position", "velocity"}
+            others = sorted(f"columns.{key}" for key in keys) + (["velocity"] if self.velocity is not None else [])
+            if others:
+                raise ValueError(f"orbit and {others[0]} are both given; leave one out")
         return self
 
     @property

@@ -1,0 +1,235 @@
+"""Orbital elements: positions and velocities of bodies on orbits of two bodies, about a central mass at the origin.
+
+With the distance q of the pericentre, the eccentricity e and the time t since the pericentre, the universal anomaly χ
+solves Kepler's equation for ellipses, parabolas and hyperbolas (Danby, *Fundamentals of Celestial Mechanics*, §6.9),
+
+    √μ t = q χ + e χ³ c₃(z),   z = χ² (1 - e) / q,
+
+and in the plane of the orbit, with x towards the pericentre,
+
+    x = q - χ² c₂,           ẋ = -√μ χ c₁ / r,                r = q + e χ² c₂,
+    y = √(q (1 + e)) χ c₁,   ẏ = √(μ q (1 + e)) c₀ / r,       μ = G M,
+
+where c₀(z) … c₃(z) are Stumpff's functions.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from carom.arrays import FloatArray
+from carom.errors import SceneError
+from carom.scene.data.formats import DataTable, Raw, numbers_of, texts_of
+from carom.scene.data.mapping import ELEMENTS, column_factor, elements_in, printable, unit_in
+from carom.scene.portable_math import cosine_and_sine, cube_root
+from carom.scene.schema.body import Orbit
+from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension
+from carom.scene.units.system import UnitSystem
+
+_ANGLES = ("i", "node", "peri", "M")
+_DEGREES = ("deg", "degree", "degrees", "°")
+_DEGREE = math.pi / 180.0
+_OF_JPL = {"full_name", "pdes", "spkid"}  # columns by which a table of JPL's small bodies is recognised
+_UNITS_OF_JPL = {"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"}
+_TERMS = 9  # of the series of Stumpff's functions; the next one is less than 1e-18
+_MOST_STEPS = 1000  # of Newton's method: some 6 of an ellipse, one for each unit of the anomaly of a hyperbola
+
+
+class OrbitTable(DataTable):
+    """A table of orbital elements as one of positions and velocities.
+
+    Raises
+    ------
+    SceneError
+        With the elements that are missing, or with the first row that is no orbit.
+    """
+
+    def __init__(self, table: DataTable, orbit: Orbit, constant: float, units: UnitSystem) -> None:
+        self.called, self.units, self.hidden = table.called, table.units, table.hidden
+        self._table, self._units, self._epoch = table, units, orbit.epoch
+        self._mu = constant * orbit.central_mass
+        if self._mu <= 0.0:
+            raise SceneError(f"{self.called}: orbits need gravity.constant above 0")
+        is_of_jpl = bool(_OF_JPL & set(table.names))
+        units_of = _UNITS_OF_JPL if is_of_jpl else {}
+        self._inner = {f"{name} [{units_of[name]}]" if name in units_of else name: name for name in table.names}
+        if "full_name" in table.names:  # has a designation where an object has no name
+            self._inner |= {"name": "full_name"}
+            del self._inner["full_name"]
+        self._columns = elements_in(list(self._inner))
+        self._refuse_missing()
+        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # the units of the simulation
+        self.position, self.velocity = f"position on the orbit{length}", f"velocity on the orbit{speed}"
+        used = set(self._columns.values())
+        self.names = [self.position, self.velocity, *(name for name in self._inner if name not in used)]
+        mass = units.text(orbit.central_mass, MASS)
+        source = "small bodies of JPL" if is_of_jpl else "orbital elements"
+        listed = ", ".join(map(printable, self._columns.values()))
+        about = f"{self.called}: read as {source} ({listed}), about {mass} at the origin"
+        self.notes = (*table.notes, about)
+
+    def _refuse_missing(self) -> None:
+        """Refuse a table without an element that an orbit needs."""
+        there = self._columns
+        missing = [
+            f"{element} ({ELEMENTS[element][0]})" for element in ("e", "i", "node", "peri") if element not in there
+        ]
+        missing += [] if {"a", "q"} & set(there) else ["a or q"]
+        missing += [] if {"M", "tp"} & set(there) else ["M (ma) or tp"]
+        if missing:
+            raise SceneError(
+                f"{self.called}: orbit needs the columns a or q, e, i, om, w, and ma or tp; there is no "
+                f"{', no '.join(missing)}"
+            )
+        if "tp" in there and "M" not in there and self._epoch is None and "epoch" not in there:
+            raise SceneError(f"{self.called}: tp needs an epoch: a column, or orbit.epoch in the same unit")
+
+    def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
+        """Read columns, and convert the elements if their position or velocity is among them."""
+        own = (self.position, self.velocity)
+        inner = {name: self._inner.get(name, name) for name in names if name not in own}
+        raw = self._table.read(list(inner.values()), [self._inner.get(name, name) for name in texts])
+        found = {name: raw[column] for name, column in inner.items()}
+        for name in texts:
+            found[name] = np.array([text.strip() for text in texts_of(found[name])], dtype=object)
+        if set(own) & set(names):
+            position, velocity = self._states()
+            found |= {self.position: position, self.velocity: velocity}
+        return found
+
+    def _element(self, element: str) -> FloatArray:
+        """Return an element of all bodies: angles in degrees, times in the unit of their column."""
+        name = self._columns[element]
+        column = self._inner[name]
+        values = numbers_of(self.called, column, self._table.read([column])[column])
+        if values.ndim != 1 or not np.isfinite(values).all():
+            row = int(np.argmax(~np.isfinite(values)))
+            raise SceneError(f"{self.called}: column {column}, row {row}: {values[row]:g} is not a finite number")
+        if element in _ANGLES and unit_in(name) and unit_in(name) not in _DEGREES:
+            return values * (column_factor(self.called, name, "angle", (ANGLE,), self._units) / _DEGREE)
+        return values * self._factor(element, LENGTH) if element in ("a", "q") else values
+
+    def _factor(self, element: str, dimension: Dimension) -> float:
+        """Return the units of the simulation in one unit of an element."""
+        return column_factor(self.called, self._columns[element], element, (dimension,), self._units)
+
+    def _states(self) -> tuple[FloatArray, FloatArray]:
+        """Return the positions and velocities (n, 3) at the epoch."""
+        e = self._element("e")
+        beta, q = self._shape(e)
+        # √μ t since the pericentre, of an ellipse within half a period of it
+        ellipse, root_mu = beta > 0.0, math.sqrt(self._mu)
+        rate = np.abs(beta) * np.sqrt(np.abs(beta))  # of the mean anomaly with √μ t
+        elapsed = self._elapsed(len(e)) * root_mu
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if "M" in self._columns:
+                mean = self._element("M")
+                if (parabola := beta == 0.0).any():
+                    row = int(np.argmax(parabola))
+                    raise SceneError(f"{self.called}: row {row}: a parabola has no mean anomaly; give q and tp")
+                turns = np.fmod(mean, 360.0) / 360.0 + elapsed * rate / (2.0 * math.pi)
+                open_time = mean * _DEGREE / rate + elapsed
+            else:
+                turns, open_time = elapsed * rate / (2.0 * math.pi), elapsed
+            time = np.where(ellipse, (turns - np.rint(turns)) * (2.0 * math.pi) / rate, open_time)
+        x, y, vx, vy = _plane_of_orbit(q, e, beta, time)
+        (cos_i, sin_i), (cos_node, sin_node), (cos_peri, sin_peri) = (
+            cosine_and_sine(self._element(element)) for element in ("i", "node", "peri")
+        )
+        towards = np.stack(  # the pericentre
+            (
+                cos_node * cos_peri - sin_node * sin_peri * cos_i,
+                sin_node * cos_peri + cos_node * sin_peri * cos_i,
+                sin_peri * sin_i,
+            ),
+            axis=1,
+        )
+        across = np.stack(
+            (
+                -cos_node * sin_peri - sin_node * cos_peri * cos_i,
+                -sin_node * sin_peri + cos_node * cos_peri * cos_i,
+                cos_peri * sin_i,
+            ),
+            axis=1,
+        )
+        position = x[:, None] * towards + y[:, None] * across
+        velocity = root_mu * (vx[:, None] * towards + vy[:, None] * across)
+        return position, velocity
+
+    def _shape(self, e: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return 1/a, which is 0 of a parabola, and the distance of the pericentre."""
+        if "q" in self._columns:
+            q = self._element("q")
+            with np.errstate(divide="ignore", invalid="ignore"):
+                beta = (1.0 - e) / q
+            wrong, key, size = ~(q > 0.0) | (e < 0.0), "q", q
+        else:
+            size = self._element("a")
+            with np.errstate(divide="ignore"):
+                beta, q = 1.0 / size, size * (1.0 - e)
+            wrong, key = ~(q > 0.0) | (e < 0.0), "a"
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise SceneError(
+                f"{self.called}: row {row}: {key} = {size[row] / self._factor(key, LENGTH):g} and e = {e[row]:g} "
+                "are no orbit; an ellipse has 0 ≤ e < 1 and a > 0, a hyperbola e > 1 and a < 0, and q is above 0"
+            )
+        return beta, q
+
+    def _elapsed(self, bodies: int) -> FloatArray:
+        """Return the time from the epoch of the mean anomaly, or from the pericentre, to that of the scene."""
+        own = self._element("epoch") if "epoch" in self._columns else None
+        if self._epoch is None and own is not None and np.any(own != own[:1]):
+            raise SceneError(
+                f"{self.called}: its epochs differ, from {own.min():.10g} to {own.max():.10g}; give orbit.epoch in the "
+                "same unit"
+            )
+        if "M" in self._columns:
+            if self._epoch is None:
+                return np.zeros(bodies)
+            if own is None:
+                raise SceneError(f"{self.called}: orbit.epoch needs the epoch of the mean anomalies: a column epoch")
+            return (self._epoch - own) * self._factor("epoch", TIME)
+        start = np.full(bodies, self._epoch) if own is None or self._epoch is not None else own
+        return (start - self._element("tp")) * self._factor("tp", TIME)
+
+
+def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
+    """Return x, y and their rates over √μ, at a time in units of 1/√μ since the pericentre."""
+    wanted, closed = np.abs(time), beta > 0.0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Newton's method descends from above, since r grows with χ: from the apocentre, or from two bounds of χ
+        furthest = np.where(closed, math.pi / np.sqrt(np.abs(beta)), cube_root(6.0 * wanted / np.maximum(e, 1.0)))
+        chi = np.minimum(wanted / q, furthest)
+    for _ in range(_MOST_STEPS):
+        _, _, c2, c3 = _stumpff(beta * chi * chi)
+        excess = chi * (q + e * chi * chi * c3) - wanted
+        lower = np.maximum(np.minimum(chi, chi - excess / (q + e * chi * chi * c2)), 0.0)
+        if np.array_equal(lower, chi):
+            break
+        chi = lower
+    chi = np.copysign(chi, time)
+    c0, c1, c2, _ = _stumpff(beta * chi * chi)
+    r, side = q + e * chi * chi * c2, np.sqrt(q * (1.0 + e))
+    return q - chi * chi * c2, side * chi * c1, -chi * c1 / r, side * c0 / r
+
+
+def _stumpff(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return Stumpff's functions c₀ to c₃: from series at z / 4ᵏ below 1 in size, and from there by their doubling."""
+    _, exponent = np.frexp(np.abs(z))
+    halvings = np.maximum(0, (exponent + 1) // 2)
+    small = np.ldexp(z, -2 * halvings)
+    c2, c3 = np.zeros_like(z), np.zeros_like(z)
+    for k in range(_TERMS, -1, -1):
+        c2 = 1.0 / math.factorial(2 * k + 2) - small * c2
+        c3 = 1.0 / math.factorial(2 * k + 3) - small * c3
+    c0, c1 = 1.0 - small * c2, 1.0 - small * c3
+    for k in range(int(halvings.max(initial=0))):
+        more = halvings > k
+        c3 = np.where(more, (c2 + c0 * c3) / 4.0, c3)
+        c2 = np.where(more, c1 * c1 / 2.0, c2)
+        c0, c1 = np.where(more, 2.0 * c0 * c0 - 1.0, c0), np.where(more, c0 * c1, c1)
+    return c0, c1, c2, c3
