@@ -57,34 +57,33 @@ def test_every_bundled_scene_replays_with_the_same_bits_on_any_number_of_threads
     assert Recording.open(tmp_path / "dense.rrd").frames == steps + 1, "every step, and frame 0"
 
 
-def test_a_window_is_replayed_from_the_checkpoint_before_it(tmp_path: Path) -> None:
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
-    result = replay(recording, 1.0, 2.0)
-    before = recording.checkpoint(result.begin)
+def test_a_window_is_replayed_from_the_checkpoint_before_it(cloud_run: Recording) -> None:
+    result = replay(cloud_run, 1.0, 2.0)
+    before = cloud_run.checkpoint(result.begin)
     assert 0.0 < before.time <= 1.0, "no further back than need be"
-    times = recording.fingerprints()["time"].to_numpy()
+    times = cloud_run.fingerprints()["time"].to_numpy()
     assert result.same and result.compared == np.count_nonzero((times >= before.time) & (times <= 2.0))
 
 
 @pytest.mark.slow
-def test_a_recording_with_drag_keeps_its_losses_and_replays_from_any_checkpoint(tmp_path: Path) -> None:
+def test_a_recording_with_drag_keeps_its_losses_and_replays_from_any_checkpoint(
+    cloud_run: Recording, tmp_path: Path
+) -> None:
     medium = {"relaxation_time": 1.0, "medium_velocity": [0.2, 0.0, 0.0]}
     recording = carom.run(cloud(drag=medium), tmp_path / "cloud.rrd")
     assert recording.energy()["drag"][-1].as_py() > 0.0
     for begin in (0.0, 1.0):
         result = replay(recording, begin, 2.0)
         assert result.same and result.compared > 0
-    plain = carom.run(cloud(), tmp_path / "plain.rrd")
-    assert "drag" not in plain.energy().column_names, "what is not required leaves no entity"
+    assert "drag" not in cloud_run.energy().column_names, "what is not required leaves no entity"
 
 
-def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
+def test_a_sparse_recording_becomes_a_dense_one_that_replays(cloud_run: Recording, tmp_path: Path) -> None:
     sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
-    whole = carom.run(cloud(), tmp_path / "whole.rrd")
     result = replay(sparse, 1.0, 2.2, dense=tmp_path / "dense.rrd")  # between two recorded frames
     dense = Recording.open(tmp_path / "dense.rrd")
     assert result.same and result.dense == dense.path
-    rows = zip(*(whole.fingerprints()[name].to_pylist() for name in ("step", "fingerprint")), strict=True)
+    rows = zip(*(cloud_run.fingerprints()[name].to_pylist() for name in ("step", "fingerprint")), strict=True)
     expected = dict(rows)
     steps = dense.fingerprints()["step"].to_pylist()
     assert steps == list(range(steps[0], steps[-1] + 1)), "every step"
@@ -93,12 +92,7 @@ def test_a_sparse_recording_becomes_a_dense_one(tmp_path: Path) -> None:
     assert min(times) < 1.0 + 0.02 and 2.2 - 0.02 < max(times) <= 2.2, "no step is longer than 0.02 s"
     summary = dense.summary()
     assert (summary["first_step"], summary["begin"]) == (steps[0], times[0])
-
-
-def test_a_dense_recording_of_a_window_replays(tmp_path: Path) -> None:
-    sparse = carom.run(cloud(record={"every": 0.25}), tmp_path / "sparse.rrd")
-    replay(sparse, 1.0, 2.0, dense=tmp_path / "dense.rrd")
-    assert replay(Recording.open(tmp_path / "dense.rrd")).same
+    assert replay(dense).same
 
 
 class Spoiled(Space):
@@ -194,32 +188,30 @@ def test_replay_finds_one_changed_bit_of_one_velocity(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("begin", "end"), [(-5.0, -1.0), (50.0, 60.0), (2.0, 1.0), (0.0, np.nan)])
-def test_a_window_outside_the_recording_is_not_replayed(begin: float, end: float, tmp_path: Path) -> None:
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+def test_a_window_outside_the_recording_is_not_replayed(begin: float, end: float, cloud_run: Recording) -> None:
     with pytest.raises(RecordingError, match=r"is outside|the end is before the start|a time is a number"):
-        replay(recording, begin, end)
+        replay(cloud_run, begin, end)
 
 
-def test_a_long_replay_asks_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_replay_asks_first(cloud_run: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("carom.runs.replay.TRIAL_SECONDS", 0.0)
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
     asked = []
 
     def decline(seconds: float) -> bool:
         asked.append(seconds)
         return False
 
-    result = replay(recording, consent=decline)
+    result = replay(cloud_run, consent=decline)
     assert len(asked) == 1 and asked[0] >= 0.0
     assert not result.same and result.ended == "declined" and result.difference is None
 
 
 @pytest.mark.slow
 def test_what_the_first_step_of_a_replay_compiles_is_no_part_of_the_time_that_it_asks_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    cloud_run: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("carom.runs.replay.TRIAL_SECONDS", 0.0)
-    recording, asked, compiling = carom.run(cloud(), tmp_path / "cloud.rrd"), list[float](), 0.5  # s
+    asked, compiling = list[float](), 0.5  # s
 
     def compile_at_first(status: StepStatus) -> None:
         time.sleep(compiling if status.step == 1 else 0.0)
@@ -228,18 +220,16 @@ def test_what_the_first_step_of_a_replay_compiles_is_no_part_of_the_time_that_it
         asked.append(seconds)
         return True
 
-    assert replay(recording, consent=consent, watch=compile_at_first).same
-    assert asked[0] < 0.5 * compiling * recording.frames
+    assert replay(cloud_run, consent=consent, watch=compile_at_first).same
+    assert asked[0] < 0.5 * compiling * cloud_run.frames
 
 
-def test_a_replay_that_is_interrupted_says_how_far_it_got(tmp_path: Path) -> None:
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
-
+def test_a_replay_that_is_interrupted_says_how_far_it_got(cloud_run: Recording, tmp_path: Path) -> None:
     def interrupt(status: StepStatus) -> None:
         if status.step == 30:
             raise KeyboardInterrupt
 
-    result = replay(recording, watch=interrupt, dense=tmp_path / "dense.rrd")
+    result = replay(cloud_run, watch=interrupt, dense=tmp_path / "dense.rrd")
     assert (result.ended, result.compared, result.same, result.difference) == ("stopped by the user", 30, False, None)
     dense = Recording.open(tmp_path / "dense.rrd")
     assert dense.outcome == "stopped by the user" and dense.frames == 30, "what there was is kept"
@@ -249,7 +239,7 @@ def test_a_replay_by_another_command_compares_all_that_was_recorded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["carom", "run", "cloud"])
-    carom.run(cloud(12), tmp_path / "cloud.rrd")
+    carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "cloud.rrd")
     monkeypatch.setattr(sys, "argv", ["carom", "replay", "cloud.rrd"])
     result = replay(Recording.open(tmp_path / "cloud.rrd"))
     assert result.same and result.not_compared == []
@@ -258,7 +248,7 @@ def test_a_replay_by_another_command_compares_all_that_was_recorded(
 def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    recording = carom.run(cloud(12), tmp_path / "cloud.rrd")
+    recording = carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "cloud.rrd")
     monkeypatch.setattr(Recording, "scene_toml", cloud(1_000_000_000).toml)
     monkeypatch.setitem(vars(recording), "info", {**recording.info, "scene_sha256": None})  # as in older recordings
     with pytest.raises(RecordingError, match="has 12 bodies, but its scene has 1000000000: it is damaged"):
@@ -266,7 +256,7 @@ def test_a_scene_of_other_bodies_than_the_recorded_ones_is_not_run(
 
 
 def test_a_state_that_is_not_finite_is_not_gone_on_from(tmp_path: Path) -> None:
-    recording = carom.run(cloud(12), tmp_path / "cloud.rrd")
+    recording = carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "cloud.rrd")
     nowhere = mapped("position", lambda row: [np.nan] * len(row))
     changed(recording.path, recording.path, "state/checkpoint", nowhere)
     with pytest.raises(RecordingError, match=r"checkpoint at step 0 is damaged: .* is not finite"):
@@ -322,7 +312,7 @@ def test_a_recording_of_the_first_schema_is_read_and_says_why_it_cannot_run_agai
     with monkeypatch.context() as then:
         then.setattr("carom.recording.schema.header.SCHEMA_VERSION", 1)
         then.setattr(checkpoint_columns, "encode", as_it_was)
-        carom.run(cloud(12), tmp_path / "old.rrd")
+        carom.run(cloud(12, time={"duration": 0.5}), tmp_path / "old.rrd")
     recording = Recording.open(tmp_path / "old.rrd")
     assert recording.outcome == "completed" and recording.summary()["frames"] == recording.frames > 10
     assert recording.energy().num_rows == recording.frames

@@ -84,11 +84,12 @@ def test_a_clip_too_large_to_attach_gets_fewer_frames(
     assert not (tmp_path / "none.zip").exists()
 
 
-def test_a_run_that_differs_says_so_in_its_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_differs_says_so_in_its_report(
+    cloud_run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
     monkeypatch.setattr("carom.physics.frame.fingerprint_of", lambda time, arrays: 1)
-    made = report(recording, tmp_path / "cloud.zip")
+    made = report(cloud_run, tmp_path / "cloud.zip")
     assert "it differs" in made.replayed
 
 
@@ -192,11 +193,12 @@ def test_a_report_that_is_not_called_a_zip_is_refused_before_it_is_made(rubble: 
     assert not list(tmp_path.iterdir())
 
 
-def test_a_recording_without_a_frame_has_nothing_to_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
+def test_a_recording_without_a_frame_has_nothing_to_report(
+    cloud_run: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(Recording, "frames", 0)
     with pytest.raises(RecordingError, match="holds no frame"):
-        report(recording, tmp_path / "cloud.zip")
+        report(cloud_run, tmp_path / "cloud.zip")
 
 
 def packed(path: Path, members: dict[str, bytes], **options: int) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -56,6 +57,17 @@ def carom_outcome(recording: Recording) -> str:
     return recording.outcome.partition(":")[0]
 
 
+@pytest.fixture(scope="module")
+def _half_second(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return carom.run(cloud(time={"duration": 0.5}), tmp_path_factory.mktemp("cloud") / "cloud.rrd").path
+
+
+@pytest.fixture
+def half_second(_half_second: Path, tmp_path: Path) -> Recording:
+    """A run of 0.5 s, which a test may write to."""
+    return Recording.open(shutil.copy(_half_second, tmp_path))
+
+
 def stopped(scene: Scene, path: Path, at: float) -> Recording:
     """Record a scene up to about a time, as the interrupt key leaves it."""
     space = Space(scene)
@@ -89,8 +101,8 @@ def test_a_run_that_was_stopped_goes_on_to_what_an_uninterrupted_run_gives(name:
 
 def test_a_finished_run_goes_on_without_the_step_that_was_cut_short(tmp_path: Path) -> None:
     short = carom.run(cloud(time={"duration": 1.503}, record={"every": 0.02}), tmp_path / "short.rrd")
-    long = carom.run(cloud(time={"duration": 3.0}, record={"every": 0.02}), tmp_path / "long.rrd")
-    run = resumable_run(short, until=3.0)
+    long = carom.run(cloud(time={"duration": 2.0}, record={"every": 0.02}), tmp_path / "long.rrd")
+    run = resumable_run(short, until=2.0)
     assert run.time < 1.503
     outcome = continue_run(run, run.space(threads=1), tmp_path / "resumed.rrd")
     assert_same_recording(long, Recording.open(outcome.path))
@@ -106,14 +118,13 @@ def test_a_longer_run_keeps_the_integrator_that_its_first_duration_chose(tmp_pat
     assert integrator(run.scene).name == "gauss-radau15"
 
 
-def test_a_continued_recording_says_so_and_keeps_where_it_came_from(tmp_path: Path) -> None:
-    short = carom.run(cloud(time={"duration": 1.0}), tmp_path / "short.rrd")
-    run = resumable_run(short, until=1.5)
+def test_a_continued_recording_says_so_and_keeps_where_it_came_from(half_second: Recording) -> None:
+    run = resumable_run(half_second, until=0.8)
     resumed = Recording.open(continue_run(run, run.space()).path)
-    assert resumed.versions["carom"] == short.versions["carom"]
+    assert resumed.versions["carom"] == half_second.versions["carom"]
     assert resumed.properties["resumed.step"] == run.step
     assert resumed.properties["resumed.version.carom"]
-    assert "duration = 1.5" in resumed.scene_toml
+    assert "duration = 0.8" in resumed.scene_toml
 
 
 @pytest.mark.slow
@@ -147,43 +158,39 @@ def opened_or_repaired(path: Path) -> Recording:
     return Recording.open(whole)
 
 
-def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(tmp_path: Path) -> None:
-    recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+def test_there_is_nothing_to_go_on_with_in_a_run_that_has_got_there(half_second: Recording) -> None:
     with pytest.raises(RecordingError, match=r"simulated to 0\.5 s already; give a later --until"):
-        resumable_run(recording)
+        resumable_run(half_second)
     with pytest.raises(RecordingError, match="`carom clip` makes it shorter"):
-        resumable_run(recording, until=0.2)
+        resumable_run(half_second, until=0.2)
 
 
-def test_a_clip_of_some_bodies_cannot_be_resumed(tmp_path: Path) -> None:
-    whole = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
-    clip(whole.path, tmp_path / "few.rrd", 0.0, 0.2, bodies=[0, 1])
+def test_a_clip_of_some_bodies_cannot_be_resumed(half_second: Recording, tmp_path: Path) -> None:
+    clip(half_second.path, tmp_path / "few.rrd", 0.0, 0.2, bodies=[0, 1])
     with pytest.raises(RecordingError, match="is a clip of selected bodies"):
         resumable_run(Recording.open(tmp_path / "few.rrd"), until=0.4)
 
 
-def test_a_resumed_run_is_written_into_an_rrd_only(tmp_path: Path) -> None:
-    whole = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
+def test_a_resumed_run_is_written_into_an_rrd_only(half_second: Recording, tmp_path: Path) -> None:
     refused = pytest.raises(RecordingError, match=r"a recording is an \.rrd")
-    with refused, claimed_target(whole.path, tmp_path / "x.txt", False):
+    with refused, claimed_target(half_second.path, tmp_path / "x.txt", False):
         pass
 
 
-def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repaired(tmp_path: Path) -> None:
-    path = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd").path
+def test_a_run_that_was_killed_after_its_last_frame_is_complete_once_it_is_repaired(half_second: Recording) -> None:
+    path = half_second.path
     outcome = next(e for e in Recording.open(path).store.entries if e.entity_path == "__properties/outcome")
     os.truncate(path, outcome.offset - 16)  # the header of a message has 16 bytes
     with pytest.raises(RecordingError, match=r"has all its frames and lacks only its footer; `carom repair .*` writes"):
         resumable_run(Recording.open(path))
 
 
-def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(tmp_path: Path) -> None:
-    recording = carom.run(cloud(time={"duration": 0.5}), tmp_path / "cloud.rrd")
-    before = recording.path.read_bytes()
-    run = resumable_run(recording, until=1.0)
+def test_a_run_that_fails_at_once_leaves_the_recording_as_it_was(half_second: Recording, tmp_path: Path) -> None:
+    before = half_second.path.read_bytes()
+    run = resumable_run(half_second, until=1.0)
     space = run.space()
     space.state.velocity[0] = float("nan")
     with pytest.raises(RecordingError, match="unchanged: failed: the state is no longer finite"):
         continue_run(run, space)
-    assert recording.path.read_bytes() == before
+    assert half_second.path.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["cloud.rrd"]

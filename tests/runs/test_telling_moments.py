@@ -13,7 +13,6 @@ from carom.runs.overview import description, problems
 from carom.runs.telling_moments import telling_moments
 from carom.scene.scene_file import starter
 from carom.scene.schema import Scene
-from small_scenes import cloud
 
 
 def ball(**changes: Any) -> Scene:
@@ -56,10 +55,9 @@ def test_impacts_that_are_faint_beside_the_hardest_explain_nothing(tmp_path: Pat
     assert [moment.request.event for moment in telling_moments(recording)] == ["impact:1", "impact:2", None]
 
 
-def test_many_impacts_are_explained_by_the_hardest_and_the_most_contacts(tmp_path: Path) -> None:
-    recording = carom.run(cloud(), tmp_path / "cloud.rrd")
-    moments = telling_moments(recording)
-    assert recording.impacts().num_rows > 10
+def test_many_impacts_are_explained_by_the_hardest_and_the_most_contacts(cloud_run: Recording) -> None:
+    moments = telling_moments(cloud_run)
+    assert cloud_run.impacts().num_rows > 10
     assert [moment.time for moment in moments] == sorted(moment.time for moment in moments)
     told = "\n".join(text for moment in moments for text in (moment.heading, *moment.details))
     for text in ("Hardest impact", "Most contacts", "At the end"):
