@@ -89,8 +89,6 @@ if TYPE_CHECKING:
     from carom.recording.write.whole_file import new_name as new_name
     from carom.recording.write.whole_file import whole_file as whole_file
     from carom.recording.write.whole_file import write_whole as write_whole
-    from carom.runs.engine_recorder import observed_recording as observed_recording
-    from carom.runs.engine_recorder import observed_totals as observed_totals
     from carom.runs.environment import command_line as command_line
     from carom.runs.environment import environment as environment
     from carom.runs.environment import versions as versions
@@ -110,6 +108,8 @@ if TYPE_CHECKING:
     from carom.runs.run import closing_summary as closing_summary
     from carom.runs.run import recording_space as recording_space
     from carom.runs.run import simulate as simulate
+    from carom.runs.snapshot_writer import observed_recording as observed_recording
+    from carom.runs.snapshot_writer import observed_totals as observed_totals
     from carom.runs.window import checkpoint_before as checkpoint_before
     from carom.runs.window import space_of as space_of
     from carom.runs.workers import Ended as Ended
@@ -230,7 +230,7 @@ SECTIONS = {  # purpose → module → names
         "carom.plan.hierarchy": "DOMINANT",
         "carom.scene.contact_laws": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
-        "carom.runs.engine_recorder": "observed_recording observed_totals",
+        "carom.runs.snapshot_writer": "observed_recording observed_totals",
         "carom.physics.diagnostics.extremes": "Extremes",
     },
     "Commands": {

@@ -1,0 +1,158 @@
+"""`SnapshotWriter`: the thread that records the snapshots of another engine's run."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+
+from carom.recording.schema.header import Header, Scalar
+from carom.recording.source.law_audit import Fault
+from carom.recording.source.observer import Observer, header_of_source
+from carom.recording.source.source import State, StateMemory
+from carom.recording.write.recorder import FrameRecorder
+from carom.runs.environment import environment
+from carom.runs.outcome import closing_of
+from carom.runs.output import claimed_output
+from carom.runs.overview import ONCE_A_STEP
+from carom.scene.schema import Scene
+
+WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
+MOST_WAITING = 256
+STOCK_BYTES = 8_000_000  # bytes of memory that the writer's thread allocates at the start
+BATCH = 8  # states in a batch: waking a thread costs as much as copying a state of 1000 bodies
+PATIENCE = 0.02  # s, after which a smaller batch is sent
+
+
+class SnapshotWriter:
+    """Makes and records frames of snapshots in its own thread.
+
+    Parameters
+    ----------
+    path
+        The ``.rrd`` to write.
+    observer
+        Makes a frame of each state, and audits it.
+    header
+        Of the recording.
+    force
+        Whether to replace a file that exists.
+    new
+        Makes memory for a snapshot.
+    """
+
+    def __init__(
+        self, path: Path, observer: Observer, header: Header, force: bool, new: Callable[[], StateMemory]
+    ) -> None:
+        self._observer, self._new = observer, new
+        self._stack = contextlib.ExitStack()
+        self._stack.enter_context(claimed_output(path, force))
+        self._recorder = FrameRecorder(path, header)
+        self._store = self._recorder.store_for(observer.bodies)
+        size = 104 * header.bodies
+        room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
+        self._stock = min(room, STOCK_BYTES // size)  # allocated in advance, by this thread
+        self._room = room - self._stock
+        self._batch: list[tuple[int, StateMemory]] = []  # waiting to be sent
+        self._due = 0.0
+        self._queue: queue.SimpleQueue[list[tuple[int, StateMemory]] | None] = queue.SimpleQueue()
+        self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
+        self._error: Exception | None = None
+        self._whole = True  # whether the file can be closed: errors concern a state and not the disk
+        self._last = (0, 0.0)
+        self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
+        self._thread.start()
+
+    def spare(self) -> StateMemory:
+        """Return memory for a state. Waits while the thread is behind."""
+        try:
+            return self._spare.get(False)
+        except queue.Empty:
+            if self._room > 0:
+                self._room -= 1
+                return self._new()
+        self._hand_over()
+        return self._spare.get()
+
+    def put(self, step: int, snapshot: StateMemory) -> None:
+        """Pass a snapshot to the thread, which then owns it."""
+        if self._error is not None:
+            raise self._error
+        self._batch.append((step, snapshot))
+        if len(self._batch) == BATCH or time.monotonic() >= self._due:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._queue.put(self._batch)
+        self._batch, self._due = [], time.monotonic() + PATIENCE
+
+    def finish(self, outcome: str, faults: Iterable[Fault]) -> list[Fault]:
+        """Write the remaining snapshots, close the file, and return the first fault of each law."""
+        self._queue.put(self._batch)
+        self._queue.put(None)
+        self._thread.join()
+        audit = self._observer.audit
+        try:
+            if self._error is not None and not self._whole:
+                raise self._error
+            for fault in faults:
+                audit.note(fault)
+            events = (
+                *(fault.event for fault in faults),
+                *self._observer.highlights(),
+            )
+            ended = outcome if self._error is None else f"failed: {self._error}"
+            self._recorder.finish(ended, observed_totals(self._observer, *self._last), events)
+        finally:
+            self._stack.close()
+        if self._error is not None:
+            raise self._error
+        return sorted(audit.first.values(), key=lambda fault: fault.step)
+
+    def _run(self) -> None:
+        for _ in range(self._stock):
+            self._spare.put(self._new())
+        while (batch := self._queue.get()) is not None:
+            for step, snapshot in batch:
+                if self._error is None:
+                    self._record(step, snapshot.state)
+                self._spare.put(snapshot)  # always, or `spare` would wait for ever
+
+    def _record(self, step: int, state: State) -> None:
+        try:
+            frame = self._observer.frame(step, state, self._store)
+        except Exception as error:
+            self._error = error
+            return
+        try:
+            self._recorder.put(frame)
+            self._last = (step, state.time)
+        except Exception as error:
+            self._error, self._whole = error, False
+
+
+def observed_totals(observer: Observer, steps: int, time: float) -> dict[str, Scalar]:
+    """Return the closing properties of a run of another engine that ended after some steps, at a time in s."""
+    totals: dict[str, Scalar] = {"steps": steps, "sim_time": time, "contacts.impacts_counted": ONCE_A_STEP}
+    return totals | closing_of(observer.extremes.named(observer.names)) | dict(observer.audit.closing())
+
+
+@contextlib.contextmanager
+def observed_recording(path: Path, observer: Observer, scene: Scene) -> Iterator[FrameRecorder]:
+    """Claim a path, and yield the recorder of a scene that another engine runs; an earlier file is replaced."""
+    setup = observer.setup
+    header = header_of_source(
+        setup,
+        title=f"{scene.title}: {setup.engine}",
+        run_id=str(uuid.uuid4()),
+        duration=scene.time.duration,
+        exact=True,
+        properties={**environment(1), "engine": setup.engine},
+        units=scene.unit_system,
+    )
+    with claimed_output(path, force=True), FrameRecorder(path, header) as recorder:
+        yield recorder
