@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import subprocess
+import sys
+import textwrap
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +23,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.series import recorded as series_of
 from carom.recording.source.source import StateMemory, engine_package
 from carom.runs.overview import overview
+from carom.runs.unrecorded import Unrecorded
 from carom_command import carom as command
 
 FAULT = 100  # the step from which each fault is planted
@@ -167,7 +173,6 @@ def healthy(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (not_a_number, "not-finite", (2,), FAULT, FAULT),
     ],
 )
-@pytest.mark.filterwarnings("ignore:carom")
 def test_each_planted_fault_is_named_within_a_frame_with_its_bodies(
     fault: Callable[[Toy], None], law: str, bodies: tuple[int, ...], happens: int, named: int, tmp_path: Path
 ) -> None:
@@ -301,17 +306,18 @@ def test_the_last_frames_are_written_on_demand_and_not_at_all_by_a_run_that_ends
             toy.step()
             recorder.frame()
             if step == 9:
-                assert recorder.write(tmp_path / "asked.rrd").frames == 5
+                written = recorder.write(tmp_path / "asked.rrd")
+                assert written is not None and written.frames == 5
     assert not path.exists()
 
 
-def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recording(tmp_path: Path) -> None:
+@pytest.mark.filterwarnings("error")  # a user's -W error may not end the run, either
+def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recording(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "last.rrd"
     toy = Toy(not_a_number)
-    with (
-        pytest.warns(RuntimeWarning, match="Velocity of body 2 is nan in component 1"),
-        carom.record.Recorder(toy, path, last=5) as recorder,
-    ):
+    with carom.record.Recorder(toy, path, last=5) as recorder:
         for _ in range(STEPS):
             toy.step()
             if not recorder.frame():
@@ -319,6 +325,8 @@ def test_a_state_that_is_not_finite_writes_the_last_frames_and_ends_the_recordin
     assert toy.steps == FAULT
     assert Recording.open(path).fingerprints()["step"].to_pylist() == list(range(FAULT - 5, FAULT))
     assert Recording.open(path).outcome.startswith("failed: Velocity of body 2")
+    said = f"carom: {path}: Velocity of body 2 is nan in component 1. The recording ends before it.\n"
+    assert capfd.readouterr().err == said and [f"carom: {path}: {text}\n" for text in recorder.problems] == [said]
 
 
 def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: Path) -> None:
@@ -420,33 +428,158 @@ def test_a_source_that_returns_no_state_is_told_what_to_return(tmp_path: Path, m
         pass
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            {"position": np.zeros((1, 3))},
-            r"position has the shape \(1, 3\) and had \(3, 3\); a recording has a fixed set",
-        ),
-        ({"velocity": np.zeros(3)}, r"velocity has the shape \(3,\) and had \(3, 3\)"),
-        ({"angular_velocity": None}, r"angular_velocity has the shape \(\) and had \(3, 3\)"),
-        ({"time": "late"}, "the time of the state is 'late'; it must be a number"),
-        ({"time": float("nan")}, "the time is nan, which is not finite"),
-        ({"contacts": [[0, 3]]}, "contacts names 3; bodies and planes are 0 to 2"),
-        ({"contacts": [0, 1, 2]}, r"contacts has the shape \(3,\) in place of \(m, 2\)"),
-    ],
-)
-def test_a_later_state_of_another_form_is_refused_and_the_frames_before_it_are_kept(
-    change: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def divides_by_zero(toy: Toy) -> carom.record.State:
+    return carom.record.State(1.0 / 0.0, toy.position, toy.velocity)
+
+
+LEFT_OUT: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
+    ({"position": np.zeros((1, 3))}, "position has the shape (1, 3) and had (3, 3); a recording has a fixed set"),
+    ({"velocity": np.zeros(3)}, "velocity has the shape (3,) and had (3, 3)"),
+    ({"angular_velocity": None}, "angular_velocity has the shape () and had (3, 3)"),
+    ({"time": "late"}, "the time of the state is 'late'; it must be a number"),
+    ({"time": float("nan")}, "toy 1.0: the time is nan, which is not finite"),
+    (divides_by_zero, "ZeroDivisionError: float division by zero"),
+    (lambda _: "no state", "AttributeError: 'str' object has no attribute"),
+]
+COMPUTED: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
+    ({"contacts": [[0, 3]]}, "toy 1.0: contacts names 3; bodies and planes are 0 to 2"),
+    ({"contacts": [0, 1, 2]}, "toy 1.0: contacts has the shape (3,) in place of (m, 2)"),
+    ({"contacts": ["a"]}, "ValueError: invalid literal"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), LEFT_OUT + COMPUTED)
+def test_what_cannot_be_recorded_is_noted_once_and_the_loop_and_the_recording_go_on(
+    change: dict[str, Any] | Callable[[Toy], Any],
+    message: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
-    state, toy = Toy.state, Toy()
+    right, toy = Toy.state, Toy()
     path = tmp_path / "run.rrd"
-    with pytest.raises(RecordingError, match=message), carom.record.Recorder(toy, path) as recorder:
-        for step in range(20):
-            if step == 10:
-                monkeypatch.setattr(Toy, "state", lambda toy: replace(state(toy), **change))
+
+    def state(toy: Toy) -> Any:
+        if toy.steps not in (10, 12):
+            return right(toy)
+        return change(toy) if callable(change) else replace(right(toy), **change)
+
+    monkeypatch.setattr(Toy, "state", state)
+    with carom.record.Recorder(toy, path) as recorder:
+        for _ in range(20):
             toy.step()
+            assert recorder.frame()
+    recording = Recording.open(path)
+    missing = 0 if (change, message) in COMPUTED else 2
+    assert recording.outcome == "completed" and recording.frames == 21 - missing
+    (problem,) = recorder.problems
+    assert problem.startswith(message) and capfd.readouterr().err == f"carom: {path}: {problem}\n"
+    noted = [event.text for event in recording.warnings() if event.kind == "not-recorded"]
+    assert noted == [problem, "2 problems of recording in all."]
+
+
+def run_apart(code: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a loop of a toy of two far bodies in another process; it prints "went on" when it has ended."""
+    toy = """
+import sys, shutil, resource, numpy as np, carom
+from pathlib import Path
+class Toy:
+    model = carom.record.Model(engine="toy", mass=np.ones(300), radius=np.full(300, 0.1))
+    position, velocity, time = np.arange(900.0).reshape(300, 3), np.ones((300, 3)), 0.0
+    def step(self):
+        self.time += 0.1
+        self.position = self.position + 0.1 * self.velocity
+    def state(self):
+        return carom.record.State(self.time, self.position, self.velocity)
+def run(recorder, steps, toy):
+    for _ in range(steps):
+        toy.step()
+        recorder.frame()
+"""
+    text = toy + textwrap.dedent(code)
+    return subprocess.run([sys.executable, "-c", text], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_full_disk_and_a_folder_that_went_end_the_recording_and_not_the_run(tmp_path: Path) -> None:
+    done = run_apart(
+        """
+        toy = Toy()
+        resource.setrlimit(resource.RLIMIT_FSIZE, (9_000_000, 9_000_000))
+        with carom.record.Recorder(toy, "full.rrd") as recorder:
+            run(recorder, 1000, toy)
+        print("went on", recorder.frame(), round(toy.time))
+        Path("gone").mkdir()
+        with carom.record.Recorder(toy, "gone/run.rrd") as recorder:
+            run(recorder, 5, toy)
+            shutil.rmtree("gone")
+        print("went on")
+        Path("gone").mkdir()
+        with carom.record.Recorder(toy, "gone/ring.rrd", last=3) as recorder:
+            run(recorder, 5, toy)
+            shutil.rmtree("gone")
+            print("went on", recorder.write())
+            toy.position[1, 1] = np.nan
             recorder.frame()
-    assert Recording.open(path).frames == 11
+        print("went on", len(recorder.faults), recorder.write("ring.rrd").frames)
+        """,
+        tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines() == [
+        "went on False 100",
+        "went on",
+        "went on None",
+        "went on 1 3",
+    ]
+    recording = Recording.open(tmp_path / "full.rrd")
+    assert 10 < recording.frames < 1000 and "no space left on the disk" in recording.outcome
+    said = done.stderr.splitlines()
+    assert said[0].startswith("carom: full.rrd: cannot write more of full.rrd") and "Traceback" not in done.stderr
+    assert [line.split(":")[1].strip() for line in said] == [
+        "full.rrd",
+        "gone/run.rrd",
+        "gone/ring.rrd",
+        "gone/ring.rrd",
+    ]
+
+
+def test_a_recorder_without_a_context_is_closed_when_the_program_ends(tmp_path: Path) -> None:
+    done = run_apart(
+        """
+        import threading, time
+        def loop(recorder, toy):
+            time.sleep(0.2)  # longer than the main thread
+            run(recorder, 7, toy)
+        toys = [Toy(), Toy(), Toy()]
+        run(carom.record.Recorder(toys[0], "run.rrd"), 5, toys[0])
+        ring = carom.record.Recorder(toys[1], "ring.rrd", last=3)
+        threading.Thread(target=loop, args=(carom.record.Recorder(toys[2], "thread.rrd"), toys[2])).start()
+        run(ring, 5, toys[1])
+        raise SystemError("in the loop")
+        """,
+        tmp_path,
+    )
+    assert done.returncode == 1 and done.stderr.endswith("SystemError: in the loop\n")
+    recordings = [Recording.open(tmp_path / f"{name}.rrd") for name in ("run", "ring", "thread")]
+    assert [recording.frames for recording in recordings] == [5, 3, 7]
+    for recording in recordings:
+        assert recording.outcome == "interrupted: the program ended before Recorder.finish"
+
+
+def test_problems_are_noted_without_a_stderr(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, text)
+
+    closed = io.StringIO()
+    closed.close()
+    for stderr in (None, Full(), closed):
+        noted = Unrecorded(tmp_path)
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stderr", stderr)
+            for number in (7, 8):
+                noted.add(1, 0.1, RecordingError(f"the {number} is wrong"), "So be it.")
+        assert noted.texts == ["the 7 is wrong. So be it."] and noted.count == 2
 
 
 @pytest.mark.parametrize("tolerance", [-1.0, float("nan")])
@@ -462,16 +595,19 @@ def test_whole_numbers_of_numpy_are_numbers_of_frames_and_flags(tmp_path: Path) 
         recorder.frame()
 
 
-def test_a_clock_that_goes_back_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("last", [None, 3])
+def test_a_clock_that_goes_back_ends_the_recording_with_the_frames_before_it(last: int | None, tmp_path: Path) -> None:
     toy = Toy()
-    with (
-        pytest.raises(carom.errors.RecordingError, match="the time decreased"),
-        carom.record.Recorder(toy, tmp_path / "run.rrd") as recorder,
-    ):
-        toy.step()
-        recorder.frame()
-        toy.steps = 0
-        recorder.frame()
+    with carom.record.Recorder(toy, tmp_path / "run.rrd", last=last) as recorder:
+        for _ in range(5):
+            toy.step()
+            assert recorder.frame()
+        toy.steps = 0  # as MuJoCo resets itself where others have NaN
+        assert not recorder.frame() and not recorder.frame()
+    recording = Recording.open(tmp_path / "run.rrd")
+    assert recording.frames == (last or 6)
+    assert recording.outcome == f"failed: {recorder.problems[0].removesuffix(' The recording ends before it.')}"
+    assert "the time decreased from 0.01 to 0 s" in recording.outcome
 
 
 def test_a_snapshot_keeps_a_state_that_the_engine_overwrites_and_tells_whether_it_is_bounded() -> None:

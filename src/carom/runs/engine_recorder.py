@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import operator
+import os
+import threading
 import uuid
-import warnings
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -34,8 +34,9 @@ from carom.recording.source.source import (
     time_of,
 )
 from carom.runs.environment import environment
-from carom.runs.output import refuse_name, refuse_output
+from carom.runs.output import claimed_output, refuse_name
 from carom.runs.snapshot_writer import SnapshotWriter
+from carom.runs.unrecorded import Unrecorded, sentence_of
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.units.unit import UnitError
@@ -47,8 +48,11 @@ class Recorder:
     """Records the states of a source; use it as a context, and call `frame` after every step.
 
     `frame` only copies the state; another thread encodes, audits and writes it. `frame` waits while that thread is
-    behind, so no frame is dropped. A state that is not finite ends the recording with the frame before it. A fault is a
-    line in the recording's log, and an entry in `faults`.
+    behind, so no frame is dropped. A fault is a line in the recording's log, and an entry in `faults`.
+
+    After its creation, a recorder never raises into the run that it watches. What it cannot record it notes in the
+    recording, once on stderr, and in `problems`, and the run goes on. A state that is not finite, a time that decreased
+    and a full disk end the recording; a state of another form is left out.
 
     Parameters
     ----------
@@ -57,8 +61,9 @@ class Recorder:
     path
         The ``.rrd`` to write.
     last
-        Keep only so many frames, in memory. They are written when a state is not finite, when an exception leaves the
-        context, and by `write`.
+        Keep only so many frames, in memory. They are written when a state is not finite, when the time decreases (as
+        in MuJoCo, which resets itself), when an exception leaves the context, when the program ends before `finish`,
+        and by `write`.
     every
         Record one of so many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
         200 bodies or more.
@@ -80,7 +85,8 @@ class Recorder:
     Raises
     ------
     RecordingError
-        If the units are invalid, the path cannot be written, or the source is no valid run of bodies.
+        If the units are invalid, the path cannot be written, or the source or its present state is no valid run of
+        bodies.
     """
 
     def __init__(
@@ -117,7 +123,8 @@ class Recorder:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_name(self.path)
-        refuse_output(self.path, force)
+        with claimed_output(self.path, force):  # or a folder that cannot be written would be found in the run
+            pass
         self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)
         self._stepped = source.stepped if isinstance(source, SteppedSource) else None
@@ -126,12 +133,14 @@ class Recorder:
         self._calls = 0
         self._time = -np.inf
         self._ended = ""  # why no more frames are accepted
-        self._setup: Setup | None = None
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
+        first = source.state()
+        self._setup = _checked(source, first)
+        self._new = memory_of(source, first)
         self._free: StateMemory | None = None  # reusable memory
-        self._new: Callable[[], StateMemory]  # allocates memory; known after the first state
         self._sink: SnapshotWriter | None = None
         self._written = self._taken = 0
+        self._unrecorded = Unrecorded(self.path)
         self.faults: list[Fault] = []
 
     @property
@@ -139,117 +148,131 @@ class Recorder:
         """Number of frames that were recorded or are in memory."""
         return self._taken if self._ring is None else len(self._ring)
 
+    @property
+    def problems(self) -> list[str]:
+        """What could not be recorded so far, in sentences, which are in the recording, too."""
+        return list(self._unrecorded.texts)
+
     def frame(self) -> bool:
-        """Record the present state; return whether the recording continues.
+        """Record the present state; return whether the recording continues. Raises nothing, see `problems`."""
+        try:
+            self._take_frame()
+        except Exception as error:
+            self._unrecorded.add(self._calls - 1, self._time_of_note, error, "This state is not recorded.")
+        return not self._ended
+
+    def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording | None:
+        """Write the frames in memory; recording into memory continues. None if the file cannot be written.
 
         Raises
         ------
         RecordingError
-            If the file can no longer be written, or the time has decreased.
-        """
-        call, self._calls = self._calls, self._calls + 1
-        if call and self._stepped is not None:
-            self._stepped()
-        if self._ended or call % self.every:
-            return not self._ended
-        setup = self._setup
-        if setup is None:
-            state = self._source.state()
-            setup = self._begin(state)
-            snapshot = self._memory()
-            snapshot.take(state)
-        else:
-            snapshot = self._memory()
-            self._read(snapshot)
-        state = snapshot.state
-        if not snapshot.bounded and (fault := not_finite(setup, call, state)) is not None:
-            self._end(fault)
-            return False
-        if not np.isfinite(state.time):
-            raise RecordingError(f"{setup.engine}: the time is {state.time}, which is not finite")
-        if state.time < self._time:
-            raise RecordingError(
-                f"{setup.engine}: the time decreased from {self._units.shown(self._time, TIME):g} to "
-                f"{self._units.text(state.time, TIME, 'g')}; start another recording"
-            )
-        self._time = state.time
-        if self._ring is not None:
-            if len(self._ring) == self._ring.maxlen:
-                self._free = self._ring[0][1]
-            self._ring.append((call, snapshot))
-        elif self._sink is not None:
-            self._sink.put(call, snapshot)
-            self._taken += 1
-        return True
-
-    def _memory(self) -> StateMemory:
-        """Return memory for a copy of a state; wait for the writer if all memory is in use."""
-        if self._sink is not None:
-            return self._sink.spare()
-        free, self._free = self._free, None
-        return free or self._new()
-
-    def write(self, path: str | Path | None = None, outcome: str = "written on demand") -> Recording:
-        """Write the frames in memory; recording into memory continues.
-
-        Raises
-        ------
-        RecordingError
-            If frames are not kept in memory, there is none yet, or the file cannot be written.
+            If frames are not kept in memory.
         """
         if self._ring is None:
             raise RecordingError(f"{self.path} is written during the run; give last=N to keep frames in memory")
-        if not self._ring:
-            raise RecordingError(f"{self.path}: there is no frame in memory yet")
-        target = self._next_path() if path is None else Path(path)
-        self._dump(target, outcome, ())
-        return Recording.open(target)
+        try:
+            target = self._next_path() if path is None else Path(path)
+            self._dump(target, outcome, ())
+            return Recording.open(target)
+        except Exception as error:
+            self._unrecorded.add(self._calls - 1, self._time_of_note, error, "The frames in memory are not written.")
+            return None
 
     def finish(self, outcome: str = COMPLETED) -> None:
-        """Close the recording. Leaving the context does it, too."""
+        """Close the recording. Leaving the context does it, too. Raises nothing, see `problems`."""
+        expect_finish(self, False)
         sink, self._sink = self._sink, None
         if sink is not None:
             self._ended = self._ended or outcome
-            self.faults = sink.finish(outcome, ())
+            self._close(sink, outcome, ())
 
     def __enter__(self) -> Self:
-        self.frame()
+        self._take_frame()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        outcome = COMPLETED if error is None else f"failed: {type(error).__name__}: {error}"
         if error is None:
             self.finish()
+        else:
+            self.finish_early(f"failed: {type(error).__name__}: {error}")
+
+    def finish_early(self, outcome: str) -> None:
+        """Close the recording of a run that did not end normally: frames in memory are written, too."""
+        if self._ring and not self._ended:
+            self.write(outcome=outcome)
+        self.finish(outcome)
+
+    def _take_frame(self) -> None:
+        call, self._calls = self._calls, self._calls + 1
+        if call and self._stepped is not None:
+            self._stepped()
+        if self._ended or call % self.every:
             return
-        with contextlib.suppress(RecordingError):  # the exception that leaves the context is more informative
-            if self._ring and not self._ended:
-                self._dump(self._next_path(), outcome, ())
-            self.finish(outcome)
+        snapshot = self._memory()
+        try:
+            self._read(snapshot)
+            recorded = self._keep(call, snapshot)
+        except BaseException:
+            self._free = snapshot  # otherwise the writer's memory would be used up, and the next call wait for ever
+            raise
+        if not recorded:
+            self._free = snapshot
 
-    def _begin(self, first: State) -> Setup:
-        """Check the model and the first state of the source before anything is allocated or written."""
-        if not isinstance(first, State):
-            raise RecordingError(
-                f"`state` of {type(self._source).__name__} returned {type(first).__name__}; return a carom.record.State"
+    def _keep(self, call: int, snapshot: StateMemory) -> bool:
+        """Check a snapshot, and pass it to the writer or into the ring; return whether that was done."""
+        state, setup = snapshot.state, self._setup
+        if not snapshot.bounded:
+            if (fault := not_finite(setup, call, state)) is not None:
+                self._end(call, fault.text, (fault,))
+                return False
+            raise RecordingError(f"{setup.engine}: the time is {state.time}, which is not finite")
+        if state.time < self._time:
+            before, now = self._units.shown(self._time, TIME), self._units.text(state.time, TIME, "g")
+            text = (
+                f"{setup.engine}: the time decreased from {before:g} to {now}: the engine was reset, or reset itself."
             )
-        setup = setup_of(self._source.model, first)
-        array_of(setup.engine, "time", time_of(first), ())
-        n = len(setup)
-        array_of(setup.engine, "velocity", first.velocity, (n, 3))
-        for name, width in (("orientation", 4), ("angular_velocity", 3)):
-            if getattr(first, name) is not None:
-                array_of(setup.engine, name, getattr(first, name), (n, width))
-        if first.orientation is not None:
-            refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
-        self._new = memory_of(self._source, first)
-        if self._ring is None:
-            self._sink = self._writer(self.path, setup, first, self._force)
-        self._setup = setup
-        return setup
+            self._end(call, text, ())
+            return False
+        self._time = state.time
+        if self._ring is not None:
+            if not self._ring:
+                expect_finish(self, True)
+            if len(self._ring) == self._ring.maxlen:
+                self._free = self._ring[0][1]
+            self._ring.append((call, snapshot))
+            return True
+        if self._sink is None:
+            try:
+                self._sink = self._writer(self.path, state, self._force)
+            except BaseException as error:
+                self._ended = f"failed: {error}"
+                raise
+            expect_finish(self, True)
+        try:
+            self._sink.put(call, snapshot)
+        except Exception as error:  # of the thread, as when the disk is full
+            self._end(call, sentence_of(error), ())
+            return False
+        self._taken += 1
+        return True
 
-    def _writer(self, path: Path, setup: Setup, first: State, force: bool) -> SnapshotWriter:
+    @property
+    def _time_of_note(self) -> float:
+        """The last recorded time in s, for what is noted."""
+        return self._time if np.isfinite(self._time) else 0.0
+
+    def _memory(self) -> StateMemory:
+        """Return memory for a copy of a state; wait for the writer if all memory is in use."""
+        free, self._free = self._free, None
+        if free is not None:
+            return free
+        return self._new() if self._sink is None else self._sink.spare()
+
+    def _writer(self, path: Path, first: State, force: bool) -> SnapshotWriter:
+        setup = self._setup
         observer = Observer(setup, first, self._tolerances, self._units)
         stamped: dict[str, Scalar] = {**environment(1), "engine": setup.engine}
         header = header_of_source(
@@ -261,12 +284,13 @@ class Recorder:
             properties=stamped,
             units=self._units,
         )
-        return SnapshotWriter(path, observer, header, force, self._new)
+        return SnapshotWriter(path, observer, header, force, self._new, self._unrecorded)
 
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
         """Write the frames in memory into their own file."""
-        assert self._ring and self._setup, "there are frames"
-        writer = self._writer(path, self._setup, self._ring[0][1].state, self._force)
+        if not self._ring:
+            raise RecordingError(f"{path}: there is no frame in memory yet")
+        writer = self._writer(path, self._ring[0][1].state, self._force)
         for step, snapshot in self._ring:
             writer.put(step, snapshot)
         self.faults = writer.finish(outcome, faults)
@@ -278,17 +302,44 @@ class Recorder:
             return self.path
         return self.path.with_stem(f"{self.path.stem}-{self._written + 1}")
 
-    def _end(self, fault: Fault) -> None:
-        """End the recording with the last finite state, since later states are meaningless."""
-        self._ended = f"failed: {fault.text}"
+    def _end(self, call: int, text: str, faults: tuple[Fault, ...]) -> None:
+        """End the recording before the present state, and note why."""
+        self._ended = f"failed: {text}"
+        self._unrecorded.add(call, self._time_of_note, text, "The recording ends before it.", ends=True)
+        sink, self._sink = self._sink, None
+        self.faults = list(faults)
         if self._ring:
-            self._dump(self._next_path(), self._ended, (fault,))
-        elif self._sink is not None:
-            sink, self._sink = self._sink, None
-            self.faults = sink.finish(self._ended, (fault,))
-        else:
-            self.faults = [fault]
-        warnings.warn(f"carom: {fault.text} The recording {self.path} ends before it.", RuntimeWarning, stacklevel=3)
+            try:
+                self._dump(self._next_path(), self._ended, faults)
+            except Exception as error:
+                self._unrecorded.add(call, self._time_of_note, error, "The frames in memory are not written.")
+        elif sink is not None:
+            self._close(sink, self._ended, faults)
+        expect_finish(self, False)
+
+    def _close(self, sink: SnapshotWriter, outcome: str, faults: Iterable[Fault]) -> None:
+        try:
+            self.faults = sink.finish(outcome, faults)
+        except Exception as error:
+            self._unrecorded.add(self._calls - 1, self._time_of_note, error, "The recording ends there.", ends=True)
+
+
+def _checked(source: Source, first: State) -> Setup:
+    """Check the model and the present state of a source before anything is allocated or written."""
+    if not isinstance(first, State):
+        raise RecordingError(
+            f"`state` of {type(source).__name__} returned {type(first).__name__}; return a carom.record.State"
+        )
+    setup = setup_of(source.model, first)
+    array_of(setup.engine, "time", time_of(first), ())
+    n = len(setup)
+    array_of(setup.engine, "velocity", first.velocity, (n, 3))
+    for name, width in (("orientation", 4), ("angular_velocity", 3)):
+        if getattr(first, name) is not None:
+            array_of(setup.engine, name, getattr(first, name), (n, width))
+    if first.orientation is not None:
+        refuse_no_rotation(setup.engine, np.asarray(first.orientation, dtype=np.float64))
+    return setup
 
 
 def _counts(number: int) -> bool:
@@ -297,3 +348,34 @@ def _counts(number: int) -> bool:
         return operator.index(number) > 0
     except TypeError:
         return False
+
+
+_unfinished: dict[Recorder, None] = {}
+os.register_at_fork(after_in_child=_unfinished.clear)
+_lock = threading.Lock()
+_watcher: threading.Thread | None = None
+
+
+def expect_finish(recorder: Recorder, expected: bool) -> None:
+    """Finish a recorder when the program ends, unless it has been finished by then."""
+    global _watcher  # noqa: PLW0603 - one thread for all recorders of a process
+    with _lock:
+        if not expected:
+            _unfinished.pop(recorder, None)
+            return
+        _unfinished[recorder] = None
+        if _watcher is None or not _watcher.is_alive():
+            # `atexit` would be too late: from Python 3.12 on, no thread can be started there
+            _watcher = threading.Thread(target=_finish_unfinished, name="carom-exit", daemon=False)
+            _watcher.start()
+
+
+def _finish_unfinished() -> None:
+    """Wait for the end of all threads but the daemons, and finish the recorders that are left."""
+    threading.main_thread().join()
+    this = threading.current_thread()
+    while others := [t for t in threading.enumerate() if t is not this and not t.daemon and t.is_alive()]:
+        for thread in others:
+            thread.join()
+    for recorder in list(_unfinished):
+        recorder.finish_early("interrupted: the program ended before Recorder.finish")

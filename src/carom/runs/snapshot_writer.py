@@ -8,8 +8,12 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+from carom.errors import RecordingError
+from carom.event import Event
+from carom.physics.frame import Frame
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.law_audit import Fault
 from carom.recording.source.observer import Observer, header_of_source
@@ -19,6 +23,7 @@ from carom.runs.environment import environment
 from carom.runs.outcome import closing_of
 from carom.runs.output import claimed_output
 from carom.runs.overview import ONCE_A_STEP
+from carom.runs.unrecorded import Unrecorded
 from carom.scene.schema import Scene
 
 WAITING_BYTES = 32_000_000  # bytes of states that wait for the writer
@@ -43,12 +48,21 @@ class SnapshotWriter:
         Whether to replace a file that exists.
     new
         Makes memory for a snapshot.
+    unrecorded
+        Takes what cannot be recorded.
     """
 
     def __init__(
-        self, path: Path, observer: Observer, header: Header, force: bool, new: Callable[[], StateMemory]
+        self,
+        path: Path,
+        observer: Observer,
+        header: Header,
+        force: bool,
+        new: Callable[[], StateMemory],
+        unrecorded: Unrecorded,
     ) -> None:
-        self._observer, self._new = observer, new
+        self._observer, self._new, self._unrecorded = observer, new, unrecorded
+        self._noted = 0  # events of `unrecorded` that are in the recording
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
         self._recorder = FrameRecorder(path, header)
@@ -61,8 +75,7 @@ class SnapshotWriter:
         self._due = 0.0
         self._queue: queue.SimpleQueue[list[tuple[int, StateMemory]] | None] = queue.SimpleQueue()
         self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
-        self._error: Exception | None = None
-        self._whole = True  # whether the file can be closed: errors concern a state and not the disk
+        self._error: Exception | None = None  # why the file cannot be written any more
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
@@ -79,7 +92,7 @@ class SnapshotWriter:
         return self._spare.get()
 
     def put(self, step: int, snapshot: StateMemory) -> None:
-        """Pass a snapshot to the thread, which then owns it."""
+        """Pass a snapshot to the thread, which then owns it. Raises the error that closed the file, if any."""
         if self._error is not None:
             raise self._error
         self._batch.append((step, snapshot))
@@ -97,25 +110,28 @@ class SnapshotWriter:
         self._thread.join()
         audit = self._observer.audit
         try:
-            if self._error is not None and not self._whole:
+            if self._error is not None:
                 raise self._error
             for fault in faults:
                 audit.note(fault)
             events = (
+                *self._unrecorded.events[self._noted :],
+                *self._unrecorded.total(*self._last),
                 *(fault.event for fault in faults),
                 *self._observer.highlights(),
             )
-            ended = outcome if self._error is None else f"failed: {self._error}"
-            self._recorder.finish(ended, observed_totals(self._observer, *self._last), events)
+            self._recorder.finish(outcome, observed_totals(self._observer, *self._last), events)
         finally:
             self._stack.close()
-        if self._error is not None:
-            raise self._error
         return sorted(audit.first.values(), key=lambda fault: fault.step)
 
     def _run(self) -> None:
-        for _ in range(self._stock):
-            self._spare.put(self._new())
+        for allocated in range(self._stock):
+            try:
+                self._spare.put(self._new())
+            except MemoryError:
+                self._room += self._stock - allocated  # `spare` tries again
+                break
         while (batch := self._queue.get()) is not None:
             for step, snapshot in batch:
                 if self._error is None:
@@ -124,15 +140,31 @@ class SnapshotWriter:
 
     def _record(self, step: int, state: State) -> None:
         try:
+            self._observer.named(state.contacts)
+        except (RecordingError, TypeError, ValueError) as error:
+            self._unrecorded.add(step, state.time, error, "Its contacts are those of the distances.")
+            state.contacts = None
+        try:
             frame = self._observer.frame(step, state, self._store)
         except Exception as error:
-            self._error = error
+            self._unrecorded.add(step, state.time, error, "This state is not recorded.")
             return
+        notes = self._notes_until(frame)
         try:
-            self._recorder.put(frame)
+            self._recorder.put(replace(frame, events=(*notes, *frame.events)) if notes else frame)
             self._last = (step, state.time)
         except Exception as error:
-            self._error, self._whole = error, False
+            self._error = error
+
+    def _notes_until(self, frame: Frame) -> list[Event]:
+        """Return the notes since the last frame; those before the first frame get its time."""
+        found: list[Event] = []
+        for event in self._unrecorded.events[self._noted :]:
+            if event.step > frame.step:
+                break
+            found.append(replace(event, step=frame.step, time=frame.time))
+        self._noted += len(found)
+        return found
 
 
 def observed_totals(observer: Observer, steps: int, time: float) -> dict[str, Scalar]:

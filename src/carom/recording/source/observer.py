@@ -168,15 +168,16 @@ class Observer:
         self, step: int, before: EngineMoment, now: EngineMoment, known: Any, pull: float | None
     ) -> tuple[AuditFinding, CollisionGraph]:
         near = self._proximity.between(before, now)
-        given = None if known is None else self._named(known)
-        contacts = self._proximity.graph(near, given)
+        contacts = self._proximity.graph(near, self.named(known))
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
         if before is now:
             return AuditFinding(), contacts
         return self.audit.see(step, before, now, near, potentials), contacts
 
-    def _named(self, known: Any) -> IntArray:
-        """Return the contacts that the engine reports; refuse ends that are neither bodies nor planes."""
+    def named(self, known: Any) -> IntArray | None:
+        """Return the contacts that the engine reports, if it does; refuse ends that are neither bodies nor planes."""
+        if known is None:
+            return None
         pairs, ends = np.asarray(known, dtype=np.int64), len(self.setup) + len(self.setup.planes)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
             raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} in place of (m, 2)")

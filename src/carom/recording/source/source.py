@@ -340,7 +340,7 @@ class StateMemory:
                         "of bodies, so start another recording"
                     )
                 view[:] = values
-        own.contacts = None if state.contacts is None else np.array(state.contacts, dtype=np.int64)
+        own.contacts = None if state.contacts is None else np.array(state.contacts)
 
     @property
     def bounded(self) -> bool:
