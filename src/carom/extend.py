@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint as Checkpoint
     from carom.physics.contact.law import LAW as LAW
     from carom.physics.diagnostics.extremes import Extremes as Extremes
+    from carom.physics.exponential import exponential as exponential
+    from carom.physics.exponential import logarithm as logarithm
+    from carom.physics.exponential import power as power
     from carom.physics.forces.kernel_forces import forces_of_packages as forces_of_packages
     from carom.physics.jit import cores as cores
     from carom.physics.jit.decorators import kernel as kernel
@@ -201,6 +204,7 @@ SECTIONS = {  # purpose → module → names
     "Forces": {
         "carom.scene.forces": "BodyForce PairForce",
         "carom.physics.jit.decorators": "kernel",
+        "carom.physics.exponential": "exponential logarithm power",
     },
     "Contact laws": {
         "carom.scene.contact_laws": "ContactLaw",

@@ -54,6 +54,7 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
         "coulomb": "carom.scene.contact_laws:COULOMB",
         "rolling_resistance": "carom.laws.rolling_resistance:LAW",
         "viscoelastic": "carom.laws.viscoelastic:LAW",
+        "power_law": "carom.laws.power_law:LAW",
         "restitution_table": "carom.laws.restitution_table:LAW",
         "walton": "carom.laws.walton:LAW",
     },

@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 from carom import Scene
 from carom.errors import SceneError
-from carom.laws import restitution_table, rolling_resistance, viscoelastic, walton
+from carom.laws import power_law, restitution_table, rolling_resistance, viscoelastic, walton
 from carom.scene.contact_laws import ContactLaw
 from carom.scene.load import scene_from_text
 from carom.scene.matter import pair_coefficients
@@ -86,6 +86,16 @@ def test_a_table_of_restitution_is_linear_between_its_points(values: list[float]
     p = SimpleNamespace(**restitution_table.numbers(section))
     # sums of six products, each at most 14 times 2/1.5
     assert restitution_table.restitution(p, speed, -1.0) == pytest.approx(np.interp(speed, speeds, values), abs=1e-13)
+
+
+@given(st.floats(0.01, 1.0), st.floats(0.01, 2.0), st.floats(1e-3, 1e3))
+def test_a_power_law_is_constant_up_to_its_speed_and_falls_with_its_power_above(
+    e: float, exponent: float, speed: float
+) -> None:
+    p = SimpleNamespace(**power_law.numbers(power_law.PowerLaw(restitution=e, speed=speed, exponent=exponent)))
+    assert power_law.restitution(p, 0.5 * speed, 0.0) == power_law.restitution(p, speed, 0.0) == e
+    # the power is right to parts in 10¹⁵
+    assert power_law.restitution(p, 16.0 * speed, 0.0) == pytest.approx(e * 16.0**-exponent, rel=1e-14)
 
 
 @given(st.floats(-1.0, 1.0), st.floats(0.0, 10.0), st.floats(0.0, 10.0))

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from carom.scene.portable_math import cube_root, power
+from carom.scene.portable_math import cosine_and_sine, cube_root, power
 
 ULP = 2.0**-52
 
@@ -29,6 +29,15 @@ def test_cube_roots_are_right_to_the_last_two_bits() -> None:
     x = np.concatenate((np.random.default_rng(0).random(100_000), [0.0, 1.0, 8.0, 27.0, 1e300, 1e-300, 5e-324]))
     exact = np.cbrt(x.astype(np.longdouble)).astype(np.float64)  # np.cbrt of doubles is wrong by up to 3 ULP
     assert np.allclose(cube_root(x), exact, rtol=2 * ULP, atol=0)
+
+
+def test_sines_and_cosines_are_right_to_the_last_two_bits_and_exact_at_right_angles() -> None:
+    degrees = np.concatenate((np.random.default_rng(0).uniform(-720, 720, 10_000), [0.0, 90.0, 180.0, 270.0, 360.0]))
+    cosine, sine = cosine_and_sine(degrees)
+    turns = np.fmod(degrees, 360.0).astype(np.longdouble) * (4 * np.arctan(np.longdouble(1)) / 180)
+    assert np.allclose(cosine, np.cos(turns).astype(np.float64), rtol=0, atol=2 * ULP)
+    assert np.allclose(sine, np.sin(turns).astype(np.float64), rtol=0, atol=2 * ULP)
+    assert cosine[-5:].tolist() == [1.0, 0.0, -1.0, 0.0, 1.0] and sine[-5:].tolist() == [0.0, 1.0, 0.0, -1.0, 0.0]
 
 
 def test_powers_are_right_to_the_rounding_of_their_exponent() -> None:

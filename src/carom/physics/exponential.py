@@ -1,4 +1,6 @@
-"""e^{-z} and what follows from it, with the same bits on any machine.
+"""Exponentials, logarithms and powers, with the same bits on any machine.
+
+`exponentials` and `log_remainder` are those of drag:
 
     φ₁ = (1 - e^{-z})/z,    φ₂ = (1 - φ₁)/z,    M = (-ln(1 - y) - y)/y²
 
@@ -13,12 +15,14 @@ import math
 import numpy as np
 
 from carom.physics.jit.decorators import kernel
-from carom.scene.portable_math import LN2_HIGH, LN2_LOW
+from carom.scene.portable_math import EXP, LN2_HIGH, LN2_LOW, LOG
 
 VANISHED = 745.0  # e^-z underflows to 0 for larger z
 TERMS = 20  # of a series on [0, 1]: 1/22! is below round-off
 LOG_TERMS = 10  # of the series of artanh up to 1/7: 7⁻²⁰ is below round-off
 LOG_SERIES_UP_TO = 0.25
+OVERFLOWS = 709.78  # e^z is infinite for larger z
+HALF_ROOT = math.sqrt(0.5)
 
 
 @kernel
@@ -58,3 +62,44 @@ def log_remainder(y: float) -> float:
     if doublings == 0:
         return remainder
     return (math.ldexp(small + small * small * remainder, doublings) - y) / (y * y)
+
+
+@kernel
+def exponential(x: float) -> float:
+    """Return eˣ, infinite above 709.78 and 0 below -745; the bits are those of `carom.scene.portable_math`."""
+    if x > OVERFLOWS:
+        return math.inf
+    if not x >= -VANISHED:
+        return 0.0 if x < 0.0 else x
+    k = np.rint(x / (LN2_HIGH + LN2_LOW))
+    high, low = x - k * LN2_HIGH, k * LN2_LOW
+    r = high - low
+    square = r * r
+    series = EXP[4]
+    for i in range(3, -1, -1):
+        series = series * square + EXP[i]
+    c = r - square * series
+    return math.ldexp(1.0 - ((low - (r * c) / (2.0 - c)) - high), int(k))
+
+
+@kernel
+def logarithm(x: float) -> float:
+    """Return ln x for x > 0."""
+    mantissa, exponent = math.frexp(x)
+    if mantissa < HALF_ROOT:
+        mantissa, exponent = 2.0 * mantissa, exponent - 1
+    f = mantissa - 1.0
+    s = f / (2.0 + f)
+    square = s * s
+    series = LOG[6]
+    for i in range(5, -1, -1):
+        series = series * square + LOG[i]
+    half_square = 0.5 * f * f
+    tail = s * (half_square + series * square) + exponent * LN2_LOW
+    return exponent * LN2_HIGH - ((half_square - tail) - f)
+
+
+@kernel
+def power(base: float, exponent: float) -> float:
+    """Return bᵖ for b > 0, to some parts in 10¹⁵."""
+    return exponential(exponent * logarithm(base))

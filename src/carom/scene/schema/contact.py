@@ -156,9 +156,9 @@ class ContactSettings(Section):
     enabled: Annotated[bool, Field(strict=True)] = Field(True, description="false: spheres pass through each other")
     law: Annotated[str | list[str], AfterValidator(_known_law)] = Field(
         DEFAULT_LAW,
-        description="contact law: coulomb, rolling_resistance, viscoelastic, restitution_table, walton, or one of an "
-        "installed package, with its coefficients in [contact.NAME]; or a list of laws that define different impulses, "
-        'such as ["viscoelastic", "rolling_resistance"]',
+        description="contact law: coulomb, rolling_resistance, viscoelastic, power_law, restitution_table, walton, or "
+        "one of an installed package, with its coefficients in [contact.NAME]; or a list of laws that define different "
+        'impulses, such as ["viscoelastic", "rolling_resistance"]',
     )
     restitution: AnyReal = Field(
         0.5, ge=0, le=1, description="rebound speed over approach speed, from 0 (no bounce) to 1 (elastic)"

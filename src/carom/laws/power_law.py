@@ -1,0 +1,51 @@
+"""Restitution by a power of the closing speed, as of ice and of materials that yield.
+
+    e(v) = e₁                  up to the speed v₁
+    e(v) = e₁ (v / v₁)^(-q)    above it
+
+Bridges, Hatzes & Lin (Nature 309, 333, 1984) measured q = 0.234 for ice of Saturn's rings. Spheres that yield fully
+have q = 1/4 (Johnson, *Contact Mechanics*, §11.5).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from carom.extend import VELOCITY, ContactLaw, Positive, Section, power
+
+
+class PowerLaw(Section):
+    """[contact.power_law]: restitution that falls with a power of the speed of an impact."""
+
+    restitution: float = Field(1.0, strict=True, gt=0, le=1, description="e of impacts up to ``speed``; at most 1")
+    speed: Annotated[Positive, VELOCITY] = Field(description="m/s, closing speed from which restitution falls")
+    exponent: Positive = Field(le=10, description="q of e ∝ v^(-q), such as 0.234 for ice and 0.25 where spheres yield")
+
+
+def restitution(p: Any, approach: float, rest_speed: float) -> float:
+    """Return e(v); 0 for contacts that close no faster than one at rest."""
+    if not approach > rest_speed:
+        return 0.0
+    if approach <= p.fastest_speed:
+        return float(p.slow_restitution)
+    e: float = p.slow_restitution * power(approach / p.fastest_speed, -p.exponent)
+    return e
+
+
+def numbers(section: PowerLaw) -> dict[str, float]:
+    """Return the coefficients, by names that Coulomb's law does not have."""
+    return {
+        "slow_restitution": section.restitution,
+        "fastest_speed": section.speed,
+        "exponent": section.exponent,
+    }
+
+
+def dissipates(p: Any) -> bool:
+    """Return True: fast impacts dissipate."""
+    return True
+
+
+LAW = ContactLaw(PowerLaw, restitution=restitution, dissipates=dissipates, coefficients=numbers)
