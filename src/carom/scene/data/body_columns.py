@@ -27,11 +27,12 @@ from carom.scene.data.mapping import (
     with_material,
 )
 from carom.scene.data.orbital_elements import OrbitTable
-from carom.scene.schema.body import BodyData
+from carom.scene.schema.body import BodyData, Missing
 from carom.scene.schema.contact import Material
 from carom.scene.schema.quantity import LARGEST, SMALLEST
 from carom.scene.units.dimension import ANGULAR_VELOCITY, DENSITY, LENGTH, MASS, VELOCITY
 from carom.scene.units.system import OWN, UnitSystem
+from carom.scene.wording import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +112,7 @@ class BodyColumns:
 
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
+_SIZES = ("radius", "diameter", "density")  # of which 0 is a missing value
 _SAME_DISTANCE = 0.02  # relative: distances from the Sun are nearly those from the barycentre
 _DIMENSIONS = {  # dimensions whose product each quantity has
     "position": (LENGTH,),
@@ -191,12 +193,12 @@ def read_columns(
     }
     for mistake, rows in mistakes.items():
         if rows.any():
-            raise SceneError(f"{table.called}: row {int(np.argmax(rows))} {mistake}")
+            raise SceneError(f"{table.called}: row {reader.row(int(np.argmax(rows)))} {mistake}")
     unused = unused_columns(section, mapping, table.names)
     notes = [f"{table.called}: {'; '.join(reader.used)}"]
     if unused:
         notes.append(f"{table.called}: columns that are not used: {unused}")
-    return columns, (*table.notes, *notes)
+    return columns, (*table.notes, *notes, *reader.notes)
 
 
 class _Reader:
@@ -218,6 +220,27 @@ class _Reader:
         for name, array in self._raw.items():
             if len(array) != self._rows:
                 raise SceneError(f"{called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
+        self._row = np.arange(self._rows)  # in the file, of each row that is read
+        self.notes = list[str]()
+        if section.missing is not None and section.missing.leave_out:
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Leave out the rows without a position."""
+        there = np.ones(self._rows, dtype=np.bool_)
+        for name in self._mapping["position"]:
+            gaps = np.isnan(numbers_of(self._called, name, self._raw[name], with_gaps=True))
+            there &= ~gaps.reshape(self._rows, -1).any(axis=1)
+        self._row = self._row[there]
+        self._raw = {name: array[there] for name, array in self._raw.items()}
+        if len(self._row) < self._rows:
+            gone = counted(self._rows - len(self._row), "row")
+            self.notes.append(f"{self._called}: {gone} of {self._rows} without a position left out")
+        self._rows = len(self._row)
+
+    def row(self, place: int) -> int:
+        """Return the row of the file from which a body comes."""
+        return int(self._row[place])
 
     @property
     def has_density(self) -> bool:
@@ -311,9 +334,17 @@ class _Reader:
         return array
 
     def _numbers(self, quantity: str, column: str) -> FloatArray:
-        given = numbers_of(self._called, column, self._raw[column])
+        missing, key = self._section.missing, "radius" if quantity == "diameter" else quantity
+        stands = getattr(missing, key, None)  # for missing values
+        given = numbers_of(self._called, column, self._raw[column], with_gaps=stands is not None)
         factor = self._factor(quantity, column)
         values = given if factor == 1.0 else given * factor
+        gaps = np.isnan(given) | (given == 0.0 if quantity in _SIZES else False)
+        if stands is not None and gaps.any():
+            values = np.where(gaps, 2.0 * stands if quantity == "diameter" else stands, values)
+            shown = self._units.text(stands, _DIMENSIONS[key][0])
+            lacking = counted(int(gaps.sum()), "row")
+            self.notes.append(f"{self._called}: {lacking} of {self._rows} without a {quantity}: {key} = {shown}")
         size = np.abs(values)
         wrong = {
             "is not a finite number": ~np.isfinite(values),
@@ -326,7 +357,14 @@ class _Reader:
         for what, rows in wrong.items():
             if rows.any():
                 place = np.unravel_index(int(np.argmax(rows)), rows.shape)
-                raise SceneError(f"{self._called}: column {column}, row {place[0]}: {given[place]:g} {what}")
+                hint = (
+                    f"; missing = {{ {key} = … }} gives it a value"
+                    if gaps[place] and key in Missing.model_fields
+                    else ""
+                )
+                raise SceneError(
+                    f"{self._called}: column {column}, row {self.row(int(place[0]))}: {given[place]:g} {what}{hint}"
+                )
         if values.size:
             least, most = self._ranges.get(quantity, (math.inf, -math.inf))
             self._ranges[quantity] = (min(least, float(values.min())), max(most, float(values.max())))

@@ -132,8 +132,8 @@ def refuse_bomb(called: str, claimed: int, stored: int) -> None:
         )
 
 
-def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
-    """Return a column as float64.
+def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> FloatArray:
+    """Return a column as float64; values that are missing are NaN if it may have gaps.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def numbers_of(called: str, column: str, raw: Raw) -> FloatArray:
         raise SceneError(f"{called}: column {column} holds values of type {raw.dtype} instead of numbers")
     numbers = np.empty(raw.size)
     for row, value in enumerate(raw.ravel().tolist()):
-        number = number_in(value)
+        number = math.nan if with_gaps and value in (None, "", b"") else number_in(value)
         if number is None:
             raise SceneError(f"{called}: column {column}, row {row}: {_shown(value)} is not a number")
         numbers[row] = number

@@ -120,6 +120,17 @@ class Orbit(Section):
     )
 
 
+class Missing(Section):
+    """What stands for values that rows of a file lack: empty, not a number, or a size of 0."""
+
+    radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of bodies without a radius or diameter")
+    mass: Annotated[NonNegative, MASS] | None = Field(None, description="kg, of bodies without a mass; 0 is a mass")
+    density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of bodies without a density")
+    leave_out: Annotated[bool, Field(strict=True)] = Field(
+        False, description="true: leave out the rows without a position, such as those of bodies that have merged"
+    )
+
+
 class BodyData(Matter):
     """[[bodies]]: many bodies, from a file or from arrays; a value given here holds for all of them."""
 
@@ -134,6 +145,9 @@ class BodyData(Matter):
     )
     snapshot: Annotated[int, Field(strict=True)] = Field(
         -1, description="which step of a file of several, counted from 0, or from the end with -1, the last"
+    )
+    missing: Missing | None = Field(
+        None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
     orbit: Orbit | None = Field(
         None, description="{ central_mass, epoch }, for a file with orbital elements in place of positions"
