@@ -242,15 +242,15 @@ MISTAKES = {
     "a coefficient of a body": ("[[body]]\nrestitution = 0.3\n", [":2:", "give it to a [[material]]"]),
     "a body in a plane": (
         "[[body]]\nposition = [0, 0, 0.75]\n[[plane]]\nname = 'floor'\n",
-        ["body.0 reaches 0.25 m into floor", "allow_overlap"],
+        ["body.0 overlaps floor by 0.25 m", "allow_overlap"],
     ),
     "a body in a wall": (
         "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n[[body]]\nname = 'a'\nposition = [4, 0, 0]\n",
-        ['body.0 ("a")', "reaches 0.5 m into wall at +x", "move it out"],
+        ['body.0 ("a")', "overlaps wall at +x by 0.5 m", "move it out"],
     ),
     "a body outside the walls": (
         "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n[[body]]\nposition = [0, -40, 0]\n",
-        ["body.0", "reaches 36.5 m into wall at -y"],
+        ["body.0", "overlaps wall at -y by 36.5 m"],
     ),
     "periodic with a plane": (
         "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY + "[[plane]]\n",
@@ -259,12 +259,12 @@ MISTAKES = {
     "a group behind a plane": (
         "[[group]]\ncount = 3\nregion = { shape = 'ball', radius = 5.0, centre = [0, 0, -9] }\n"
         "[[plane]]\nname = 'floor'\n",
-        ["group.0.region", "no room for the bodies outside floor"],
+        ["group.0.region", "no space for the bodies outside floor"],
     ),
     "a group outside the walls": (
         "[domain]\nboundary = 'walls'\nsize = [9, 9, 9]\n"
         "[[group]]\ncount = 3\nregion = { shape = 'ball', radius = 3.0, centre = [20, 0, 0] }\n",
-        ["group.0.region", "no room for the bodies outside wall at +x"],
+        ["group.0.region", "no space for the bodies outside wall at +x"],
     ),
     "an opening angle beyond 1": (
         "[gravity]\nopening_angle = 1.5\n" + ONE_BODY,

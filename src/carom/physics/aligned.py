@@ -25,7 +25,7 @@ def aligned_empty(count: int, dtype: Any = np.float64, columns: int | None = Non
 
 
 class Buffer:
-    """Memory that is kept from step to step; freeing and allocating it again would cost page faults."""
+    """A buffer that is kept from step to step; freeing and allocating it again would cost page faults."""
 
     def __init__(self, dtype: Any = np.float64, columns: int | None = None) -> None:
         self._dtype = dtype
@@ -43,33 +43,36 @@ class Buffer:
 
     @property
     def whole(self) -> NDArray[Any]:
-        """All rows that there is memory for."""
+        """All rows that are allocated."""
         return self._rows
 
     def holds(self, taken: Any) -> bool:
-        """Return whether rows were taken from this memory."""
+        """Return whether rows are a view of this buffer."""
         return taken.base is self._rows.base
 
 
 def raw(records: RecordArray[object]) -> Records:
-    """Return contiguous records as bytes, a view. NumPy copies fields one by one, which takes 100 times as long."""
+    """Return contiguous records as bytes, without a copy.
+
+    NumPy copies fields one by one, which takes 100 times as long.
+    """
     array: Records = np.asarray(records)
     return array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
 def joined(parts: Iterable[RecordArray[object]], kind: np.dtype[np.void]) -> Records:
-    """Return contiguous records, one part after another, as one array."""
+    """Return parts of contiguous records, joined in their order."""
     found: Records = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)
     return found
 
 
 def picked(records: RecordArray[object], places: IntArray) -> Records:
-    """Return some of contiguous records, a copy."""
+    """Return a copy of selected contiguous records."""
     return raw(records)[places].view(records.dtype)
 
 
 def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
-    """Return number fields that follow each other in records, as a view, (m, k)."""
+    """Return number fields that are adjacent in a record as a view, (m, k)."""
     kind, offset = _place_of(records.dtype, names)
     numbers: FloatArray = np.asarray(records).getfield(kind, offset)
     return numbers
@@ -77,8 +80,8 @@ def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
 
 @cache
 def _place_of(kind: np.dtype[np.void], names: tuple[str, ...]) -> tuple[np.dtype[Any], int]:
-    """Return the type of these fields as one, and its offset in a record in bytes."""
+    """Return the type of adjacent fields as one, and its offset in a record in bytes."""
     assert kind.fields is not None and kind.names is not None
     first = kind.names.index(names[0])
-    assert kind.names[first : first + len(names)] == names, "the fields follow each other in this order"
+    assert kind.names[first : first + len(names)] == names, "the fields are adjacent and in this order"
     return np.dtype((np.float64, len(names))), kind.fields[names[0]][1]

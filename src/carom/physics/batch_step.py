@@ -1,4 +1,4 @@
-"""Steps of integrators that choose them and take many per call, up to the next check or frame."""
+"""Steps of integrators that choose their own length, many per call, up to the next check or frame."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from carom.physics.step import KickDriftStepper
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 
-FREE_DT = 1.0  # s, the first step without any limit; later steps are longer
-FORESEEN = 2.0  # bound of the next step over the holder's last one
-MOST_STRIKES = 100  # impacts at one moment; bodies that still meet are at rest on each other
+FREE_DT = 1.0  # s, the first step if nothing limits it; later steps are longer
+FORESEEN = 2.0  # largest ratio of the next step to the holder's last one
+MOST_STRIKES = 100  # impacts at one moment; bodies that still meet after these are at rest on each other
 
 
 class BatchStepper:
@@ -34,7 +34,7 @@ class BatchStepper:
     integrator
         Takes the steps.
     timestep
-        Suggests the first one.
+        Suggests the first step.
     holder
         Takes over when contacts come to rest; None where nothing can touch. With an accuracy, the integrator resumes
         once nothing touches; otherwise the holder finishes the run.
@@ -54,12 +54,12 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        self._takes_back = world.scene.promise is not None  # other scenes keep the bits of earlier versions
+        self._takes_back = world.scene.promise is not None  # without an accuracy, the bits of earlier versions
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
     def previous_dt(self) -> float:
-        """The step in s that the next one starts from."""
+        """The first step (s) to try next."""
         return self._holder.previous_dt if self._holder and self._held else self._integrator.next_dt
 
     @property
@@ -70,7 +70,7 @@ class BatchStepper:
 
     @property
     def first_dt(self) -> float:
-        """The step in s that the limits of the scene allow in the present state; `FREE_DT` if there is no limit."""
+        """The step (s) that the scene's limits allow in the present state; `FREE_DT` if nothing limits it."""
         dt = self.timestep.first(self._world.bodies)
         return dt if math.isfinite(dt) else FREE_DT
 
@@ -129,7 +129,7 @@ class BatchStepper:
             if batch.meeting:
                 contact.resolve_meeting(batch.meeting.ends, clock.dt)
             contact.end_batch(clock.dt, world.profile)
-        # an end or an impact shortens one step, and is no limit of the scene
+        # an impact or the end of the run shortens one step, but does not limit the next
         clock.foresee("error" if clock.limit in ("end", "impact") else clock.limit, batch.steps)
         world.profile.mark("integrate")
         due, judged = goal.is_reached(clock), goal.is_check(clock)
@@ -158,19 +158,19 @@ class BatchStepper:
         return batch
 
     def _hand_over(self, ends: tuple[int, int]) -> None:
-        """Let the holder take over, because a contact is at rest."""
+        """Let the holder take over when a contact comes to rest."""
         world, holder = self._world, self._holder
         if holder is None:
             return
         self._held = True
         since = "while they do," if self._takes_back else "from now on"
         text = f"Contacts come to rest ({world.names.pair(ends)}): {since} leapfrog integrates and holds them."
-        # an event of the step that begins here: the frame of the last step may have been taken
+        # an event of the step that begins here, since the frame of the last step may have been recorded
         self._books.log(Event(world.clock.step + 1, world.clock.time, "INFO", text, "at-rest"))
         holder.take_over()
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
-        """Take a step with the holder; it has no solution within its steps, so they end at a pause."""
+        """Take a step with the holder. It has no solution within its steps, so they end at a pause."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):
@@ -188,9 +188,9 @@ class BatchStepper:
 
     @property
     def has_solution(self) -> bool:
-        """Whether `between` has a solution."""
+        """Whether `between` has a solution for the last step."""
         return self._took_last
 
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step."""
         return self._integrator.at(earlier) if self._took_last else None

@@ -21,7 +21,7 @@ class Ends:
     acceleration: FloatArray  # (n + p, 3) m/s²
     angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
     inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies, infinite for test particles
-    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 likewise
+    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 or infinite for the same
     radius: FloatArray  # (n + p,) m; infinite for a plane
 
 
@@ -77,7 +77,7 @@ class Bodies:
 
 
 def _inverse(mass: FloatArray, fixed: BoolArray) -> FloatArray:
-    """Return 1/mass; 0 of what is fixed."""
+    """Return 1/mass; 0 for fixed bodies."""
     with np.errstate(divide="ignore"):
         return np.where(fixed, 0.0, 1.0 / mass)
 

@@ -18,13 +18,13 @@ from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 
 @dataclass(frozen=True, slots=True)
 class Books:
-    """Totals and extremes of a run so far. Its summary and warnings depend on them, but no step does."""
+    """Running totals and extremes of a run. The summary and the warnings depend on them; no step does."""
 
     energy: EnergyBaseline
     momentum: MomentumBaseline
     watch: MonitorState
     moments: Extremes
-    activity: float  # J, of the impacts in the last steps
+    activity: float  # J, activity of the impacts in the last steps
     phase: str
     limits: tuple[str, ...]  # limits of the method that were reached and reported so far
     pace: PaceTally = field(default_factory=PaceTally)  # older recordings lack it
@@ -32,7 +32,7 @@ class Books:
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """The state after a step; arrays are float64, exactly as they were."""
+    """The complete state after a step, in float64."""
 
     step: int
     time: float  # s
@@ -41,11 +41,11 @@ class Checkpoint:
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²
     orientation: FloatArray | None  # (n, 4) xyzw; None where the scene requires none
-    angular_velocity: FloatArray | None  # (n, 3) rad/s; likewise
+    angular_velocity: FloatArray | None  # (n, 3) rad/s; None where the scene requires none
     energy: Energy  # J
     contacts: ContactCheckpoint | None  # None where no contact lasts
     books: Books
-    integrator: IntegratorCheckpoint | None = None  # None where each step begins anew
+    integrator: IntegratorCheckpoint | None = None  # None where the integrator carries nothing from step to step
 
     def write_to(self, bodies: Bodies) -> None:
         """Restore the state of the bodies. Torques are not stored, so they are zero until the next step."""
@@ -61,5 +61,5 @@ class Checkpoint:
 
     @property
     def fingerprint(self) -> int:
-        """The fingerprint of the state, equal to that of the frame."""
+        """The fingerprint of the state, which equals that of the frame."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))

@@ -1,11 +1,11 @@
 """Exponentials, logarithms and powers, with the same bits on any machine.
 
-`exponentials` and `log_remainder` are those of drag:
+`exponentials` and `log_remainder` are the functions of drag:
 
     φ₁ = (1 - e^{-z})/z,    φ₂ = (1 - φ₁)/z,    M = (-ln(1 - y) - y)/y²
 
-Each is right to a rounding or two at any argument, also where these differences would cancel. The last bits of libm's
-functions differ between machines.
+Each is accurate to one or two roundings at any argument, also where these differences would cancel. The last bits of
+libm's functions differ between machines.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from carom.physics.jit.decorators import kernel
 from carom.scene.portable_math import EXP, LN2_HIGH, LN2_LOW, LOG
 
 VANISHED = 745.0  # e^-z underflows to 0 for larger z
-TERMS = 20  # of a series on [0, 1]: 1/22! is below round-off
+TERMS = 20  # of the series on [0, 1]: 1/22! is below round-off
 LOG_TERMS = 10  # of the series of artanh up to 1/7: 7⁻²⁰ is below round-off
 LOG_SERIES_UP_TO = 0.25
 OVERFLOWS = 709.78  # e^z is infinite for larger z

@@ -23,16 +23,16 @@ from carom.physics.integrators.batch_integrator import IntegratorCheckpoint
 class FrameStore:
     """A ring buffer for the arrays of many frames, in which the frames of a batch are contiguous.
 
-    Reused memory is in the cache and costs no page faults. Allocating the memory of a frame of 1000 bodies took 50 µs.
+    Reused memory is in the cache and causes no page faults. Allocating memory for a frame of 1000 bodies took 50 µs.
 
     Parameters
     ----------
     slots
-        Number of frames; beyond it, the oldest are overwritten.
+        Number of frames; after these, the oldest are overwritten.
     bodies
         The bodies whose state is copied; their arrays are updated in place.
     until_free
-        Returns once the next slot may be overwritten.
+        A function that returns when the next slot may be overwritten.
     """
 
     def __init__(self, slots: int, bodies: Bodies, until_free: Callable[[], None] = lambda: None) -> None:
@@ -95,15 +95,15 @@ def copies(bodies: Bodies) -> tuple[FloatArray, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The state after one step (step 0: the scene as written).
+    """The state after one step; step 0 is the initial state.
 
-    Arrays are copies, so a frame may wait in a queue; arrays in a `FrameStore` last until their slot is reused. Parts
-    that the scene does not require are None.
+    Arrays are copies, so a frame may wait in a queue. Arrays in a `FrameStore` are valid until their slot is reused.
+    Parts that the scene does not require are None.
     """
 
     step: int
     time: float  # s
-    dt: float  # s, the step that led here; 0 at step 0
+    dt: float  # s, the step that ended here; 0 at step 0
     dt_limit: str  # what set dt: "acceleration", "held", "velocity", "pull", "error", "impact", "cap", "fixed", "end" …
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
@@ -118,22 +118,24 @@ class Frame:
     angular_momentum: FloatArray  # (3,) kg m²/s about the origin
     sweeps: int  # passes over the colours in this step
     phase: str  # "warm-up", "free", "colliding" or "settled"
-    events: tuple[Event, ...]  # since the frame before, in order of time
+    events: tuple[Event, ...]  # since the previous frame, in order of time
     previous_dt: float  # s, the smoothed step, without the cut at the end of a run
     memory: ContactCheckpoint | None  # state of the lasting contacts; None if contacts cannot last
     books: Books
-    momentum_error: float | None = None  # |p - expected| over the largest Σ m |v| so far; None where something is fixed
+    # |p - expected| relative to the largest Σ m |v| so far; None where something is fixed
+    momentum_error: float | None = None
     angular_momentum_error: float | None = None  # the same of L; also None in a periodic box, which does not conserve L
-    integrator: IntegratorCheckpoint | None = None  # state that its next step needs; None if it needs none
-    slot: int | None = None  # of its arrays in a `FrameStore`; None if it owns them
-    impacts: Records | None = None  # (k,) `CONTACT_ROW`, since the frame before, in order of time; None: not asked for
-    impacts_left_out: int = 0  # how many more there were; `impacts` then has those of the largest impulses
-    contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None: not asked for
-    expected_error: float = 0.0  # of positions over the size of the system; 0 where no accuracy is asked for
+    integrator: IntegratorCheckpoint | None = None  # state that the integrator's next step needs; None if it needs none
+    slot: int | None = None  # slot of its arrays in a `FrameStore`; None if the frame owns them
+    # (k,) `CONTACT_ROW`, since the previous frame, in order of time; None if not requested
+    impacts: Records | None = None
+    impacts_left_out: int = 0  # number of further impacts; `impacts` then holds those with the largest impulses
+    contact_rows: Records | None = None  # (m,) `CONTACT_ROW`, by pair: the contacts of this step; None if not requested
+    expected_error: float = 0.0  # of positions, relative to the size of the system; 0 without a requested accuracy
 
     @property
     def fingerprint(self) -> int:
-        """64 bits of the exact state, computed at each access by the accessing thread, not by the physics thread."""
+        """A 64-bit fingerprint of the exact state, computed at each access by the calling thread."""
         return fingerprint_of(self.time, (self.position, self.velocity, self.orientation, self.angular_velocity))
 
     @property

@@ -1,13 +1,14 @@
-"""Many steps of few bodies in one kernel, as long as no event requires Python.
+"""Many steps of few bodies in one kernel, as long as no event needs Python.
 
-A step of three bodies takes 80 ns in a kernel, and ten microseconds where Python calls a kernel for each of its
-parts. `KickDriftStepper` therefore hands over the steps up to the next frame or check. They choose dt, kick, drift and
-rotate by the same kernels, so the bits are those of single steps.
+A step of three bodies takes 80 ns in a kernel, but ten microseconds if Python calls a kernel for each part of it.
+`KickDriftStepper` therefore leaves the steps up to the next frame or check to this module. The same kernels choose dt,
+kick, drift and rotate, so the bits are those of single steps.
 
-Where bodies can touch, a step is taken only if all gaps stay larger than rounding and the fall from rest in a step,
-within which `contact.pipeline` searches for contacts. Paths are straight, so two bodies come nearer by |v_j - v_i| dt
-at most. All pairs and planes are examined again only after the bodies may have moved by half the smallest gap. A step
-with a possible contact is undone and left to `KickDriftStepper`, as is a step that would not change the clock.
+Where bodies can touch, a step is taken only if all gaps stay larger than rounding and larger than a fall from rest in
+one step, the distance within which `contact.pipeline` searches for contacts. Paths are straight, so two bodies approach
+each other by at most |v_j - v_i| dt. All pairs and planes are tested again only after the bodies may have moved by half
+the smallest gap. A step with a possible contact is undone and left to `KickDriftStepper`, and so is a step too short to
+change the clock.
 """
 
 from __future__ import annotations
@@ -35,17 +36,17 @@ from carom.physics.world import World
 from carom.plan.auto import integrator
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
-NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the gap that counts as contact
+NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap that counts as a contact
 ROUNDING = 2.0**-46  # of the coordinates: 64 times their last digit, of which the search allows four
-GRAIN = 2.0**-50  # of the coordinates, more than a drift is rounded by
-BOX_FRACTION = 0.25  # of the smallest side, that bodies may move before they are looked at again
-FAR = 1e150  # m, the gap where there are no pairs
+GRAIN = 2.0**-50  # of the coordinates, more than the rounding of a drift
+BOX_FRACTION = 0.25  # of the smallest side, distance that bodies may move before they are tested again
+FAR = 1e150  # m, the smallest gap where there are no pairs
 
 
 class PlanRecord(Protocol):
-    """The forces of the steps."""
+    """Constants of the steps and their forces."""
 
-    fixed_dt: float  # s; 0 for the steps of a rule
+    fixed_dt: float  # s; 0 if a rule sets the steps
     accelerates: bool  # whether there is a force
     attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
@@ -70,24 +71,24 @@ class _Laws(NamedTuple):
 
 
 class _Clock(NamedTuple):
-    """Where the steps begin and end."""
+    """Where the steps start and end."""
 
     time: float  # s
     end: float  # s, of the run
-    until: float  # s, a step that reaches it is the last
+    until: float  # s; a step that reaches it is the last
     most: int  # steps
-    average: float  # s, the smoothed step
+    average: float  # s, the moving average of the step
     impact_energy: float  # J, the energy of recent impacts
 
 
 class _Moved(NamedTuple):
-    """The state that the steps change."""
+    """The state that the steps update."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
     acceleration: FloatArray  # (n, 3) m/s²
     orientation: FloatArray  # (n, 4) xyzw; no rows where nothing rotates
-    angular_velocity: FloatArray  # (n, 3) rad/s; no rows likewise
+    angular_velocity: FloatArray  # (n, 3) rad/s; no rows where nothing rotates
 
 
 class _Kept(NamedTuple):
@@ -96,7 +97,7 @@ class _Kept(NamedTuple):
     radius: FloatArray  # (n,) m
     mass: FloatArray  # (n,) kg
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    borne: FloatArray  # empty: no contact bears a part of an acceleration
+    borne: FloatArray  # empty, since no contact supports an acceleration
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
     box: FloatArray  # (3,) m, zeros in open space
     normal: FloatArray  # (p, 3) of the planes
@@ -112,18 +113,18 @@ class _Buffers(NamedTuple):
 
 
 class Flight(NamedTuple):
-    """Steps that were taken in one call."""
+    """Steps taken in one call."""
 
     steps: int
-    before: float  # s, time before the last one
+    before: float  # s, time before the last step
     time: float  # s, time after it
     dt: float  # s, its length
-    limit: str  # what set it
+    limit: str  # what set its length
     impact_energy: float  # J, the energy of recent impacts, see `Activity`, before the last step
 
 
 class FreeFlight:
-    """Takes steps of a world in which nothing touches.
+    """Takes the steps of a world in which nothing touches.
 
     Parameters
     ----------
@@ -135,7 +136,7 @@ class FreeFlight:
 
     def __init__(self, world: World, timestep: Timestep) -> None:
         forces, chosen = world.forces.laws, integrator(world.scene)
-        assert forces is not None, "a kernel can sum them"
+        assert forces is not None, "a kernel can sum these forces"
         bodies, planes = world.bodies, world.planes
         self._timestep = timestep
         self._substeps = np.array(chosen.substeps)
@@ -161,7 +162,7 @@ class FreeFlight:
         self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self._arguments)
 
     def take(self, time: float, end: float, until: float, most: int, impact_energy: float = 0.0) -> Flight:
-        """Take steps until a time is reached, the run ends, the number of steps is reached, or something may touch.
+        """Take steps until a time or a number of steps is reached, the run ends, or something may touch.
 
         Parameters
         ----------
@@ -179,9 +180,9 @@ class FreeFlight:
 
 
 def can_fly(world: World) -> bool:
-    """Return whether a world has few enough bodies, and forces that a kernel can sum."""
-    is_audited = world.scene.expect.contact_audit is not None  # the audit needs every kick
-    loses_turns = world.is_periodic and world.contact is None  # a step refuses many
+    """Return whether a world has few enough bodies, and only forces that a kernel can sum."""
+    is_audited = world.scene.expect.contact_audit is not None  # the audit needs each kick
+    loses_turns = world.is_periodic and world.contact is None  # a single step refuses too many crossings
     known = world.forces.laws is not None
     return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
 
@@ -190,13 +191,13 @@ def can_fly(world: World) -> bool:
 def _fly(
     clock: _Clock, laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers
 ) -> tuple[int, float, float, float, int, float, float]:
-    """Take steps; return their number, the time before and after the last one, its length and limit, the averages."""
+    """Take steps; return their number, the times before and after the last, its length and limit, and the averages."""
     time, end, until, most, average, impact_energy = clock
     substeps, box, saved = laws.substeps, kept.box, buffers.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
     P, n, last = laws.plan[0], len(position), len(substeps) - 1
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
-    slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap when it was looked at, how far bodies may have moved since
+    slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap at the last test, and how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
         length, why, following = _choose(laws, moved, kept, buffers, average, end - time)
         after = end if why == END else time + length
@@ -242,7 +243,7 @@ def _fly(
 def _choose(
     laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers, average: float, remaining: float
 ) -> tuple[float, int, float]:
-    """Choose a step; return it in s, its limit, and the new average in s. ``remaining`` is the time left, in s."""
+    """Choose a step, given the time left; return its length, its limit, and the new average. All times in s."""
     P, R = laws.plan[0], laws.rule[0]
     if P.fixed_dt > 0.0:
         length, limit, _ = smooth_and_cut(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
@@ -279,18 +280,18 @@ def _copy(x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: F
 
 @unowned
 def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, float]:
-    """Return the largest speed, m/s, and acceleration, m/s²; not a number if one is not finite."""
+    """Return the largest speed (m/s) and acceleration (m/s²); NaN if any is not finite."""
     v2_max, a2_max, rest = 0.0, 0.0, 0.0
     for i in range(len(velocity)):
         v2, a2 = square(velocity, i), square(acceleration, i)
         v2_max, a2_max = max(v2_max, v2), max(a2_max, a2)
-        rest += (v2 - v2) + (a2 - a2)  # 0, or not a number
+        rest += (v2 - v2) + (a2 - a2)  # 0 or NaN
     return np.sqrt(v2_max) + rest, np.sqrt(a2_max)
 
 
 @unowned
 def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: float) -> tuple[float, float]:
-    """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and by how much a drift rounds.
+    """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and the rounding of a drift.
 
     All are in m.
     """

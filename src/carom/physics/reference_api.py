@@ -1,16 +1,16 @@
-"""The calls of the reference engine: one body, and one collision, with vectors.
+"""The calls of the reference engine: one body and one collision, in vector form.
 
-``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` does
-what `contact.solver.impacts.resolve_impacts` does to a pair, in readable form; tests hold the two equal:
+``Space.compute_dynamics`` and ``Space.get_body_data_for_display`` are methods of the space. `CollisionContext` does the
+same for a pair as `contact.solver.impacts.resolve_impacts`, in readable form; tests compare the two:
 
     v_n = (v_j - v_i)·n                              normal velocity, negative on approach
     J_n = max(0, -(1 + e) v_n + bias) / (1/m_i + 1/m_j)
     u_t = (v_j - v_i) - v_n n - (ρ_i ω_i + ρ_j ω_j) × n     slip at the contact point
     J_t = |u_t| / (1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j)     if that is at most μ_s J_n, otherwise μ_k J_n
 
-Both bodies share one contact point on the line of centres, at ρ_i = d r_i/(r_i + r_j) from i and ρ_j = d - ρ_i from
-j. Lever arms r_i and r_j of overlapping spheres would not add up to d, and each friction impulse would then create
-angular momentum, overlap × J_t.
+Both bodies share one contact point on the line of centres, at ρ_i = d r_i/(r_i + r_j) from i and ρ_j = d - ρ_i from j.
+The lever arms r_i and r_j of overlapping spheres would not add up to d, so each friction impulse would create angular
+momentum, overlap × J_t.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from carom.physics.bodies import Bodies
 
 
 class BodyProxy:
-    """A view of one body: reading and writing it reads and writes the arrays."""
+    """A view of one body, which reads and writes the arrays."""
 
     __slots__ = ("_bodies", "index")
 
@@ -107,19 +107,19 @@ class BodyProxy:
 
 @dataclass(frozen=True)
 class CollisionContext:
-    """The data that resolving one collision needs."""
+    """The data for resolving one collision."""
 
     b1: BodyProxy
     b2: BodyProxy
     n_vec: FloatArray  # (3,) unit vector from b1 to b2
     r1_vec: FloatArray  # (3,) m, from the centre of b1 to the contact point
     r2_vec: FloatArray  # (3,) m, from the centre of b2 to the contact point
-    v_rel: FloatArray  # (3,) m/s, of b2's contact point as seen from b1's
+    v_rel: FloatArray  # (3,) m/s, velocity of b2's contact point relative to b1's
     overlap: float  # m
 
     @classmethod
     def from_bodies(cls, b1: BodyProxy, b2: BodyProxy) -> CollisionContext | None:
-        """Describe the collision of two bodies in open space; None when they do not touch."""
+        """Describe the collision of two bodies in open space; None if they do not touch."""
         separation = b2.position - b1.position
         distance = float(np.sqrt(separation @ separation))
         reach = b1.radius + b2.radius
@@ -135,7 +135,7 @@ class CollisionContext:
     def resolve(
         self, restitution: float, static_friction: float, kinetic_friction: float, *, bias: float = 0.0
     ) -> None:
-        """Apply the normal and the friction impulse to both bodies.
+        """Apply the normal impulse and the friction impulse to both bodies.
 
         Parameters
         ----------

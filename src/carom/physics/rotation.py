@@ -1,4 +1,4 @@
-"""Orientations: the exact rotation of a constant angular velocity, without a libm call.
+"""Orientations: exact rotation at constant angular velocity, without calls of libm.
 
     q(t + dt) = exp(½ ω dt) q(t),    exp(½ ω dt) = (ω/|ω| sin θ, cos θ),    θ = ½ |ω| dt
 
@@ -6,8 +6,8 @@ Sine and cosine are Taylor series on [-π/4, π/4] after a reduction by multiple
 any machine. The error is below 2.3 × 10⁻¹⁶ for θ up to 10⁵ (tests/physics/test_rotation.py). A larger θ is first
 reduced modulo 2π; the rounding of 2π adds an error of θ × 4 × 10⁻¹⁷.
 
-Bodies are rotated in blocks, one short loop without branches after the other, which LLVM vectorises:
-9.5 ns a body in place of 23 in one loop, with the same bits (10⁴ bodies, the least of 400 calls).
+Bodies are rotated in blocks, by successive short loops without branches, which LLVM vectorises: 9.5 ns a body instead
+of 23 in one loop, with the same bits (10⁴ bodies, the fastest of 400 calls).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.team import SOLO, Team
 
-# π/2 in two parts (Cody & Waite): the first has 33 bits, so that its product with a count up to 2²⁰ is exact.
+# π/2 in two parts (Cody & Waite): the first has 33 bits, so its product with a count up to 2²⁰ is exact.
 HALF_PI_HIGH = 1.57079632673412561417
 HALF_PI_LOW = 6.07710050650619224932e-11
 TWO_PI = 6.28318530717958647693
@@ -109,13 +109,13 @@ def rotate_one(i: int, orientation: FloatArray, angular_velocity: FloatArray, dt
 
 @inline
 def _find_angles(omega: FloatArray, dt: float, speed: FloatArray, angle: FloatArray) -> None:
-    """Find |ω| and θ of a block."""
+    """Compute |ω| and θ of a block."""
     far = 0
     for k in range(len(omega)):
         speed[k] = _speed(k, omega)
         angle[k] = 0.5 * speed[k] * dt
         far += abs(angle[k]) > LARGEST
-    if far > 0:  # in a loop of its own, since a modulo is no vector instruction
+    if far > 0:  # in a separate loop, since a modulo is not a vector instruction
         for k in range(len(omega)):
             angle[k] = _reduced(angle[k])
 
@@ -130,7 +130,7 @@ def _speed(k: int, omega: FloatArray) -> float:
 
 @inline
 def _rotate_row(k: int, q: FloatArray, omega: FloatArray, speed: float, sine: float, cosine: float) -> None:
-    """Rotate an orientation, given |ω|, sin θ and cos θ; one that does not spin keeps its bits."""
+    """Rotate an orientation, given |ω|, sin θ and cos θ; without spin it keeps its bits."""
     s, c = sine / speed, cosine
     ax, ay, az = s * omega[k, 0], s * omega[k, 1], s * omega[k, 2]
     qx, qy, qz, qw = q[k, 0], q[k, 1], q[k, 2], q[k, 3]

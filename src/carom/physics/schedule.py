@@ -1,6 +1,6 @@
-"""The schedule of a run: the steps with a frame or a check of errors, and the end.
+"""The schedule of a run: the steps with a frame, those with a check of errors, and the end.
 
-No step depends on a schedule. The last step of a run always has a frame and is always judged.
+No step depends on a schedule. The last step of a run always has a frame and a check.
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from carom.physics.world import Clock
 
-Schedule = Callable[[int, float, float], bool]  # step, the time before it and after it in s → whether it is scheduled
+Schedule = Callable[[int, float, float], bool]  # step, the times before and after it → whether it is scheduled
 
-MULTIPLE_TOLERANCE = 1e-9  # of a time, within which it counts as a multiple of the frames' interval
+MULTIPLE_TOLERANCE = 1e-9  # of a time: a smaller difference from a multiple of the frame interval is ignored
 
 
 @dataclass(frozen=True, slots=True)
 class Every:
-    """The first step at or after each multiple of an interval in s; 0 is every step."""
+    """The first step at or after each multiple of an interval (s); 0 means every step."""
 
     interval: float
 
@@ -39,12 +39,12 @@ class Every:
 
 @dataclass(frozen=True, slots=True)
 class At:
-    """Each of these steps."""
+    """A list of steps."""
 
-    steps: tuple[int, ...]  # in order
+    steps: tuple[int, ...]  # in ascending order
 
     def __call__(self, step: int, before: float, time: float) -> bool:
-        """Return whether it is one of them."""
+        """Return whether a step is in the list."""
         place = bisect_left(self.steps, step)
         return place < len(self.steps) and self.steps[place] == step
 
@@ -56,7 +56,7 @@ class At:
 
 @dataclass(frozen=True, slots=True)
 class Pause:
-    """No frame; steps that are taken together end with the first one that reaches or passes a time in s."""
+    """No frame. Steps taken in one call end with the first one that reaches or passes a time (s)."""
 
     time: float
 
@@ -71,7 +71,7 @@ class Pause:
 
 @dataclass(frozen=True, slots=True)
 class Checks:
-    """Every so many steps, and whenever another schedule is due."""
+    """Every k-th step, and whenever another schedule is due."""
 
     steps: int
     others: Schedule
@@ -87,12 +87,12 @@ class Checks:
 
 
 def every(interval: float) -> Schedule:
-    """Return the first step at or after each multiple of an interval in s; 0 is every step."""
+    """Return the schedule of the first step at or after each multiple of an interval (s); 0 means every step."""
     return Every(interval)
 
 
 def at(steps: Iterable[int]) -> Schedule:
-    """Return each of these steps."""
+    """Return the schedule of these steps."""
     return At(tuple(sorted(steps)))
 
 
@@ -118,20 +118,20 @@ def _multiples(time: float, interval: float) -> float:
 
 
 class Goal(NamedTuple):
-    """The end and the schedules of an advance."""
+    """The end and the schedules of a run."""
 
     end: float  # s, of the run
-    schedule: Schedule  # after which steps a frame is due
-    checks: Schedule  # after which steps the errors are judged
-    most: int  # steps
+    schedule: Schedule  # steps after which a frame is due
+    checks: Schedule  # steps after which the errors are judged
+    most: int  # largest number of steps
     shows_end: bool = True  # whether a frame is due after the last step
 
     def is_reached(self, clock: Clock) -> bool:
-        """Whether a frame is due after the last step, by the schedule or because it was the last of the run."""
+        """Whether a frame is due after the last step, by the schedule or at the end of the run."""
         return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def is_check(self, clock: Clock) -> bool:
-        """Whether errors are judged after the last step, by the schedule or because it was the last of the run."""
+        """Whether errors are judged after the last step, by the schedule or at the end of the run."""
         return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def quiet(self, clock: Clock) -> tuple[float, float]:

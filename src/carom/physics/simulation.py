@@ -62,27 +62,27 @@ class Stepper(Protocol):
 
     @property
     def previous_dt(self) -> float:
-        """The step in s that the next one starts from: smoothed, without the cut at the end of a run."""
+        """The step (s) from which the next one is averaged: smoothed, and not cut at the end of a run."""
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint | None:
-        """A copy of the integrator's state besides the bodies; None if it has none."""
+        """A copy of the integrator's state apart from the bodies; None if it has none."""
 
     @property
     def first_dt(self) -> float:
-        """The step in s that the limits allow in the present state, before smoothing."""
+        """The step (s) that the limits allow in the present state, before smoothing."""
 
     def warm_up(self, dt: float) -> None:
-        """Take a few steps of dt seconds and book nothing; this loads the kernels."""
+        """Take a few steps of dt seconds without booking them, to load the kernels."""
 
     def begin(self) -> None:
-        """Begin a run at the present positions, velocities and accelerations."""
+        """Start a run at the present positions, velocities and accelerations."""
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Continue from a checkpoint, whose bodies are already in place."""
+        """Continue from a checkpoint, whose bodies are already restored."""
 
     def advance(self, goal: Goal) -> bool:
-        """Advance by at least one step, and up to a goal where one call takes many; return whether a frame is due.
+        """Advance by at least one step, and up to a goal if one call takes many; return whether a frame is due.
 
         Raises
         ------
@@ -92,26 +92,26 @@ class Stepper(Protocol):
 
     @property
     def has_solution(self) -> bool:
-        """Whether there is a solution between the beginning and the end of the last step."""
+        """Whether there is a solution between the start and the end of the last step."""
 
     def between(self, earlier: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step.
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step.
 
-        None if the integrator has no solution between the steps.
+        None if the integrator has no solution within its steps.
         """
 
 
 class Simulation:
-    """A scene in motion whose steps are known; `Space` has the parameters.
+    """A scene in motion, given its stepper; `Space` documents the parameters.
 
-    One thread steps it. Meanwhile other threads may only read ``status`` and call ``stop``.
+    Only one thread may step it. Other threads may meanwhile only read ``status`` and call ``stop``.
 
     Attributes
     ----------
     check_interval
-        s: errors are judged at the first step at or after each multiple of it, at every ``record.check_every``-th step
-        and at the end of a run. It follows from the scene, so that a verdict does not depend on the recording. None
-        checks at the frames instead, as in earlier versions.
+        s. Errors are judged at the first step at or after each multiple of this interval, at every
+        ``record.check_every``-th step, and at the end of a run. The interval follows from the scene, so a verdict does
+        not depend on the recording. None: errors are judged at the frames, as in earlier versions.
     """
 
     def __init__(
@@ -154,17 +154,17 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """The time after the last step, in s."""
+        """The time after the last step (s)."""
         return self._world.clock.time
 
     @property
     def dt(self) -> float:
-        """The length of the last step, in s; 0 before the first."""
+        """The length of the last step (s); 0 before the first."""
         return self._world.clock.dt
 
     @property
     def dt_limit(self) -> str:
-        """What set the length of the last step, as in `Frame`."""
+        """The limit that set the length of the last step, as in `Frame`."""
         return self._world.clock.limit
 
     @property
@@ -174,7 +174,7 @@ class Simulation:
 
     @property
     def contacts(self) -> CollisionGraph:
-        """The contacts of the last step, for the stepping thread; built at the first access."""
+        """The contacts of the last step, for the stepping thread only; built at the first access."""
         return self._contact.snapshot.graph if self._contact else empty_graph()
 
     @property
@@ -193,18 +193,18 @@ class Simulation:
         return self._stepper.has_solution
 
     def between(self, time: float) -> tuple[FloatArray, FloatArray] | None:
-        """Return positions and velocities, (n, 3) m and m/s, at a time within the last step, in s.
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) within the last step.
 
-        None where the integrator has no solution between the steps.
+        None if the integrator has no solution within its steps.
         """
         return self._stepper.between(self.time - time)
 
     def fingerprint(self) -> int:
-        """64 bits of the exact state."""
+        """Return a 64-bit fingerprint of the exact state."""
         return fingerprint(self.state, self.time)
 
     def restore(self, checkpoint: Checkpoint) -> None:
-        """Restore a checkpoint of the same scene; the following steps have the same bits as after the original.
+        """Restore a checkpoint of the same scene; the following steps have the same bits as in the original run.
 
         The torques and the contact graph of the previous step are not stored, so they are empty until the next step.
         """
@@ -225,19 +225,19 @@ class Simulation:
     def run(
         self, until: float | None = None, store: FrameStore | None = None, schedule: Schedule | None = None
     ) -> Iterator[Frame]:
-        """Step until a time, by default the scene's duration, and yield the frames that ``record.every`` requests.
+        """Step until a time, by default the scene's duration, and yield the frames requested by ``record.every``.
 
-        The first frame is the present state, the last one the state at the end. Frames change neither the steps nor the
-        verdict. A stopped run is also checked at its end, after its last frame.
+        The first frame is the present state, and the last one the state at the end. Frames change neither the steps nor
+        the verdict. A stopped run is also checked at its end, after its last frame.
 
         Parameters
         ----------
         until
             s.
         store
-            Memory for the arrays of the frames; without it each frame owns its arrays.
+            Memory for the arrays of the frames; without it, each frame owns its arrays.
         schedule
-            After which steps frames are yielded; by default as ``record.every`` says.
+            Steps after which frames are yielded; by default those of ``record.every``.
 
         Raises
         ------
@@ -271,21 +271,21 @@ class Simulation:
         self._stopping = False
 
     def approach(self, time: float, most: int, *, ends_there: bool) -> None:
-        """Take a step, or up to ``most`` in one call, towards a time in s, without frames and checks.
+        """Take one step, or up to ``most`` steps in one call, towards a time (s), without frames and checks.
 
-        Unless the last one ends there, it reaches or passes the time.
+        The last step reaches or passes the time, unless ``most`` steps do not suffice.
         """
         end = time if ends_there else self.scene.time.duration
         self._advance(Goal(end, at(()) if ends_there else Pause(time), at(()), most, shows_end=False))
 
     @property
     def contact_work(self) -> tuple[int, int, int]:
-        """Contacts of the last step, the iterations that held them, and the impacts on the way."""
+        """Contacts of the last step, the iterations that held them, and the impacts in it."""
         contact = self._contact
         return (contact.statistics.contacts, contact.sweeps, len(contact.impacts)) if contact else (0, 0, 0)
 
     def count_no_impacts(self) -> None:
-        """Leave impacts during drifts out of the statistics, for a look-ahead: they take a fourth of a small step."""
+        """Exclude impacts during drifts from the statistics, for a look-ahead: they take a fourth of a small step."""
         if self._contact:
             self._contact.counts_impacts = False
 
@@ -341,7 +341,7 @@ class Simulation:
         )
 
     def _recorded_contacts(self, room: Buffer | None) -> tuple[Records | None, int, Records | None]:
-        """Return the impacts since the last frame, the number of others, and the contacts of the last step."""
+        """Return the impacts since the last frame, the number of those left out, and the contacts of the last step."""
         if not self._records_contacts:
             return None, 0, None
         if self._contact is None or self._contact.tap is None:
@@ -349,9 +349,9 @@ class Simulation:
         return *self._contact.tap.pop_impacts(), self._contact.rows(room)
 
     def _publish(self) -> None:
-        """Replace the status that other threads read; they see either the previous or the new one."""
+        """Replace the status that other threads read; they get either the previous or the new one."""
         clock, contacts = self._world.clock, self._contact.statistics.contacts if self._contact else 0
-        # a plain tuple: a named one takes 0.2 µs to make, and a step of a few bodies takes 8
+        # a plain tuple: a named one takes 0.2 µs to create, and a step of a few bodies takes 8
         self._published = (clock.step, clock.time, clock.dt, clock.limit, contacts, self._books.audit.energy)
 
     def _advance(self, goal: Goal) -> bool:
@@ -363,7 +363,7 @@ class Simulation:
 
 
 def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
-    """Return the stepper of a world, with steps up to ``stride`` times those of its scene."""
+    """Return the stepper of a world, with steps up to ``stride`` times as long as the scene's."""
     scene = world.scene
 
     def timestep(limits: StepLimits, scene: Scene) -> Timestep:
@@ -384,9 +384,9 @@ def _stepper_of(world: World, books: Bookkeeper, stride: float) -> Stepper:
 
 
 def warm_up(world: World, stepper: Stepper) -> Potentials:
-    """Take a few tiny steps, then restore the state: frame 0 is the scene as written.
+    """Take a few tiny steps, then restore the state, so that frame 0 is the scene as written.
 
-    They compute the accelerations for the first adaptive step, and compile the kernels. Returns the potential energies
+    They compute the accelerations for the first adaptive step, and compile the kernels. Return the potential energies
     in J.
     """
     bodies = world.bodies

@@ -29,7 +29,7 @@ ONE_STEP = Goal(end=np.inf, schedule=at(()), checks=at(()), most=1)
 class Space(Simulation):
     """A simulation of a scene, with the public calls of the reference engine and more.
 
-    One thread steps it. Meanwhile other threads may only read ``status`` and call ``stop``.
+    Only one thread may step it. Other threads may meanwhile only read ``status`` and call ``stop``.
 
     Parameters
     ----------
@@ -40,13 +40,13 @@ class Space(Simulation):
     start
         Initial states of the bodies, by default those that the scene places.
     stride
-        Largest factor on the steps of the scene, as far as the method allows, for a coarse look-ahead. `foreseen`
-        counts the scene's own steps.
+        Largest factor on the scene's steps, as far as the method allows, for a coarse look-ahead. `foreseen` counts the
+        scene's own steps.
     record_contacts
         Whether frames carry impacts and the contact table, in `Frame.impacts` and `Frame.contact_rows`. The bits do
         not depend on it.
     watch_look_ahead
-        Called with a `Budget` while runs ahead look for the step that keeps an accuracy.
+        Called with a `Budget` while trial runs determine the step that keeps an accuracy.
 
     Raises
     ------
@@ -79,7 +79,7 @@ class Space(Simulation):
 
     @property
     def foreseen(self) -> dict[str, float]:
-        """Number of the scene's own steps so far, by the limit that sets them."""
+        """Number of the scene's own steps so far, by the limit that set them."""
         return self._world.clock.foreseen
 
     @property
@@ -94,27 +94,27 @@ class Space(Simulation):
 
     @property
     def ledger(self) -> Ledger:
-        """The energies of contacts and forces since the start of the run."""
+        """The energies removed and added by contacts and forces since the start of the run."""
         return self._books.audit.ledger
 
     @property
     def impacts(self) -> Impacts:
-        """The impacts during the drift of the last step, in the order of time; empty with end-of-step timing."""
+        """The impacts during the drift of the last step, in order of time; empty with end-of-step timing."""
         return self._contact.impacts if self._contact else NO_IMPACTS
 
     @property
     def bodies(self) -> list[BodyProxy]:
-        """One view for each body, in the order of the scene."""
+        """A view of each body, in the order of the scene."""
         return [BodyProxy(self.state, index) for index in range(len(self.state))]
 
     def impulses(self) -> Iterator[Impulses]:
-        """Yield the impulses of the last step in the order in which they acted; only where contacts are recorded."""
+        """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
         return self._contact.impulses() if self._contact else iter(())
 
     def kicks(self) -> list[FloatArray]:
         """Return the changes of the velocities by forces in the last step, in order, each (n, 3) m/s.
 
-        Empty unless the scene has ``expect.contact_audit``.
+        Empty unless the scene sets ``expect.contact_audit``.
         """
         audit = self._books.impulse_audit
         return [] if audit is None else audit.kicks
@@ -125,14 +125,14 @@ class Space(Simulation):
         Parameters
         ----------
         iteration
-            Number of the step; every ``record.check_every``-th checks the energy.
+            Number of the step; the energy is checked at every ``record.check_every``-th.
 
         Raises
         ------
         PhysicsError
             If the state is no longer finite.
         TypeError
-            If the number is not whole.
+            If the number is not an integer.
         """
         if not isinstance(iteration, int | np.integer):
             raise TypeError(f"iteration: expected the number of the step, got {iteration!r}")
@@ -142,7 +142,7 @@ class Space(Simulation):
     def get_body_data_for_display(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions (n, 3), quaternions (n, 4) xyzw, torques (n, 3) and angular accelerations (n, 3) as copies.
 
-        Orientations or torques that the scene does not require are the identity and zeros.
+        Where the scene requires no orientations or torques, they are the identity and zeros.
         """
         state, n, needs = self.state, len(self.state), self.requirements
         orientation = state.orientation if needs.orientation.modelled else np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))
@@ -152,7 +152,7 @@ class Space(Simulation):
         return state.position.copy(), orientation.copy(), torque, alpha
 
     def energy(self) -> Energy:
-        """Return the present energy: terms, ledger, integration error."""
+        """Return the present energy: terms, ledger and integration error."""
         return self._books.audit.energy_now(self._world.forces.potentials())
 
     def momentum(self) -> FloatArray:
@@ -168,5 +168,5 @@ class Space(Simulation):
         return self.extremes.highlights(self._world.names, self.scene.unit_system)
 
     def named_extremes(self) -> Extremes:
-        """Return the extremes of the run so far, with bodies and planes by their names."""
+        """Return the extremes of the run so far, with the names of bodies and planes."""
         return self.extremes.named(self._world.names)

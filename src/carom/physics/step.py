@@ -34,7 +34,7 @@ class KickDriftStepper:
     timestep
         Chooses the steps.
     asked
-        Chooses the scene's own steps, if those of ``timestep`` are longer.
+        Chooses the scene's own steps, if ``timestep`` allows longer ones.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, asked: Timestep | None = None) -> None:
@@ -45,21 +45,21 @@ class KickDriftStepper:
         self._substeps = integrator(world.scene).substeps
         self._ends_with_forces = integrator(world.scene).ends_with_forces
         self._damping = world.forces.damping
-        self._exchanges: list[Exchange] = []  # with a medium, in this step
+        self._exchanges: list[Exchange] = []  # of the bodies with a medium, in this step
         self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
 
     @property
     def checkpoint(self) -> None:
-        """None: a step needs only the bodies, the contacts and `previous_dt`."""
+        """None: a step depends only on the bodies, the contacts and `previous_dt`."""
 
     @property
     def previous_dt(self) -> float:
-        """The smoothed step, in s."""
+        """The smoothed step (s)."""
         return self.timestep.previous
 
     @property
     def first_dt(self) -> float:
-        """The step in s that the limits allow in the present state."""
+        """The step (s) that the limits allow in the present state."""
         return self.timestep.first(self._world.bodies, self.borne())
 
     def borne(self) -> FloatArray:
@@ -69,14 +69,14 @@ class KickDriftStepper:
 
     def warm_up(self, dt: float) -> None:
         """Take a few steps of dt seconds, which also compute the initial accelerations."""
-        for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # one loads the kernels
+        for _ in range(WARM_UP_STEPS if self._world.needs.warm_up.modelled else 1):  # a single step loads the kernels
             self._step(dt, with_potential=False)
         if self._flight:
             self._flight.take(0.0, np.inf, np.inf, most=0)  # loads the kernel
         self._exchanges.clear()
 
     def begin(self) -> None:
-        """Begin at the present state; contacts that touch carry no impulses yet."""
+        """Start at the present state, where touching contacts carry no impulses yet."""
         if self._world.contact:
             self._world.contact.forget()
         self.take_over()
@@ -96,7 +96,7 @@ class KickDriftStepper:
             self._world.contact.recall(checkpoint.contacts)
 
     def advance(self, goal: Goal) -> bool:
-        """Do a step, or many if nothing touches; return whether a frame is due."""
+        """Take a step, or many if nothing touches; return whether a frame is due."""
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
         if flight is None or not (contact is None or contact.is_quiet) or looks_before(goal.schedule):
             return self._advance_once(goal)
@@ -108,7 +108,7 @@ class KickDriftStepper:
         return self._land(taken, goal) if taken.steps else self._advance_once(goal)
 
     def _land(self, taken: Flight, goal: Goal) -> bool:
-        """Book steps in which nothing touched; return whether a frame is due."""
+        """Book steps without contacts; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
         due, judged = goal.is_reached(clock), goal.is_check(clock)
@@ -124,10 +124,10 @@ class KickDriftStepper:
         return due
 
     def _advance_once(self, goal: Goal) -> bool:
-        """Do a step; return whether a frame is due."""
+        """Take a step; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(1, clock.time, *self._choose(goal.end))
-        due, judged = goal.is_reached(clock), goal.is_check(clock)  # a schedule sees every step
+        due, judged = goal.is_reached(clock), goal.is_check(clock)  # a schedule is called for every step
         books.begin_step(judged)
         world.profile.mark("timestep")
         potentials = self._step(clock.dt, with_potential=due or judged)
@@ -138,7 +138,7 @@ class KickDriftStepper:
         return due
 
     def _finish(self, potentials: Potentials, computed: bool, judged: bool) -> None:
-        """Book the last step, and check the energy and the pace if it is due."""
+        """Book the last step; check energy and pace if due."""
         world, books = self._world, self._books
         books.finish_step(potentials, computed, judged)
         if books.pace and world.clock.step % world.scene.record.check_every == 0:
@@ -146,11 +146,11 @@ class KickDriftStepper:
 
     @property
     def has_solution(self) -> bool:
-        """False: there is no solution between the steps."""
+        """False: there is no solution within a step."""
         return False
 
     def between(self, earlier: float) -> None:
-        """Return None: there is no solution between the steps."""
+        """Return None: there is no solution within a step."""
 
     def _choose(self, end: float) -> tuple[float, float, str]:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
@@ -176,7 +176,7 @@ class KickDriftStepper:
             is_last = index == len(self._substeps) - 1
             damped = damping.step(dt) if damping else None
             first_kick, last_kick = substep.before * dt, substep.after * dt
-            share = first_kick  # s, of the work of forces in the drift, that the first kick has done
+            share = first_kick  # s, part of the drift for which the first kick has done the work of the forces
             if damped:
                 share, last_kick = damped.share, damped.last_kick
             self._kick_before_drift(first_kick, damped)
@@ -203,7 +203,7 @@ class KickDriftStepper:
             world.profile.mark("orientation")
 
     def _kick_before_drift(self, dt: float, damped: DampedStep | None) -> None:
-        """Kick with the forces at the old positions; drag then takes the place of the kick."""
+        """Kick with the forces at the old positions; with drag, the drag's own kick replaces it."""
         if self._damping and damped:
             self._exchange(self._damping, self._damping.begin, damped)
         elif dt and self._world.needs.pulls:
@@ -223,9 +223,9 @@ class KickDriftStepper:
         profile.mark("resting")
 
     def _drift(self, dt: float, kick: float, damped: DampedStep | None) -> None:
-        """Drift for a time in s, with impacts at their own times if the scene asks for them.
+        """Drift for a time (s), with impacts at their exact times if the scene requires it.
 
-        ``kick`` is the length in s of the kick before.
+        ``kick`` is the length (s) of the previous kick.
         """
         world, bodies, clock = self._world, self._world.bodies, self._world.clock
         if world.is_periodic:
@@ -239,7 +239,7 @@ class KickDriftStepper:
             world.profile.mark("integrate")
 
     def _drift_to_impacts(self, contact: ContactPipeline, kick: float, dt: float, damped: DampedStep | None) -> None:
-        """Drift, and resolve impacts at their own times; kick and drift in s."""
+        """Drift and resolve impacts at their exact times; kick and drift in s."""
         if not (self._damping and damped):
             contact.drift(kick, dt)
             return
@@ -251,7 +251,7 @@ class KickDriftStepper:
                 self._books.impulse_audit.add_force(before[: len(self._world.bodies)])
 
     def _find(self, contact: ContactPipeline, dt: float) -> None:
-        """Find contacts at the final positions, and correct the overlaps of those at rest."""
+        """Find contacts at the final positions, and correct the overlaps of resting ones."""
         world, clock = self._world, self._world.clock
         refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units, world.team)
         contact.find(dt, world.profile)
@@ -268,14 +268,14 @@ class KickDriftStepper:
         return potentials
 
     def _kick_after_drift(self, dt: float, damped: DampedStep | None) -> None:
-        """Kick with the forces at the new positions; drag then takes the place of the kick."""
+        """Kick with the forces at the new positions; with drag, the drag's own kick replaces it."""
         if self._damping and damped:
             self._exchange(self._damping, self._damping.end, damped)
         elif dt:
             self._kick(dt)
 
     def _resolve(self, contact: ContactPipeline, dt: float, last_kick: float) -> None:
-        """Apply the impulses of the contacts after the last kick; compute their torques."""
+        """Apply the impulses of the contacts after the last kick, and compute their torques."""
         world = self._world
         contact.resolve(dt, last_kick, world.profile)
         if world.needs.torque.modelled:
@@ -290,7 +290,7 @@ class KickDriftStepper:
             world.profile.mark("sleep")
 
     def _kick(self, dt: float) -> None:
-        """Kick for a time in s."""
+        """Kick for a time (s)."""
         bodies = self._world.bodies
         kick(bodies.velocity, bodies.acceleration, dt, self._world.team)
         audit, contact = self._books.impulse_audit, self._world.contact

@@ -1,20 +1,20 @@
-"""The rule of the adaptive step, in kernels: steps one at a time and many in one call choose by the same function.
+"""The rule of the adaptive step in kernels; single steps and many steps in one call use the same function.
 
-`carom.physics.time_step` has the limits by accelerations and speeds. Where nothing can touch, gravity sets the step: a
-fraction of the shortest time scale of any pair. A pair at the distance r has a passing time r/v and a falling time
-√(r³/(G M)), M = m_i + m_j. With Plummer's R² = r² + ε², they combine to
+`carom.physics.time_step` describes the limits by accelerations and speeds. Where nothing can touch, gravity limits the
+step to a fraction of the shortest time scale of any pair. A pair at the distance r has a passing time r/v and a falling
+time √(r³/(G M)), M = m_i + m_j. With Plummer's R² = r² + ε², these combine to
 
     1/τ² = v²/R² + G M/R³,    τ'/τ = (r·v/R²) (1 + 3/2 (G M/R) / (v² + G M/R))
 
-(Pelupessy, Jänes & Portegies Zwart 2012 take the shorter of the two.) A step of η τ, with τ at its beginning, would be
-longer before an encounter than after it, and the energy would drift. Half the change of τ in the step is therefore
-added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, and an orbit is stepped alike
-in both directions of time. At an eccentricity of 0.999, 20 orbits then keep their energy to 5 × 10⁻¹¹; without the
-correction, to 10⁻⁶.
+(Pelupessy, Jänes & Portegies Zwart 2012 use the shorter of the two.) A step of η τ, with τ at its start, would be
+longer before an encounter than after it, and the energy would drift. Half of the change of τ in the step is therefore
+added, as in their method: h = η τ / (1 - η τ'/2) is the mean of both ends to first order, so the steps along an orbit
+are the same in both directions of time. At an eccentricity of 0.999, 20 orbits then conserve their energy to 5 × 10⁻¹¹;
+without the correction, to 10⁻⁶.
 
-With more than `PAIRS_UP_TO` bodies the pairs are not examined. If the acceleration a of a body is due to one neighbour
-of mass m, this neighbour is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾). A body in the common field of
-many others gets a shorter time by this than it needs. Softening ε bounds the time from below by √(ε/a).
+With more than `PAIRS_UP_TO` bodies, single pairs are not examined. If the acceleration a of a body is due to a single
+neighbour of mass m, this neighbour is at r = √(G m/a), and the two fall together in (G m)^¼ a^(-¾). For a body in the
+common field of many others, this time is shorter than necessary. Softening ε bounds the time from below by √(ε/a).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a 
 class PullTime(NamedTuple):
     """The constants of the step that gravity allows."""
 
-    fraction: float  # η, the step over the shortest time scale
+    fraction: float  # η, the step as a fraction of the shortest time scale
     constant: float  # m³/(kg s²), G
     softening: float  # m
     mean: float  # m³/s², G times the mean mass
@@ -54,7 +54,7 @@ def step_of_largest(largest: float, mean: float, softening: float, fraction: flo
     """Return the largest step in seconds, given the largest acceleration of a body in m/s² and G m in m³/s²."""
     if largest == 0.0:
         return np.inf
-    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # roots of squares of units: the same bits in powers of two
+    alone = np.sqrt(np.sqrt(mean / largest) / largest)  # square roots of squared units: the same bits in powers of two
     step: float = fraction * max(alone, np.sqrt(softening / largest))
     return step
 
@@ -68,13 +68,13 @@ def step_of_pairs(
     fastest, change = 0.0, 0.0  # 1/τ², 1/s²; τ'/τ, 1/s
     for i in range(len(m) - 1):
         for j in range(i + 1, len(m)):
-            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # no attraction
+            if (inverse_mass[i] == 0.0 and inverse_mass[j] == 0.0) or m[i] + m[j] == 0.0:  # neither attracts the other
                 continue
             R2, v2, along = soft2, 0.0, 0.0
             for k in range(3):
                 d, u = x[j, k] - x[i, k], v[j, k] - v[i, k]
                 R2, v2, along = R2 + d * d, v2 + u * u, along + d * u
-            if R2 == 0.0:  # coincident centres do not pull each other
+            if R2 == 0.0:  # coincident centres do not attract each other
                 continue
             pull = G * (m[i] + m[j]) / np.sqrt(R2)
             rate = (v2 + pull) / R2
@@ -87,27 +87,27 @@ def step_of_pairs(
 
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
-BORNE = 0.5  # fraction of its acceleration that contacts of a held body support, at least
-END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the one before
+BORNE = 0.5  # smallest fraction of its acceleration that contacts support if a body counts as held
+END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the previous one
 
 CAP, VELOCITY, ACCELERATION, HELD, PULL, GROWTH, FIXED, END = range(8)
 LIMIT_NAMES = ("cap", "velocity", "acceleration", "held", "pull", "growth", "fixed", "end")
 
 
 class RuleRecord(Protocol):
-    """The rule of the steps."""
+    """The limits of the steps."""
 
     max_dt: float  # s
-    cfl: float  # 0 for no limit, like all below
+    cfl: float  # 0 for no limit, like all others below
     by_fastest_body: bool  # whether only the fastest body limits the step
     target_dx: float  # m
-    held_dx: float  # m, replaces it for bodies held by lasting contacts
+    held_dx: float  # m, replaces ``target_dx`` for bodies held by lasting contacts
     held_part: float  # largest motion of such a body in a step over its radius
     smoothing: float  # weight of the new step in the average
-    anchored: bool  # whether something is fixed: speeds are then relative to it
+    anchored: bool  # whether something is fixed; speeds are then relative to it
     looks: bool  # whether a limit needs the largest values of all bodies
     pull_fraction: float
-    pull_of_pairs: bool  # this and the following as in `PullTime`
+    pull_of_pairs: bool  # these and the following as in `PullTime`
     constant: float
     softening: float
     mean: float
@@ -122,9 +122,9 @@ class LimitsRecord(Protocol):
     largest_acceleration: float  # m/s²
     largest_free_acceleration: float  # m/s², of bodies not held by contacts
     largest_borne: float  # m/s², largest acceleration supported by contacts
-    velocity_step: float  # s, dt_v of every body; infinite at rest
+    velocity_step: float  # s, smallest dt_v of all bodies; infinite at rest
     fastest_step: float  # s, dt_v of the fastest body
-    fastest_squared: float  # m²/s², its speed
+    fastest_squared: float  # m²/s², squared speed of the fastest body
     held_time: float  # s, shortest time in which a held body moves by its radius
 
 
@@ -135,16 +135,16 @@ LIMITS = dtype_of(LimitsRecord)
 def smooth_and_cut(
     dt: float, limit: int, smoothing: float, previous: float, remaining: float
 ) -> tuple[float, int, float]:
-    """Smooth a step where it grows, and cut the last one; return it in s, its limit, and the new average in s.
+    """Smooth a step that grows, and cut the last one; return it in s, its limit, and the new average in s.
 
     Parameters
     ----------
     dt, limit
-        s, the step that the limits allow, and the one that set it.
+        s, the step that the limits allow, and the limit that set it.
     smoothing, previous
-        Weight of the new step in the average, and the average so far in s; 0 if there is none.
+        Weight of the new step in the average, and the average so far in s; 0 if there is none yet.
     remaining
-        s, until the run ends.
+        s, until the end of the run.
     """
     if 0.0 < previous < dt:
         dt, limit = previous + smoothing * (dt - previous), limit if smoothing == 1.0 else GROWTH
@@ -155,7 +155,7 @@ def smooth_and_cut(
 
 @inline
 def ends_run(dt: float, remaining: float) -> bool:
-    """Return whether a step of dt is the last one, given the remaining time, both in s."""
+    """Return whether a step of dt (s) is the last one, given the remaining time (s)."""
     return remaining <= dt * (1.0 + END_TOLERANCE)
 
 
@@ -173,7 +173,7 @@ def target(
     found: RecordArray[LimitsRecord],
     is_found: bool,
 ) -> tuple[float, int]:
-    """Return the step (s) allowed by the limits, before smoothing, and the limit that set it.
+    """Return the step (s) that the limits allow, before smoothing, and the limit that set it.
 
     Parameters
     ----------
@@ -182,9 +182,9 @@ def target(
     borne
         (n + p,) m/s², accelerations supported by contacts; empty if there are none.
     field
-        (3,) m/s², the acceleration that does not count.
+        (3,) m/s², an acceleration common to all bodies, which does not count.
     found
-        (k,) `LIMITS`, a row for each block of bodies.
+        (k,) `LIMITS`, one row for each block of bodies.
     is_found
         Whether ``found`` has been filled; otherwise it is filled when needed.
     """
@@ -275,9 +275,9 @@ def look(
 
 @kernel
 def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, float, float, float]:
-    """Return the strictest limits of all blocks; one body sets each, so the division does not matter.
+    """Return the strictest limits of all blocks; a single body sets each, so the division does not matter.
 
-    They are the first three of `LIMITS`, the step of every body and of the fastest, and the time of held bodies.
+    They are the first three of `LIMITS`, the steps of all bodies and of the fastest one, and the time of held bodies.
     """
     a_max, a_free, b_max, every, fastest, v2_max, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, 0.0, np.inf
     for block in range(len(found)):

@@ -1,4 +1,4 @@
-"""The adaptive step, chosen from the state at its beginning.
+"""The adaptive step, chosen from the state at its start.
 
     dt_a = √(2 target_dx / |a|max)                       no acceleration moves a body from rest further than target_dx
     dt_v = min_i 2 s_i / (u_i + √(u_i² + 2 |a_i| s_i))   no body moves further than s_i = cfl · r_i
@@ -6,16 +6,16 @@
     dt   = min(dt_a, dt_v, dt_p, max_dt)                 smoothed by a moving average where it grows
 
     dt_h = min(√(2 held_dx / max(|a|max, b_max)), held_part · min r_i/u_i)
-                                                         in place of dt_a, if longer, for bodies that contacts hold
+                                                         replaces dt_a, if longer, for bodies held by contacts
 
-By default the first two apply where bodies can touch, and the third where they cannot.
+By default, the first two limits apply where bodies can touch, and the third where they cannot.
 
 dt_v solves u dt + ½ |a| dt² = s. Speeds u_i = |v_i - V| are relative to the centre of mass, and accelerations exclude
-the uniform field, so a scene that moves or falls as a whole gets the same steps. If there are planes, walls or fixed
-bodies, speeds are relative to them and the field counts. The reference engine ignores the acceleration, uses absolute
-speeds, and takes the radius of the *fastest* body only, so a small body that is a little slower tunnels. That limit is
-kept as "fastest-body". The reference engine also smooths decreases, which breaks the bound that a limit guarantees.
-Here a decrease takes effect at once.
+the uniform field, so a scene that moves or falls as a whole takes the same steps. With planes, walls or fixed bodies,
+speeds are relative to them, and the field counts. The reference engine ignores the acceleration, uses absolute speeds,
+and uses the radius of the *fastest* body only, so a small body that is slightly slower tunnels. That limit remains
+available as "fastest-body". The reference engine also smooths decreases, which violates the bound of a limit. Here a
+decrease takes effect at once.
 """
 
 from __future__ import annotations
@@ -52,30 +52,30 @@ class Timestep:
     time
         The scene's section.
     cfl, target_dx, pull
-        Limits of the step besides ``max_dt``; ``target_dx`` in m; None for no limit.
+        Limits of the step other than ``max_dt``; ``target_dx`` in m; None for no limit.
     smoothing
         Weight of the new step in the average.
     held_dx
-        m, replaces ``target_dx`` for bodies held by lasting contacts; None: the same.
+        m, replaces ``target_dx`` for bodies held by lasting contacts; None if it is the same.
     held_part
-        Largest motion of such a body in a step over its radius.
+        Largest motion of such a body in a step, relative to its radius.
     field
-        (3,) m/s², the uniform field, if it accelerates all bodies alike; otherwise zeros.
+        (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros.
     anchored
-        Whether something is fixed: speeds are then relative to it.
+        Whether something is fixed; speeds are then relative to it.
     team
-        Threads that find the limits.
+        Threads that share the work.
 
     Attributes
     ----------
     rule
-        (1,) `RULE`, the limits for `target` of `step_rule`.
+        (1,) `RULE`, the limits for `step_rule.target`.
     fixed_dt
-        s, a constant step in their place; None if there is none.
+        s, a constant step instead of them; None if there is none.
     spares_held
         Whether the choice depends on accelerations supported by contacts.
     previous
-        s, the moving average; 0 until there is one.
+        s, the moving average; 0 before the first step.
     """
 
     def __init__(
@@ -112,7 +112,7 @@ class Timestep:
 
     @classmethod
     def of(cls, scene: Scene, limits: StepLimits, bodies: Bodies, field: FloatArray, team: Team) -> Timestep:
-        """Make the rule of a scene with these limits; ``field`` as above."""
+        """Return the rule of a scene with these limits; ``field`` as above."""
         fraction = limits.pull_fraction
         return cls(
             scene.time.model_copy(update={"max_dt": limits.max_dt}),
@@ -133,7 +133,7 @@ class Timestep:
         Parameters
         ----------
         remaining
-            s, until the run ends; the last step is cut to end there.
+            s, until the end of the run; the last step is cut to end there.
         borne
             (n + p,) m/s², the accelerations supported by lasting contacts; empty if there are none.
 
@@ -151,16 +151,16 @@ class Timestep:
         return dt, LIMIT_NAMES[limit]
 
     def first(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> float:
-        """Return the first step of a run that begins with the present state, in s."""
+        """Return the first step (s) of a run that starts at the present state."""
         return self.fixed_dt or self.target(bodies, borne)[0]
 
     def target(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
-        """Return the step allowed by the limits, before smoothing, and the limit that set it."""
+        """Return the step that the limits allow, before smoothing, and the limit that set it."""
         dt, limit = self._target(bodies, borne)
         return dt, LIMIT_NAMES[limit]
 
     def _target(self, bodies: Bodies, borne: FloatArray) -> tuple[float, int]:
-        """Return the step with the number of the limit."""
+        """Return the step and the number of its limit."""
         x, v, a, m = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
         found = self.buffer(bodies)
         rule, is_found = self.rule[0], self._team.size > 1 and len(found) >= MIN_SHARED_BLOCKS
@@ -172,7 +172,7 @@ class Timestep:
         return target(self.rule, *state, found, is_found)
 
     def buffer(self, bodies: Bodies) -> Records:
-        """Return memory for the limits of all blocks of bodies."""
+        """Return an array for the limits of all blocks of bodies."""
         blocks = -(-len(bodies) // BODIES_PER_BLOCK)
         if len(self._found) != blocks:
             self._found = np.empty(blocks, LIMITS)

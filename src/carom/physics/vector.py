@@ -1,4 +1,4 @@
-"""Vectors in kernels: rows of an array, (n, 3), by name, and separations in a periodic box.
+"""Vectors in kernels: rows of (n, 3) arrays by name, and separations in a periodic box.
 
 They are inlined, as fast as indices and with the same bits.
 """
@@ -27,7 +27,7 @@ def between(v: FloatArray, i: int, j: int) -> Vector:
 
 @inline
 def along(v: FloatArray, rate: FloatArray, i: int, s: float) -> Vector:
-    """Return vector i after a time s at its present rate."""
+    """Return vector i after a time s at its present rate of change."""
     return v[i, 0] + rate[i, 0] * s, v[i, 1] + rate[i, 1] * s, v[i, 2] + rate[i, 2] * s
 
 
@@ -64,14 +64,14 @@ def sizes(box: FloatArray) -> Vector:
 
 @inline
 def minimum_image(d: float, L: float) -> float:
-    """Return one coordinate of a separation, d m, to the nearest image in a box of size L m: d - L ⌊d/L + ½⌋."""
+    """Return one coordinate of a separation (m) to the nearest image in a box of size L: d - L ⌊d/L + ½⌋."""
     nearest: float = d - L * np.floor(d / L + 0.5)
     return nearest
 
 
 @inline
 def nearest_image(dx: float, dy: float, dz: float, box: FloatArray | Vector) -> Vector:
-    """Return a separation in m to the nearest image in a box; unchanged in open space."""
+    """Return a separation (m) to the nearest image in a box; unchanged in open space."""
     if box[0] > 0.0:
         dx, dy, dz = minimum_image(dx, box[0]), minimum_image(dy, box[1]), minimum_image(dz, box[2])
     return dx, dy, dz

@@ -1,4 +1,4 @@
-"""The world: bodies and everything that acts on them, and the clock."""
+"""The world: the bodies, everything that acts on them, and the clock."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ class Clock:
     """Number, times and length of the last step."""
 
     scene: Scene
-    units: UnitSystem  # of the scene, whose own look-up takes 2 µs
+    units: UnitSystem  # of the scene; looking them up takes 2 µs
     step: int = 0
     time: float = 0.0  # s
     before: float = 0.0  # s, time before the last step
     dt: float = 0.0  # s
-    limit: str = "start"  # what set dt
-    foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by their limit
+    limit: str = "start"  # the limit that set dt
+    foreseen: dict[str, float] = field(default_factory=dict)  # number of the scene's own steps so far, by limit
 
     def advance(self, steps: int, before: float, time: float, dt: float, limit: str) -> None:
         """Advance by one or more steps.
@@ -47,9 +47,9 @@ class Clock:
         steps
             Number of steps.
         before, time, dt
-            s, time before the last one and after it, and its length.
+            s, time before the last step and after it, and its length.
         limit
-            What set its length.
+            The limit that set its length.
 
         Raises
         ------
@@ -59,20 +59,19 @@ class Clock:
         self.dt, self.limit = dt, limit
         if not time > before:
             raise PhysicsError(
-                f"step {self.step + steps} of {self.units.text(dt, TIME, '.3g')} no longer moves the clock at "
-                f"t = {self.units.text(before, TIME)} "
-                f"(limit: {limit}); {_remedy(self.scene, limit)}"
+                f"step {self.step + steps} of {self.units.text(dt, TIME, '.3g')} no longer moves the clock at t = "
+                f"{self.units.text(before, TIME)} (limit: {limit}); {_remedy(self.scene, limit)}"
             )
         self.step += steps
         self.before, self.time = before, time
 
     def foresee(self, limit: str, steps: float) -> None:
-        """Count the scene's own steps; those of a coarse look-ahead are longer."""
+        """Count the scene's own steps; steps of a coarse look-ahead are longer."""
         self.foreseen[limit] = self.foreseen.get(limit, 0.0) + steps
 
 
 def _remedy(scene: Scene, limit: str) -> str:
-    """Return the remedy for steps too short to change the clock, by the limit that sets them."""
+    """Return the remedy for steps that are too short to change the clock, by the limit that sets them."""
     if limit in _CLOSE:
         return _CLOSE[limit]
     raised = remedies_of(scene).get(limit)
@@ -94,7 +93,7 @@ class World:
     planes: HalfSpaces
     is_periodic: bool
     box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
-    falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally, otherwise zeros
+    falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
     clock: Clock

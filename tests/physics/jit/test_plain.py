@@ -60,7 +60,7 @@ print(count(np.array([3])), inside.MISSING)
 def test_kernels_are_plain_where_numba_lacks_a_part_and_a_warning_names_it() -> None:
     done = subprocess.run([sys.executable, "-c", LACKING], capture_output=True, text=True, check=False)
     assert done.stdout == "3 ['numba.core.cgutils.for_range_slice']\n", done.stderr
-    assert "lacks numba.core.cgutils.for_range_slice, so carom computes with plain kernels" in done.stderr
+    assert "lacks numba.core.cgutils.for_range_slice, so carom uses plain kernels" in done.stderr
 
 
 @numba.njit(error_model="numpy")

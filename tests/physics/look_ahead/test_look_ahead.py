@@ -152,7 +152,7 @@ def test_an_accuracy_of_which_nothing_can_be_promised_is_refused_with_what_could
 ) -> None:
     monkeypatch.setattr(LEAST, 1e-4)
     monkeypatch.setattr("carom.physics.look_ahead.trial_run.PART_OF_RUN", 1e-4)
-    with pytest.raises(SceneError, match=r"accuracy = 0\.0001: cannot promise this: .*; not even 0\.01 could be"):
+    with pytest.raises(SceneError, match=r"accuracy = 0\.0001 cannot be promised: .*; not even 0\.01 could be"):
         with_promise(asteroids(300), 1)
 
 

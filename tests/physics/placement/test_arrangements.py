@@ -198,7 +198,7 @@ BAD = {
     ),
     "a lattice too small": (
         {"arrangement": "cubic", "count": 30, "region": {"radius": 3.0}},
-        ["group.0.region has room for", "of 30 bodies"],
+        ["group.0.region has space for", "of 30 bodies"],
     ),
     "a compressed cluster": (
         {"arrangement": "compressed", "region": {"shape": "plummer", "scale": 9.0}},
@@ -226,7 +226,7 @@ def test_a_group_that_cannot_be_placed_is_told_why(name: str) -> None:
 
 def test_a_virial_ratio_needs_gravity() -> None:
     group = {"velocity": {"virial": 0.5}, "radius": 1e-3, "region": {"shape": "plummer", "scale": 1.0}}
-    with pytest.raises(SceneError, match=r"group\.0\.velocity\.virial without gravity"):
+    with pytest.raises(SceneError, match=r"group\.0\.velocity\.virial needs gravity"):
         place(Scene.from_dict({"gravity": {"constant": 0.0}, "group": [group]}))
 
 

@@ -20,7 +20,7 @@ from seeds import examples
 
 WRONG_STARTS = {
     "bodies that overlap": ("[[body]]\nradius = 1\n[[body]]\nradius = 1\n", 1, "body.0 and body.1 overlap"),
-    "a body in a plane": ("[[plane]]\n[[body]]\nradius = 1\n", 2, "body.0 reaches 1 m into"),
+    "a body in a plane": ("[[plane]]\n[[body]]\nradius = 1\n", 2, "body.0 overlaps"),
     "a full region": ("[[group]]\nregion = { radius = 3 }\nradius = 1\n", 2, "group.0.region is too small"),
     "a body larger than its region": (
         '[[group]]\nradius = 1\ncount = 1\n[group.region]\nshape = "box"\nsize = [9, 9, 1]\n',
@@ -204,5 +204,5 @@ def test_a_body_whose_radius_is_a_rounding_of_its_position_does_not_begin_behind
     # Four units in the last place are allowed for rounding, which is more than this radius.
     beyond = float(np.nextafter(np.nextafter(1.0, 2.0), 2.0))
     body = {"position": [beyond, 0.0, 0.0], "radius": 3e-16, "mass": 1.0}
-    with pytest.raises(SceneError, match=r"body\.0 reaches .* into wall at \+x at the start"):
+    with pytest.raises(SceneError, match=r"body\.0 overlaps wall at \+x by .* at the start"):
         place(Scene.from_dict({"body": [body], "domain": {"boundary": "walls", "size": [2.0, 2.0, 2.0]}}))

@@ -1,6 +1,6 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-Records fill whole cache lines: what iterations need is in others than what only the phases before and after need.
+contacts; with fewer, threads cost as much time as they save
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from carom.scene.schema import Coefficients
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
-SHARED_FROM = 2048  # contacts; with fewer, sharing them takes as long as it saves
+# contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to another's
+SHARED_FROM = 2048
 # contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
 MIN_PER_TASK = SHARED_FROM // 2
 
 
 class ContactRecord(Protocol):
-    """A contact, as iterations need it."""
+    """A contact, as the iterations use it."""
 
     nx: float  # the normal, from i to j
     ny: float
@@ -47,11 +48,11 @@ class RollingContactRecord(RollingFields, ContactRecord, Protocol):
 
 
 class ContactStateRecord(Protocol):
-    """A contact, as the phases before and after the iterations need it."""
+    """A contact, as the phases before and after the iterations use it."""
 
-    overlap: float  # m, now; negative for a gap
+    overlap: float  # m, at present; negative for a gap
     detected_overlap: float  # m, before the position correction; 0 for a gap
-    rest_speed: float  # m/s, largest approach speed at rest
+    rest_speed: float  # m/s, largest approach speed of a contact at rest
     approach_speed: float  # m/s, before the impulses
     normal_before: float  # m/s, v_n and u before `hold`
     slip_x: float
@@ -63,8 +64,8 @@ class ContactStateRecord(Protocol):
     push_x: float  # m, Σ δ n of the position corrections
     push_y: float
     push_z: float
-    push_fraction: float  # of the overlap, that one of them removes
-    apart: bool  # whether it was found with a gap
+    push_fraction: float  # of the overlap, removed by one position correction
+    apart: bool  # whether it was detected with a gap
     biased: bool  # whether Baumgarte's bias makes it separate
     slides: bool  # whether it slid in the last iterations and may not stick again
 
@@ -130,24 +131,24 @@ class ImpulseRecord(Protocol):
     friction_x: float
     friction_y: float
     friction_z: float
-    correction_x: float  # N s, Σ of the changes of momentum by `solver.positions`
+    correction_x: float  # Recorded impulses of a contact.
     correction_y: float
     correction_z: float
 
 
 class RollingImpulseRecord(AngularImpulse, ImpulseRecord, Protocol):
-    """Impulses of a contact that is recorded, whose law resists rolling."""
+    """Recorded impulses of a contact whose law resists rolling."""
 
 
 class PieceResultsRecord(Protocol):
-    """Results of a phase for a piece of contacts."""
+    """Results of a phase for one piece of contacts."""
 
-    residual: float  # m/s, the largest change or violation; of position corrections 1 if another iteration is needed
-    residual_norm: float  # of conjugate gradients: r·z
+    residual: float  # m/s, the largest change or violation; for position corrections, 1 if another iteration is needed
+    residual_norm: float  # r·z, of conjugate gradients
     largest_push: float  # N s, the largest impulses of either sign
     largest_pull: float
-    slope: float  # J, of the line search: s·c
-    step_limit: float  # of the line search: the largest α that lets no contact pull
+    slope: float  # J, s·c of the line search
+    step_limit: float  # of the line search: the largest α at which no contact pulls
     fastest: float  # m/s, the fastest approach
     restitution_loss: float  # J, the ledger of the piece
     friction_loss: float
@@ -156,7 +157,7 @@ class PieceResultsRecord(Protocol):
 
 
 class MeasuredRecord(Protocol):
-    """A contact whose island may have to give back energy."""
+    """A contact whose island may have to return energy."""
 
     slope: float  # J, along its impulses
     curvature: float
@@ -173,33 +174,33 @@ class BlockSumsRecord(Protocol):
 
 
 class IslandRecord(Protocol):
-    """An island that may have to give back energy."""
+    """An island that may have to return energy."""
 
     slope: float  # J, along its impulses
     curvature: float
-    scale: float  # factor of these impulses
+    scale: float  # factor on these impulses
 
 
 class SettingsRecord(Protocol):
-    """Settings of the phases, and what they share."""
+    """Settings of the phases, and values that they share."""
 
-    independent: int  # number of colours, from the first on, whose contacts share no moving body
+    independent: int  # number of leading colours whose contacts share no moving body
     iteration: int  # number of iterations before this one
     dt: float  # s, the step for which the rest speeds were found; before a drift, the previous one
-    drift: float  # s, the drift to come; 0 after the last kick
-    booked: float  # s, part of the drift for which the work of the forces is already booked
-    bias_rate: float  # 1/s, Baumgarte: separation speed for each metre of overlap
+    drift: float  # s, the coming drift; 0 after the last kick
+    booked: float  # s, the part of the drift for which the work of the forces is already booked
+    bias_rate: float  # 1/s, Baumgarte's separation speed per overlap
     alpha: float  # α, of the line search and of conjugate gradients
     beta: float  # β of conjugate gradients, weight of the last direction in the next one
     negligible: float  # m/s, slower approaches are no violation
     tolerance: float  # in multiples of `tolerated`
     fastest: float  # m/s, the fastest approach before the impulses of impacts
-    any_rests: bool  # whether a contact was at rest then
+    any_rests: bool  # whether a contact was at rest before them
     spins: bool  # whether impulses turn bodies
     impacts_only: bool  # whether resting contacts are skipped
     refines: bool  # whether conjugate gradients follow the iterations
     as_needed: bool  # whether small changes and small overlaps end the iterations
-    keeps_iterating: bool  # whether more iterations follow conjugate gradients that did not converge
+    keeps_iterating: bool  # whether iterations follow conjugate gradients that did not converge
     keeps_sliding: bool  # whether contacts that slid may not stick again
     islands_known: bool  # whether the bodies' islands are found
     measures: bool  # whether the audit writes `MEASURED`
@@ -240,7 +241,7 @@ SETTINGS = dtype_of(SettingsRecord)
 class ConstraintSystem(NamedTuple):
     """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
-    pairs: IntArray  # (m, 2)
+    pairs: IntArray  # (k, 2) first contact of each, and the end of its range
     pieces: IntArray  # (k, 2) first contact, and the one after the last
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: RecordArray[ContactRecord]  # (m,), or ROLLING_CONTACT if the law resists rolling
@@ -260,26 +261,28 @@ class ConstraintSystem(NamedTuple):
     bodies: RecordArray[BodyStateRecord]  # (n + p,)
     pushed: RecordArray[PushedBodyRecord]  # (n + p,)
     pushed_in: IntArray  # (n + p,) iteration in which the position correction last pushed each; `NEVER` if none did
-    materials: RecordArray[Coefficients]  # (k,) MATERIAL, by `law.material_index`
+    # (n + p,) iteration in which the position correction last moved each; `NEVER` if none did
+    materials: RecordArray[Coefficients]
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
-    island: IntArray  # (n + p,) workspace, the root of each one's island
-    islands: RecordArray[IslandRecord]  # (n + p,) workspace
+    island: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
+    islands: RecordArray[IslandRecord]  # (n + p,) workspace, the root of each body's island
     active: IntArray  # (b,) bodies and planes with a contact
     pressed: BoolArray  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
-    piece_results: RecordArray[PieceResultsRecord]  # (k,)
+    # (n + p,) whether contacts have pressed each body since the last step; False for fixed ends
+    piece_results: RecordArray[PieceResultsRecord]
     sums: RecordArray[BlockSumsRecord]  # (b / BODIES_PER_BLOCK,)
     settings: RecordArray[SettingsRecord]  # (1,)
 
 
 @inline
 def contacts_of(first: int, end: int, system: ConstraintSystem) -> tuple[int, int]:
-    """Return the first contact of the pieces [first, end), and the one after the last."""
+    """Return the first contact of the pieces [first, end), and the end of their range."""
     return from_front(system.pieces[first, 0]), from_front(system.pieces[end - 1, 1])
 
 
 @inline
 def body_count(system: ConstraintSystem) -> int:
-    """Return n; ends from n on are planes."""
+    """Return the first contact of the pieces [first, end), and the end of their range."""
     return len(system.bodies) - len(system.surface)
 
 

@@ -1,12 +1,12 @@
-"""The contact tap: makes the rows of `contact_table` for a run that records its contacts.
+"""The contact tap: makes the rows of the `contact_table` for a run that records its contacts.
 
-The tap only reads the solver's records, so it changes no bit of the run:
+The tap only reads the solver's records, so it does not change the run:
 
 - contacts of the previous step, held after the first kick: `add_hold`
-- impacts during the drift: its log, `add_drift`
-- impacts at the end of the step, `add_impacts`, and contacts held after the last kick: the solver's own records
+- impacts during the drift: `add_drift`, from their log
+- impacts at the end of the step: `add_impacts`; contacts held after the last kick: read from the solver's records
 
-Rows are made on demand, since few steps are frames. Only impacts are gathered in every step, in bounded memory.
+Rows are made on demand, since few steps are frames. Only impacts are stored at every step, in bounded memory.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from carom.scene.schema import Coefficients
 if TYPE_CHECKING:
     from carom.physics.contact.sleep.sleepers import SleepingContacts
 
-MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; beyond that the largest are kept and the others counted
+MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; of more, the largest are kept and the others counted
 
 
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
@@ -57,13 +57,14 @@ class Impulses(NamedTuple):
     arms: FloatArray  # (k, 2) m
     values: FloatArray  # (k, 4) N s, λ_n and λ_t
     time: FloatArray  # (k,) s
-    turns: bool = True  # whether λ_t acts at the contact point; at the centres if not
-    impact: BoolArray | None = None  # (k,) whether the contact closed faster than its rest speed; None: all hold
+    turns: bool = True  # whether λ_t acts at the contact point; otherwise at the centres
+    # (k,) whether the contact closed faster than its rest speed; None: all contacts were held
+    impact: BoolArray | None = None
     angular: FloatArray = NO_ANGULAR_IMPULSES  # (k, 3) N m s, Λ, if the law resists rolling
 
 
 class RowData(NamedTuple):
-    """The data of bodies and materials from which rows are computed."""
+    """The data of bodies and materials from which the rows are computed."""
 
     position: FloatArray  # (n, 3) m
     box: FloatArray  # (3,) m, zeros in open space
@@ -72,10 +73,10 @@ class RowData(NamedTuple):
 
 
 class Held(NamedTuple):
-    """Contacts as they were held after the first kick."""
+    """Contacts as held after the first kick."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) of the record of each
+    place: IntArray  # (m,) of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     terms: FloatArray  # (m, 3) J, by place
 
@@ -84,7 +85,7 @@ class Resolved(NamedTuple):
     """Contacts that were resolved at the end of the step."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) of the records of each
+    place: IntArray  # (m,) of each contact's records
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     states: RecordArray[ContactStateRecord]  # (m,) CONTACT_STATE
     recorded: RecordArray[ImpulseRecord]  # (m,) RECORDED
@@ -94,12 +95,12 @@ NOTHING_HELD = Held(empty_graph().pairs, np.empty(0, dtype=np.int64), np.empty(0
 
 
 class ContactTap:
-    """Gathers the impulses and energies of the contacts of each step.
+    """Collects the impulses and energies of the contacts of each step.
 
     Parameters
     ----------
     bodies
-        What touches.
+        The possible ends of a contact.
     materials
         Coefficients of the contact law.
     box
@@ -111,30 +112,30 @@ class ContactTap:
     def __init__(self, bodies: Bodies, materials: Materials, box: FloatArray, friction: bool) -> None:
         self._data = RowData(bodies.position, box, materials, friction)
         self._buffer = Buffer(CONTACT_ROW)
-        self._largest_count = 0  # rows of a step so far; a buffer with fewer is enlarged before it is filled
+        self._largest_count = 0  # rows of a step so far; a buffer with fewer is enlarged before use
         self.forget()
         self._rows_of_drift()  # loads its kernel, so that the first impact does not wait for a compiler
 
     def forget(self) -> None:
-        """Begin anew, as before the first step."""
+        """Return to the state before the first step."""
         self._impacts = ImpactStore()
         self.begin(0, 0.0, 0.0)
 
     def begin(self, step: int, began: float, ended: float) -> None:
-        """Begin a step; the times of its beginning and end in s."""
+        """Begin a step, given the times of its beginning and end in s."""
         self._step, self._began, self._ended = step, began, ended
         self._held = NOTHING_HELD
         self._drift = NO_IMPACTS
 
     def add_hold(self, pairs: IntArray, solver: ContactSolver) -> None:
-        """Keep the impulses by which contacts were held after the first kick.
+        """Keep the impulses that held contacts after the first kick.
 
-        Their records do not change until the next step finds its contacts. The ledger does, so it is copied.
+        The records do not change until the next step finds its contacts. Their ledger does, so it is copied.
         """
         self._held = Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 
     def copy_hold(self) -> None:
-        """Copy the records of the held contacts, which the solver will overwrite."""
+        """Copy the records of the held contacts before the solver overwrites them."""
         self._held = self._held._replace(contacts=raw(self._held.contacts).copy().view(self._held.contacts.dtype))
 
     def add_drift(self, impacts: Impacts) -> None:
@@ -145,7 +146,7 @@ class ContactTap:
             self._impacts.add(picked(rows, np.flatnonzero(rows["mode"] == IMPACT_MODE)))
 
     def add_impacts(self, pairs: IntArray, solver: ContactSolver) -> None:
-        """Add the impacts at the end of the step, before contacts are held once more."""
+        """Add the impacts at the end of the step, before contacts are held again."""
         rows = self._buffer.take(len(pairs))
         position, box = self._data.position, self._data.box
         count = _write_impacts(_resolved(pairs, solver), position, box, self._step, self._ended, rows)
@@ -153,7 +154,7 @@ class ContactTap:
             self._impacts.add(raw(rows[:count]).copy().view(CONTACT_ROW))
 
     def pop_impacts(self) -> tuple[Records, int]:
-        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and how many were left out."""
+        """Return the impacts since the last call, (k,) `CONTACT_ROW` in order of time, and the number left out."""
         store, self._impacts = self._impacts, ImpactStore()
         return store.rows(), store.left_out
 
@@ -166,16 +167,16 @@ class ContactTap:
     ) -> Records:
         """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair.
 
-        It has the contacts of the graph, and those that exerted an impulse and have opened since.
+        It holds the contacts of the graph, and those that exerted an impulse and have opened since.
 
         Parameters
         ----------
         pairs, solver
             The contacts at the end of the step, and their records.
         buffer
-            Memory for the table (default: a copy).
+            Memory for the table (default: a new array).
         slept
-            The contacts of sleepers, with the forces from when they fell asleep.
+            The contacts of sleepers, with their forces when they fell asleep.
         """
         impacts = NO_ROWS
         if len(self._drift):
@@ -249,7 +250,7 @@ class ImpactStore:
         self._pieces: list[Records] = []
 
     def add(self, rows: Records) -> None:
-        """Add impacts, all of them later than those before."""
+        """Add impacts, all later than those before."""
         self._pieces.append(rows)
         self._count += len(rows)
         if self._count > 2 * MOST_IMPACTS:
@@ -264,7 +265,7 @@ class ImpactStore:
         return self._pieces[0] if self._pieces else NO_ROWS
 
     def _leave_out(self) -> None:
-        """Keep those with the largest normal impulses; of equal ones the first."""
+        """Keep the impacts with the largest normal impulses; of equal ones the first."""
         rows = joined(self._pieces, CONTACT_ROW)
         kept = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:MOST_IMPACTS])
         self.left_out += len(rows) - len(kept)
@@ -279,7 +280,7 @@ class ImpactStore:
 def _write_impacts(
     resolved: Resolved, position: FloatArray, box: FloatArray, step: int, ended: float, rows: RecordArray[ContactRow]
 ) -> int:
-    """Write the contacts that closed faster than their rest speed and were resolved; return how many."""
+    """Write the contacts that closed faster than their rest speed and were resolved; return their number."""
     pairs, place, contacts, states, recorded = resolved
     count = 0
     for k in range(len(pairs)):
@@ -306,7 +307,7 @@ def _merge(
     ended: float,
     rows: RecordArray[ContactRow],
 ) -> int:
-    """Write one row for each pair that was held, met in the drift, touches or exerted an impulse; return how many.
+    """Write one row for each pair that was held, met in the drift, touches or exerted an impulse; return their number.
 
     ``impacts`` are rows of impacts during the drift, sorted by pair, the hardest of each pair first. Rows that do not
     fit are counted, and overwrite the last one.

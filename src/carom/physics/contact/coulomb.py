@@ -1,6 +1,6 @@
 """Newton's restitution and Coulomb's friction, the contact law of scenes that choose none; see `contact.law`.
 
-An impact rebounds by the coefficient e, a contact at rest does not; friction is bounded:
+An impact rebounds with the coefficient e, and a contact at rest does not rebound. Friction is bounded:
 
     v_n' = -e v_n
     |J_t| ≤ μ_s J_n where the contact sticks,  |J_t| = μ_k J_n against the slip where it slides
@@ -13,7 +13,7 @@ import numpy as np
 from carom.physics.jit.decorators import inline
 from carom.scene.schema import Coefficients
 
-REACHED = 1e-9  # of μ_k λ_n; sums over iterations and kicks miss it by rounding, about 1e-15 each
+REACHED = 1e-9  # of μ_k λ_n; the rounding of sums over iterations and kicks is about 1e-15 each
 
 
 @inline
@@ -39,7 +39,7 @@ def impact_friction(material: Coefficients, normal: float, stopping: float) -> f
 def lasting_friction(
     material: Coefficients, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, float, float]:
-    """Return a tangential impulse, unchanged inside the friction cone, else reduced to the kinetic friction."""
+    """Return a tangential impulse, reduced to kinetic friction outside the friction cone."""
     squared = tx * tx + ty * ty + tz * tz
     most = material.static_friction * normal
     if squared > most * most:
@@ -52,7 +52,7 @@ def lasting_friction(
 def sliding_friction(
     material: Coefficients, normal: float, tx: float, ty: float, tz: float
 ) -> tuple[float, float, float]:
-    """Return a tangential impulse, reduced to the kinetic friction where it is larger."""
+    """Return a tangential impulse, reduced to kinetic friction where it is larger."""
     squared = tx * tx + ty * ty + tz * tz
     most = material.kinetic_friction * normal
     if squared > most * most:
@@ -70,7 +70,7 @@ def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: floa
 
 @inline
 def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Return whether |λ_t| = μ_k λ_n; contacts that stick may also have |λ_t| between μ_k λ_n and μ_s λ_n."""
+    """Return whether |λ_t| = μ_k λ_n; in a contact that sticks |λ_t| may also be between μ_k λ_n and μ_s λ_n."""
     tangential: float = np.sqrt(tx * tx + ty * ty + tz * tz)
     kinetic: float = material.kinetic_friction * normal
     static: float = material.static_friction * normal

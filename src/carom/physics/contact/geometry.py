@@ -1,8 +1,9 @@
 """Contact geometry: distances, normals, lever arms and overlaps.
 
-Both bodies share one contact point on the line of centres, at d r_i/(r_i + r_j) from i and d r_j/(r_i + r_j) from j. At
-a plane the arm of the body is its radius, and the plane has none. A plane absorbs any angular momentum, so the arm need
-not equal the distance, and an impact that is detected late spins the body as it would have at the surface.
+Both bodies share one contact point on the line of centres, at a distance of d r_i/(r_i + r_j) from i and d r_j/(r_i +
+r_j) from j. At a plane, the arm of the body is its radius, and the plane has no arm. A plane absorbs any angular
+momentum, so the arm need not equal the distance. An impact that is detected late then changes the spin as it would have
+at the surface.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def height_above(normal: FloatArray, offset: FloatArray, plane: int, x: float, y
 
 @inline
 def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: float, skin: float) -> bool:
-    """Return whether two spheres are no farther apart than ``radii scale + skin``: the test of all searches.
+    """Return whether two spheres are no farther apart than ``radii scale + skin``; all searches use this test.
 
     Parameters
     ----------
@@ -45,7 +46,7 @@ def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: 
     box
         Size of the periodic box in m, as `sizes` returns it; zeros in open space.
     scale, skin
-        As in `Search`; skin in m.
+        As in `Search`.
     """
     dx, dy, dz = nearest_image(dx, dy, dz, box)
     limit = radii * scale + skin
@@ -54,7 +55,7 @@ def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: 
 
 @inline
 def smaller_arm(contact: ContactRecord) -> float:
-    """Return the lever arm of the smaller body, in m; at a plane that of the body."""
+    """Return the lever arm of the smaller body, or at a plane of the body, in m."""
     arm: float = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
     return arm
 

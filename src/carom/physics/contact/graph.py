@@ -1,11 +1,11 @@
 """The constraint graph: the contacts of a step, their colours, and the order in which they are solved.
 
-carom colours *contacts* so that no two contacts of a colour share a body. The contacts of a colour can then be solved
-in parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions of a
-colour", but two contacts of one colour can share a body. Body colouring remains available for comparison.
+carom colours *contacts* so that no two contacts of a colour share a body. The contacts of a colour can therefore be
+solved in parallel. The reference engine colours *bodies* so that neighbours differ, and then resolves "all collisions
+of a colour", but two contacts of one such colour can share a body. Body colouring remains available for comparison.
 
 Contacts are solved colour by colour, and within a colour pair by pair, in pieces that threads can share. Their records
-lie in memory in this order, so an iteration reads memory from end to end. In the order of pairs each colour would touch
+are stored in this order, so an iteration reads memory sequentially. In the order of pairs, each colour would touch
 every cache line.
 """
 
@@ -24,23 +24,24 @@ from carom.physics.jit.decorators import inline, kernel
 from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
-OVERFLOW = 64  # colour of the contacts that do not fit into 64 stages: resolved last, one by one
-CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; a few microseconds of an iteration
+OVERFLOW = 64  # colour of the contacts for which 64 stages are not enough: resolved last, one by one
+CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; they take an iteration a few microseconds
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionGraph:
     """The contacts of one step. A body is a node, a contact an edge.
 
-    ``pairs`` are sorted by (i, j) with i < j, so the graph does not depend on the search.
+    ``pairs`` are sorted by (i, j) with i < j, so the graph does not depend on the method of search.
     """
 
     pairs: IntArray  # (m, 2) indices; j ≥ n is plane j - n
     normals: FloatArray  # (m, 3) unit vectors from i to j, before position correction
     overlaps: FloatArray  # (m,) m, r_i + r_j - distance, before position correction
     colours: IntArray  # (m,) stage in which the contact is resolved
-    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes, -1: no contacts
-    into_step: FloatArray | None = None  # (m,) s from the start of the step to each first resolution; None: its end
+    body_colours: IntArray | None = None  # (n,) the reference engine's colouring of the nodes; -1 without contacts
+    # (m,) s from the start of the step to the first impact of each contact; None: the end of the step
+    into_step: FloatArray | None = None
 
     def __len__(self) -> int:
         return len(self.pairs)
@@ -63,13 +64,13 @@ def empty_graph() -> CollisionGraph:
 
 @inline
 def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
-    """Return whether the pair (i, j) precedes another in the order of pairs; the numbers may be stored as floats."""
+    """Return whether the pair (i, j) precedes another in the order of pairs; the numbers may be floats."""
     return i < other_i or (i == other_i and j < other_j)
 
 
 @kernel
 def first_of(body: int, pairs: IntArray) -> int:
-    """Return the position of the first of sorted pairs whose first body is this or a later one."""
+    """Return the index of the first of sorted pairs whose first body is not below a given one."""
     first, end = 0, len(pairs)
     while first < end:
         middle = (first + end) // 2
@@ -83,19 +84,19 @@ def first_of(body: int, pairs: IntArray) -> int:
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
     """Colour contacts greedily, in order, so that no two of a colour share a moving body.
 
-    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that do not fit into 64 colours have
-    the colour `OVERFLOW`.
+    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that 64 colours cannot hold have the
+    colour `OVERFLOW`.
 
     Parameters
     ----------
     inverse_mass
-        (n + p,) 1/kg of bodies and planes; any number of contacts of a colour may share an end that is 0 here.
+        (n + p,) 1/kg; any number of contacts of a colour may share an end whose value is 0.
     """
     return colour_rest(pairs, np.full(len(pairs), -1), np.arange(len(pairs)), inverse_mass)
 
 
 def colour_rest(pairs: IntArray, colours: IntArray, order: IntArray, inverse_mass: FloatArray) -> IntArray:
-    """Colour the contacts that have no colour yet, -1, in an order; return all (m,) colours.
+    """Colour the contacts that have no colour yet (-1) in a given order; return all (m,) colours.
 
     Parameters
     ----------
@@ -114,7 +115,7 @@ def _colour_contacts(
     for c in range(len(pairs)):
         i, j = ends_of(pairs, c)
         used[i] = used[j] = np.uint64(0)
-    given = len(pairs) - len(order)  # contacts that have a colour come first
+    given = len(pairs) - len(order)  # contacts that already have a colour come first
     for k in range(-len(pairs) if given > 0 else 0, len(order)):
         c = from_front(k + len(pairs) if k < 0 else order[k])
         (i, j), colour = ends_of(pairs, c), colours[c]
@@ -145,7 +146,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
         (n,), -1 for a body without contacts.
     """
     met = pairs[:, 1] < n
-    # neighbours of each body in rising order, one body after another, and where each begins
+    # neighbours of each body in ascending order, one body after another, and the index where each list begins
     ends = np.concatenate((pairs[met], pairs[met, ::-1]))
     ends = ends[np.lexsort((ends[:, 1], ends[:, 0]))]
     offsets = np.concatenate(([0], np.cumsum(np.bincount(ends[:, 0], minlength=n)))).astype(np.int64)
@@ -153,7 +154,7 @@ def colour_bodies(pairs: IntArray, n: int, given: IntArray | None = None) -> tup
     bodies = np.full(n, -1, dtype=np.int64) if given is None else given.copy()
     _colour_bodies(offsets, neighbours, bodies)
     on_plane = pairs[~met, 0]
-    # a plane is not a node: a body that touches only planes has the first colour
+    # a plane is not a node, so a body that touches only planes has the first colour
     bodies[on_plane] = np.maximum(bodies[on_plane], 0)
     colours = bodies[pairs[:, 0]]
     colours[met] = np.minimum(colours[met], bodies[pairs[met, 1]])
@@ -182,11 +183,11 @@ def _colour_bodies(offsets: IntArray, neighbours: IntArray, bodies: IntArray) ->
 class SolveOrder:
     """The order of m contacts, colour by colour."""
 
-    place: IntArray  # (m,) place of each contact in this order
-    pairs: IntArray  # (m, 2) by place
-    pieces: IntArray  # (k, 2) first place and the one after the last; a piece has one colour
+    place: IntArray  # (m,) index of each contact in this order
+    pairs: IntArray  # (m, 2) in this order
+    pieces: IntArray  # (k, 2) first index of each, and the end of its range; a piece has one colour
     edges: IntArray  # (s + 1,) first piece of each colour, and k
-    independent: int  # number of colours, from the first on, whose contacts share no moving body
+    independent: int  # number of leading colours whose contacts share no moving body
 
     @property
     def count(self) -> int:
@@ -224,7 +225,7 @@ def _lay_out(
     edges: IntArray,
     pieces: IntArray,
 ) -> None:
-    """Cut the colours into pieces of about equal size, and assign each contact the next place of its colour."""
+    """Divide the colours into pieces of about equal size, and assign each contact the next index of its colour."""
     k, end = 0, 0
     for colour in range(len(sizes)):
         lo, end = end, end + sizes[colour]
@@ -245,7 +246,7 @@ def _lay_out(
 
 @dataclass(frozen=True, slots=True)
 class OrderedContacts:
-    """Contacts by pair, and where each stands in the order of the solver."""
+    """The contacts of a step by pair, and their order in the solver."""
 
     pairs: IntArray  # (m, 2), sorted; j ≥ n is plane j - n
     colours: IntArray  # (m,)

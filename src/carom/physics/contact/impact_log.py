@@ -1,6 +1,6 @@
-"""The impacts of a step that happened at their own times: their records, and the arrays that are read from them.
+"""The impacts of a step that were resolved at their exact times, as records and arrays.
 
-`events` writes the records; forces, statistics and the contact table read them.
+`events` writes the records; forces, statistics and the contact table use them.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower cl
 
 
 class ImpactRecord(Protocol):
-    """An impact at its own time."""
+    """An impact at its exact time."""
 
     i: int  # i < j
     j: int
     time: float  # s from the beginning of the drift
-    clock: float  # s, the time σ of the straight paths, see `events.trajectories`
+    clock: float  # s, the clock σ of the straight paths, see `events.trajectories`
     nx: float  # the normal, from i to j
     ny: float
     nz: float
@@ -68,8 +68,8 @@ class Impacts:
     approach: FloatArray  # (k,) m/s
     rest_speed: FloatArray  # (k,) m/s, of each impact
     ledger: FloatArray  # (k, 3) J
-    after: FloatArray  # (k, 2, 3) m/s, velocities of both right after it
-    log: Records  # (k,) `IMPACT`, the source of the other fields
+    after: FloatArray  # (k, 2, 3) m/s, velocities of both bodies right after it
+    log: Records  # (k,) `IMPACT`, the records from which the other fields were read
 
     def __len__(self) -> int:
         return len(self.pairs)

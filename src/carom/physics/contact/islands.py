@@ -1,10 +1,10 @@
 """Rest speeds, the restitution thresholds of islands: a contact that closes no faster is at rest, not an impact.
 
-A contact at rest closes no faster than gravity makes it close in a step. The bodies of an island share its load, so the
-largest acceleration in the whole island counts. (In its middle nothing accelerates, but the load is greatest.) An
-island is a connected component of the collision graph without fixed ends; other islands have no influence. The uniform
-field accelerates all bodies alike and is subtracted, unless something is fixed and does not fall. Without gravity the
-speed is 0, and every contact is an impact.
+A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
+share its load, so the largest acceleration of the whole island counts: in the middle of a pile nothing accelerates, but
+the load is greatest. An island is a connected component of the collision graph without fixed ends; other islands have
+no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and does
+not fall. Without gravity, the speed is 0, and every contact is an impact.
 
 Islands are found by union-find: each is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
@@ -21,13 +21,14 @@ from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_repla
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes
 
-UNEQUAL, PRESSES = range(2)  # flags: bodies are accelerated unequally; some contact has a rest speed
+UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; some contact has a rest speed
 
 
 class Islands:
     """Finds the island and the rest speed of each contact; keeps its tables.
 
-    Threads join islands at the same time. The root of an island is its lowest body, whatever the order of the threads.
+    Threads join islands at the same time. The root is the lowest body in any case, so the result does not depend on
+    their order.
 
     Parameters
     ----------
@@ -39,8 +40,8 @@ class Islands:
 
     def __init__(self, ends: int, team: Team) -> None:
         self._team = team
-        self._parent = np.empty(ends, dtype=np.int64)  # this and the next are used only for bodies with contacts
-        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; for the root of an island, the largest in it
+        self._parent = np.empty(ends, dtype=np.int64)  # these arrays are used only for bodies with contacts
+        self._largest = np.empty(ends)  # m²/s⁴, |a|² of a body; at the root of an island, the largest of the island
 
     def write_rest_speeds(
         self,
@@ -54,7 +55,7 @@ class Islands:
     ) -> bool:
         """Write the rest speed of each contact, 2 |a|max dt of its island.
 
-        Two bodies that rest on each other close at most that fast at the end of a step that began at rest.
+        Two bodies that rest on each other and start a step at rest close at most that fast at its end.
 
         Parameters
         ----------
@@ -63,7 +64,7 @@ class Islands:
         active
             (b,) bodies and planes that have a contact.
         acceleration
-            (n + p, 3) m/s² of bodies and planes, with the uniform field in it.
+            (n + p, 3) m/s², including the uniform field.
         inverse_mass
             (n + p,) 1/kg; fixed ends do not transmit load.
         field
@@ -102,7 +103,10 @@ def _stand_alone(
     largest: FloatArray,
     flags: BoolArray,
 ) -> None:
-    """Make each body an island; note in ``flags`` whether accelerations differ. If not, islands need not be joined."""
+    """Make each body an island; note in ``flags`` whether accelerations differ.
+
+    If they do not, islands need not be joined.
+    """
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:
@@ -128,7 +132,7 @@ def _join(lo: int, hi: int, pairs: IntArray, inverse_mass: FloatArray, parent: I
 
 @long_kernel
 def _spread_largest(lo: int, hi: int, active: IntArray, parent: IntArray, largest: IntArray) -> None:
-    """Write the largest |a|² of each island to its root; for non-negative numbers, bits sort like values."""
+    """Write the largest |a|² of each island to its root; bit patterns of non-negative numbers sort like the numbers."""
     for k in range(lo, hi):
         i = active[k]
         island = root_of(parent, i)
@@ -185,7 +189,7 @@ def island_rest_speeds(
     dt: float,
     speeds: FloatArray,
 ) -> None:
-    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, given all pairs that may touch.
+    """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, for all pairs that may touch.
 
     Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0.
     """
@@ -209,7 +213,7 @@ def island_rest_speeds(
 
 @inner
 def root_of(parent: IntArray, i: int) -> int:
-    """Return the lowest body of the set of a body; halves the path to it."""
+    """Return the lowest body in the set of a body; halves the path to it."""
     while parent[i] != i:
         parent[i] = parent[from_front(parent[i])]
         i = from_front(parent[i])
@@ -219,7 +223,7 @@ def root_of(parent: IntArray, i: int) -> int:
 @inner
 def join(parent: IntArray, i: int, j: int) -> None:
     """Join the sets of two bodies; the lower root becomes the parent of the higher one."""
-    if parent[i] == parent[j]:  # as most are in a heap
+    if parent[i] == parent[j]:  # the usual case in a heap
         return
     i, j = root_of(parent, i), root_of(parent, j)
     parent[max(i, j)] = min(i, j)
@@ -244,7 +248,7 @@ def join_islands(pairs: IntArray, inverse_mass: FloatArray, parent: IntArray) ->
 
 @kernel
 def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
-    """Write the number of the set of each body, where pairs join sets; return how many there are.
+    """Write the number of each body's set, where pairs connect bodies; return the number of sets.
 
     Sets are numbered in the order of their lowest bodies.
     """

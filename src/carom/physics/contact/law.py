@@ -1,18 +1,18 @@
-"""The contact law in kernels: the impulses that a contact may exert, and what all laws share.
+"""The contact law in kernels: the impulses that a contact may exert, and the code that all laws share.
 
-The functions below are those of a `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the
-record of a contact's coefficients, whose type names the law: without a name it is Coulomb's (`coulomb`). Numba chooses
-the functions by that type when it compiles a kernel, so a call costs nothing, and what a law does not have is not
-compiled. Each law has kernels of its own, which `KernelCache` keeps under these types.
+The functions below are those of `carom.scene.contact_laws.ContactLaw`. Kernels call them with ``material``, the record
+of a contact's coefficients. The type of the record names the law, by default Coulomb's (`coulomb`). Numba selects the
+functions by that type when it compiles a kernel, so a call costs nothing, and what a law lacks is not compiled. Kernels
+are compiled separately for each law, and `KernelCache` stores them under these types.
 
 All laws share three things:
 
-- Contacts push and never pull: λ_n ≥ 0, the condition of the solver. A law with adhesion changes where the solver lets
-  go of a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
+- Contacts push and never pull: λ_n ≥ 0, the condition of the solver. A law with adhesion would change the places where
+  the solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
 - The warm start keeps one normal and one tangential impulse, `IMPULSES`, and one angular impulse (`rolling`).
-- The ledger books what the normal impulse takes out as restitution, and what the others take out as friction.
+- The ledger books the energy that the normal impulse takes out as restitution, and the rest as friction.
 
-`carom.physics.reference_api.CollisionContext` states Coulomb's law once more, with vectors, for tests to compare.
+`carom.physics.reference_api.CollisionContext` repeats Coulomb's law in vector form, for tests to compare.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from carom.scene.schema import Coefficients
 
 MATERIAL = dtype_of(Coefficients)
 IMPULSES = ("normal_impulse", "friction_x", "friction_y", "friction_z")  # N s, λ_n and λ_t: fields of `CONTACT`
-NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # columns of arrays of them
-LAW = coulomb  # for plain Python, which knows this law only
+NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # their columns in arrays
+LAW = coulomb  # for plain Python, which supports this law only
 
-_MARK = "contact_law_"  # how the first field of a material begins whose law is not Coulomb's
-_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and their own
+_MARK = "contact_law_"  # prefix of the first field of a material whose law is not Coulomb's
+_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and by their own
 
 
 class Materials(NamedTuple):
@@ -61,7 +61,10 @@ def materials_of(pairs: PairCoefficients) -> Materials:
 
 
 def _mark_of(laws: tuple[str, ...]) -> str:
-    """Return the name of the field that stands for laws; empty for Coulomb's. Prepare their functions for kernels."""
+    """Return the name of the field that stands for a list of laws; empty for Coulomb's.
+
+    Prepare the functions of these laws for kernels.
+    """
     own = functions_of(laws)
     if not own:
         return ""
@@ -72,7 +75,7 @@ def _mark_of(laws: tuple[str, ...]) -> str:
 
 
 def has_torque(kind: Any) -> bool:
-    """Return whether contacts whose materials are of this type (of NumPy or of Numba) resist rolling or twisting."""
+    """Return whether contacts with this type of material (NumPy's or Numba's) resist rolling or twisting."""
     functions = _laws.get(next(iter(kind.fields)), {})
     return "rolling" in functions or "twisting" in functions
 
@@ -134,18 +137,18 @@ def sliding_friction(
 ) -> tuple[float, float, float]:
     """Return the tangential impulse of a lasting contact that has slid and does not stick again.
 
-    It must be continuous in its arguments, see `solver.phases`; they are those of `lasting_friction`.
+    It must be continuous in its arguments, which are those of `lasting_friction`; see `solver.phases`.
     """
     raise NotImplementedError("only kernels call it")
 
 
 def sticks(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Return whether the contact sticks with these totals of the normal and tangential impulse."""
+    """Return whether the contact sticks with these totals of the normal and tangential impulses."""
     raise NotImplementedError("only kernels call it")
 
 
 def slides(material: Coefficients, normal: float, tx: float, ty: float, tz: float) -> bool:
-    """Return whether a contact that exerted these totals slid, for reports of the step."""
+    """Return whether a contact that exerted these totals slid, for reports."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -169,12 +172,15 @@ def rolling(
 
 
 def twisting(material: Coefficients, normal: float, radius: float, stopping: float) -> float:
-    """Return the angular impulse about the normal; ``stopping`` would end the twisting. Arguments as for `rolling`."""
+    """Return the angular impulse about the normal; ``stopping`` is the one that would end the twisting.
+
+    Arguments as for `rolling`.
+    """
     raise NotImplementedError("only kernels call it")
 
 
 def exerts_torque(material: Coefficients) -> bool:
-    """Return whether the law resists rolling or twisting, a constant of the compiled kernel."""
+    """Return whether the law resists rolling or twisting; a constant in compiled kernels."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -186,7 +192,7 @@ assert {stub.__name__ for stub in _STUBS} == set(FUNCTIONS)
 
 
 def _offer(stub: Callable[..., Any]) -> None:
-    """Let kernels that call a function of the law compile that of the law which the type of the material names."""
+    """Make a function of the law callable from kernels; the type of the material selects the law."""
 
     @chosen_by_type(stub)
     def of_law(material: Any, *arguments: Any) -> Any:
@@ -207,9 +213,10 @@ def _exerts_torque(material: Any) -> Any:
 
 @unowned
 def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
-    """Return the row of the coefficients of ends i < j; with one material 0 between bodies, 1 + p at plane p.
+    """Return the row of the coefficients of ends i < j; with a single material, 0 between bodies and 1 + p at plane p.
 
-    It is not inlined: references to the array would be counted, and a sweep over 5·10⁴ contacts take 20 ms, not 15.
+    It is not inlined, since Numba would then count references to the array: a sweep over 5·10⁴ contacts would take 20
+    ms instead of 15.
     """
     if len(places) == 0:
         return max(0, j - bodies + 1)
@@ -219,14 +226,14 @@ def material_index(i: int, j: int, bodies: int, places: IntArray) -> int:
 
 @inline
 def restitution_at_depth(e: float, vn: float, overlap: float, acceleration: float) -> float:
-    """Return the restitution coefficient of an impact found after its time; see `solver.impacts`.
+    """Return the restitution coefficient of an impact that is detected late; see `solver.impacts`.
 
     Parameters
     ----------
     e
         The coefficient at the surface.
     vn
-        m/s, normal velocity where the impact was found.
+        m/s, normal velocity at the detection.
     overlap
         m
     acceleration
@@ -238,7 +245,7 @@ def restitution_at_depth(e: float, vn: float, overlap: float, acceleration: floa
 
 @inline
 def inverse_tangent_mass(Kn: float, ri: float, rj: float, inverse_inertia_i: float, inverse_inertia_j: float) -> float:
-    """Return K_t = K_n + ρ_i²/I_i + ρ_j²/I_j in 1/kg, the change of the slip by a tangential impulse of 1 N s."""
+    """Return K_t = K_n + ρ_i²/I_i + ρ_j²/I_j in 1/kg, the change of the slip per tangential impulse."""
     return Kn + ri * ri * inverse_inertia_i + rj * rj * inverse_inertia_j
 
 

@@ -1,8 +1,8 @@
-"""The pairs of a step that are near enough to be listed as contacts.
+"""The pairs of a step that are listed as contacts: those that touch, and those that soon may.
 
-Pairs that touch are near. If contacts last, so are those that a fall from rest could close within a step. Iterations
-that end early leave small gaps. Without the second kind of pairs such a contact would start without an impulse in the
-next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy in place of 10⁻²².
+Pairs that touch are near. If contacts last, so are pairs that a fall from rest could close within a step. Iterations
+that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse in the
+next step, and a pile would never come to rest: 300 bodies kept 5 × 10⁻⁴ of their energy instead of 10⁻²².
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import ContactSettings
 from carom.scene.start import HalfSpaces
 
-ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as contact
+ROUNDING = 4  # units in the last place of the largest coordinate; a smaller gap counts as a contact
 LARGEST_SKIN = 0.1  # of the smallest radius
 MIN_BODIES_PER_TASK = 4000  # about 10 µs of work
-SQUARE, COORDINATE = range(2)  # indices of the largest values
+SQUARE, COORDINATE = range(2)  # indices into the array of largest values
 
 
 class NearPairs:
@@ -77,7 +77,7 @@ class NearPairs:
         bodies = self._bodies
         square, coordinate = largest_values(bodies.acceleration, self._field, bodies.position, self._team)
         fall = np.sqrt(square) * dt * dt
-        if fall == 0.0:  # all contacts are impacts, for which near pairs do not count
+        if fall == 0.0:  # all contacts are impacts, which need no near pairs
             self.rounding = 0.0
             return 1.0, 0.0
         self.rounding = ROUNDING * float(np.spacing(coordinate))
@@ -99,12 +99,12 @@ def largest_values(
 def _update_largest(
     lo: int, hi: int, acceleration: FloatArray, field: FloatArray, position: FloatArray, shared: IntArray
 ) -> None:
-    """Update the bits of the largest values by the bodies [lo, hi)."""
+    """Raise the largest values to those of the bodies [lo, hi), as bit patterns."""
     largest = np.zeros(2)
     for i in range(lo, hi):
         largest[SQUARE] = max(largest[SQUARE], excess_square(acceleration, field, i))
         for k in range(3):
             largest[COORDINATE] = max(largest[COORDINATE], abs(position[i, k]))
-    bits = largest.view(np.int64)  # for non-negative numbers, bits sort like values
+    bits = largest.view(np.int64)  # bit patterns of non-negative numbers sort like the numbers
     atomic_max(shared, SQUARE, bits[SQUARE])
     atomic_max(shared, COORDINATE, bits[COORDINATE])

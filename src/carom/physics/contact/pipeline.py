@@ -47,8 +47,9 @@ if TYPE_CHECKING:
     from carom.physics.contact.events.drift import EventDrivenDrift
     from carom.physics.contact.sleep.sleepers import Sleepers, SleepingContacts
 
-# Iterations of each `contact.sweeps` that is no number. Of a falling heap, "quick" takes 1.24 ms a step with four, 1.36
-# with five and 1.32 with three, which leave four times the overlap after 3 s (benchmarks/heap.py, 1000 spheres).
+# Iterations for each `contact.sweeps` that is not a number. A step of a falling heap with "quick" takes 1.24 ms with
+# four iterations, 1.36 with five, and 1.32 with three, which leave four times the overlap after 3 s
+# (benchmarks/heap.py, 1000 spheres).
 MOST_SWEEPS: dict[Sweeps, int] = {"auto": 8, "as-needed": 8, "quick": 4}
 NO_ENTRIES: FloatArray = np.zeros((0, 3))
 
@@ -75,7 +76,7 @@ class ContactPipeline:
     team
         Threads that share the work.
     records
-        Whether `tap` gathers the impulses of each contact.
+        Whether `tap` collects the impulses of each contact.
     """
 
     def __init__(
@@ -102,7 +103,7 @@ class ContactPipeline:
         self._most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
         self._pushes = contact.stabilisation == "split"
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
-        self._was_crossed = False  # whether a body would have passed through a plane in this step
+        self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
         self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
@@ -126,25 +127,25 @@ class ContactPipeline:
         """Return to the state before the first step."""
         self._impulses = ImpulseCache.empty()
         self._order_contacts(empty_graph().pairs, 0.0)
-        self._fell_asleep = False  # whether contacts of this step sleep from the next one on
+        self._fell_asleep = False  # whether contacts fell asleep at the end of this step
         self._slept: SleepingContacts | None = None  # contacts that slept in this step
-        self._lost = NO_ENTRIES  # J, the ledger of what woke in this step or fell asleep after it
-        self._first_kick = 0.0  # s, of the step
+        self._lost = NO_ENTRIES  # J, ledger of the contacts that woke in this step or fell asleep after it
+        self._first_kick = 0.0  # s, the first kick of the step
         if self._sleepers:
             self._sleepers.forget()
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that no contact of it keeps
+        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to none of its contacts
         self.impacts: Impacts = NO_IMPACTS  # of the drift
-        self.statistics = NO_CONTACTS  # of the contacts of the step
-        self.counts_impacts = True  # whether they include impacts during the drift; a look ahead needs no statistics
+        self.statistics = NO_CONTACTS  # of the step's contacts
+        self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
         self._snapshots.forget()
         if self.tap:
             self.tap.forget()
 
     @property
     def memory(self) -> ContactCheckpoint | None:
-        """A copy of the state that the next step needs; None if no contact can last."""
+        """A copy of the state that the next step needs; None if contacts cannot last."""
         if not self._lasts:
             return None
         hold, sleepers = self._impulses, self._sleepers
@@ -158,7 +159,7 @@ class ContactPipeline:
 
     @property
     def supported_acceleration(self) -> FloatArray:
-        """(n + p,) m/s², the part of each acceleration that contacts supported in the last kick; empty if none did."""
+        """(n + p,) m/s², the supported acceleration of each body in the last kick; empty if contacts supported none."""
         inverse_mass = self._bodies.ends.inverse_mass
         by_awake = supported_acceleration(self._impulses, inverse_mass)
         if not (self._sleepers and self._sleepers.any) or self._fell_asleep:
@@ -168,18 +169,18 @@ class ContactPipeline:
         return by_sleepers + by_awake if len(by_awake) else by_sleepers
 
     def recall(self, memory: ContactCheckpoint | None) -> None:
-        """Restore the state of `memory`; the bodies must already be in their positions of that step."""
+        """Restore the state of `memory`; positions must already be those of that step."""
         self.forget()
         if memory is not None:
             if memory.highest >= len(self._bodies.ends.radius):
-                raise PhysicsError("the checkpoint has contacts of bodies that the scene does not have")
+                raise PhysicsError("the checkpoint has contacts of bodies that are not in the scene")
             if self._sleepers:
                 self._sleepers.recall(memory.sleep)
                 self._slept = self._sleepers.contacts
             self._recall_contacts(memory)
 
     def _recall_contacts(self, memory: ContactCheckpoint) -> None:
-        """Restore the contacts that are computed."""
+        """Restore the contacts that are not asleep."""
         self._order_contacts(memory.pairs, memory.dt)
         self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
         self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
@@ -198,7 +199,7 @@ class ContactPipeline:
         kick, dt
             s, lengths of the kick and of the drift.
         booked
-            s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
+            s, the part of the drift for which the work of the forces is already booked: the length of the kick, unless
             there is drag.
         against
             (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
@@ -208,7 +209,7 @@ class ContactPipeline:
         self.ledger_apart = NO_ENTRIES
         self._first_kick = kick
         self._lost = NO_ENTRIES
-        if self._fell_asleep:  # the contacts of what fell asleep after the last step are no longer computed
+        if self._fell_asleep:  # contacts that fell asleep after the last step are no longer computed
             memory = self.memory
             assert memory is not None and self._sleepers is not None, "only lasting contacts fall asleep"
             self._recall_contacts(memory)
@@ -222,7 +223,7 @@ class ContactPipeline:
                 pressed[: len(self._bodies)] = self._sleepers.asleep
             self._solver.mark_pressed(self._impulses)
         if self._is_at_rest():
-            if self.tap:  # its step begins; the entries are those of the previous step, which are booked
+            if self.tap:  # a step begins; these entries belong to the previous step, which is booked
                 self._solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self._solver.audited
@@ -248,33 +249,33 @@ class ContactPipeline:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether nothing touched in the last step and nothing is held as the next one begins."""
+        """Whether nothing touched in the last step, and nothing is held at the start of the next one."""
         touches = len(self._contacts) or self.statistics.contacts or len(self._impulses.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     @property
     def holds(self) -> bool:
-        """Whether contacts are held as the next step begins."""
+        """Whether contacts are held at the start of the next step."""
         return len(self._impulses.pairs) > 0
 
     def step_by_impacts(self, span: float) -> float:
-        """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
+        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
         assert self._event_drift is not None, "the integrator ends its steps at impacts"
         return self._event_drift.step_by_impacts(span)
 
     def add_quiet_steps(self) -> None:
-        """Account for steps in which nothing touched, after a step that was quiet."""
+        """Account for steps without contacts that followed a quiet step."""
         self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
         self._snapshots.set_quiet(self._contacts)
 
     def begin_batch(self) -> None:
-        """Begin steps that end at impacts: before the bodies move."""
+        """Begin steps that end at impacts, before the bodies move."""
         if self._needs.torque.modelled:
             self._torques.remember()
         self.impacts = NO_IMPACTS
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> None:
-        """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all that touch there.
+        """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all pairs that touch there.
 
         Without a pair, only the kernels are loaded.
         """
@@ -282,7 +283,7 @@ class ContactPipeline:
         self.impacts = self.impacts.followed_by(self._event_drift.resolve_meeting(pair, dt))
 
     def end_batch(self, dt: float, profile: Profile) -> None:
-        """Gather the effects of the impacts at the end of the last step, of dt s."""
+        """Collect the effects of the impacts at the end of the last step, of dt s."""
         if self.tap:
             self.tap.add_drift(self.impacts)
         self.resolve(dt, 0.0, profile)
@@ -290,7 +291,7 @@ class ContactPipeline:
             self.write_torques(dt)
 
     def find(self, dt: float, profile: Profile) -> None:
-        """Find the contacts at the present positions, colour them, and correct the overlaps of those at rest."""
+        """Find the contacts at the present positions, colour them, and correct the overlaps of resting ones."""
         self._was_crossed = self._guard is not None and self._guard.stop()
         sleepers = self._sleepers
         if sleepers and sleepers.all and not sleepers.is_disturbed():
@@ -315,14 +316,14 @@ class ContactPipeline:
         profile.mark("stabilisation")
 
     def resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        """Apply the impulses of the contacts found, with the forces and velocities at the final positions.
+        """Apply the impulses of these contacts, with the forces and velocities at the final positions.
 
         Parameters
         ----------
         dt, kick
             s, lengths of the step and of the last kick.
         profile
-            Records how long each phase takes.
+            Records the time of each phase.
         """
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
@@ -348,7 +349,7 @@ class ContactPipeline:
         self._sleepers.stop()
 
     def fall_asleep(self, dt: float) -> None:
-        """Let islands that have been slow for long enough fall asleep, after a step of dt s."""
+        """Put islands that have been slow for long enough to sleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
         lost = self._sleepers.fall_asleep(self._contacts.pairs, self._impulses, dt)
         self._fell_asleep = len(lost) > 0
@@ -377,7 +378,7 @@ class ContactPipeline:
         return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
     def limits_reached(self) -> list[tuple[str, str]]:
-        """Return the limits of the method that this step met for the first time: level, `WARN` or `INFO`, and text."""
+        """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
             self._settings,
             serial_stage=self._contacts.overflows,
@@ -399,8 +400,9 @@ class ContactPipeline:
         self.statistics = self.statistics.with_impacts(self.impacts, *records, self._bodies.ends.inverse_mass)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
-        """Begin the contacts of a step of dt s: order them, lay out their records, find their rest speeds."""
-        if not np.array_equal(pairs, self._contacts.pairs):  # a pile at rest keeps its contacts, and thus their order
+        """Begin the contacts of a step of dt s: order them, lay out their records, and find their rest speeds."""
+        # a pile at rest keeps its contacts, and therefore their order
+        if not np.array_equal(pairs, self._contacts.pairs):
             self._contacts = OrderedContacts.of(pairs, self._bodies, self._settings.colouring)
         self._solver.lay(self._contacts.order, self._impulses.contacts, self._near.rounding)
         self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
@@ -430,31 +432,31 @@ class ContactPipeline:
         profile.mark("response")
 
     def _is_at_rest(self) -> bool:
-        """Return whether contacts may rest: without a force that presses them together, all of them are impacts."""
+        """Return whether contacts may be at rest: without a force that presses them together, all are impacts."""
         return self._lasts and self._presses
 
     def _hold_contacts(
         self, dt: float, kick: float, drift: float, bias_rate: float, booked: float, against: FloatArray | None = None
     ) -> int:
-        """Hold the contacts after a kick, before a drift (0: none); times in s. Return the number of sweeps."""
+        """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
         solver, pairs = self._solver, self._contacts.pairs
         place = solver.order.place
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
-        if kick > 0.0:  # Euler's step ends without a kick; the next one starts from the impulses of the first kick
+        if kick > 0.0:  # Euler's step ends without a kick, so the next one starts from the impulses of the first kick
             self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
         return solver.hold(dt, booked, drift, bias_rate, self._most_sweeps, against)
 
     @property
     def snapshot(self) -> ContactSnapshot:
-        """The contacts of the step that touch or carry an impulse; near pairs are left out."""
+        """The contacts of the step that touch or carry an impulse, without near pairs."""
         return self._snapshots.snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Keep the ledger of this step; the function returns that of each contact, (m, 3) J, at any later time."""
+        """Keep the ledger of this step; the function later returns the entries of each contact, (m, 3) J."""
         return self._snapshots.keep_contributions()
 
     def _compile(self) -> None:
-        """Call every kernel without contacts, so that the first contact does not wait for a compiler."""
+        """Run every kernel without contacts, so that the first contact does not wait for a compiler."""
         self.forget()
         if self._pushes:
             self._solver.correct_positions(1)

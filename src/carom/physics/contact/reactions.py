@@ -1,4 +1,4 @@
-"""Reactions of the contacts of a step: the torques on bodies, and the accelerations that contacts support."""
+"""The reactions of the contacts of a step: torques on bodies, and accelerations that contacts support."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from carom.physics.jit.decorators import kernel, long_kernel
 from carom.physics.jit.team import Team
 
 MIN_BODIES_PER_TASK, MIN_BODIES_PER_COPY = 1000, 10_000  # about 10 µs of work
-NO_SUPPORT = np.empty(0)  # m/s², if there are no lasting contacts
+NO_SUPPORT = np.empty(0)  # m/s², without lasting contacts
 
 
 class Torques:
-    """Finds the torques of each step from the spins before and after it.
+    """Computes the torques of each step from the spins before and after it.
 
     Parameters
     ----------
@@ -67,9 +67,9 @@ def _write_torques(
 
 
 def supported_acceleration(cache: ImpulseCache, inverse_mass: FloatArray) -> FloatArray:
-    """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², with h the kick of the impulses.
+    """Return Σ λ_n / (m h) of each body and plane, (n + p,) m/s², where h is the kick in which the impulses acted.
 
-    Opposing forces add up, so the sum is large for a body that is squeezed between two others.
+    Opposing forces add up, so the sum is large for a body squeezed between two others.
     """
     if cache.kick == 0.0 or len(cache.pairs) == 0:
         return NO_SUPPORT

@@ -1,12 +1,13 @@
 """Angular impulses of contacts, where the law resists rolling or twisting.
 
-A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation, and takes out
+A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation and takes out
+energy:
 
     ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
 
-The law limits Λ, given the one that would end Ω: the part in the tangential plane resists rolling, the part along the
-normal twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Without them the functions below read 0
-and write nothing, by the type of the record, when Numba compiles a kernel.
+The law limits Λ, given the angular impulse that would end Ω. The component in the tangential plane resists rolling, the
+component along the normal twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Without them the
+functions below read 0 and write nothing, by the type of the record, when Numba compiles a kernel.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class ContactGeometry(Protocol):
-    """A record with the normal from i to j, and the lever arms in m."""
+    """A record with a normal from i to j, and lever arms in m."""
 
     nx: float
     ny: float
@@ -44,7 +45,7 @@ class AngularImpulse(Protocol):
 
 
 class RollingFields(AngularImpulse, Protocol):
-    """Further fields of a contact with such a law."""
+    """Further fields of a contact whose law resists rolling or twisting."""
 
     change_x: float  # N m s, the change of Λ in the last iteration
     change_y: float
@@ -63,37 +64,37 @@ def has_angular_impulse(records: RecordArray[object]) -> bool:
 
 
 def angular_impulses_of(records: RecordArray[object]) -> FloatArray:
-    """Return Λ, (m, 3) N m s, as a view; (m, 0) of records that have none."""
+    """Return Λ, (m, 3) N m s, as a view; (m, 0) for records without it."""
     return columns(records, ANGULAR_IMPULSE) if has_angular_impulse(records) else np.empty((len(records), 0))
 
 
 def angular_impulse(record: object) -> tuple[float, float, float]:
-    """Return Λ in N m s; 0 in records that have none."""
+    """Return Λ in N m s; 0 for records without it."""
     raise NotImplementedError("only kernels call it")
 
 
 def set_angular_impulse(record: object, x: float, y: float, z: float) -> None:
-    """Set Λ in N m s, if the record has it."""
+    """Set Λ in N m s, if the record has this field."""
     raise NotImplementedError("only kernels call it")
 
 
 def change_of_angular_impulse(record: object) -> tuple[float, float, float]:
-    """Return the change of Λ in the last iteration in N m s; 0 in records that have none."""
+    """Return the change of Λ in the last iteration, in N m s; 0 for records without it."""
     raise NotImplementedError("only kernels call it")
 
 
 def set_change_of_angular_impulse(record: object, x: float, y: float, z: float) -> None:
-    """Set the change of Λ in the last iteration in N m s, if the record has it."""
+    """Set the change of Λ in the last iteration, in N m s, if the record has this field."""
     raise NotImplementedError("only kernels call it")
 
 
 def spin_before(record: object) -> tuple[float, float, float]:
-    """Return Ω before `hold` in rad/s; 0 in records that have none."""
+    """Return Ω before `hold` in rad/s; 0 for records without it."""
     raise NotImplementedError("only kernels call it")
 
 
 def set_spin_before(record: object, x: float, y: float, z: float) -> None:
-    """Set Ω before `hold` in rad/s, if the record has it."""
+    """Set Ω before `hold` in rad/s, if the record has this field."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -161,7 +162,7 @@ def relative_spin(a: BodyStateRecord, b: BodyStateRecord) -> tuple[float, float,
 def limited(
     contact: ContactGeometry, material: Coefficients, normal: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return the angular impulse that the law allows in place of the one that ends Ω, in N m s.
+    """Return the angular impulse that the law allows, in N m s, given the one that would end Ω.
 
     Parameters
     ----------
@@ -170,9 +171,9 @@ def limited(
     material
         Of the contact.
     normal
-        N s, the normal impulse that bounds it.
+        N s, the normal impulse that limits it.
     x, y, z
-        N m s, the angular impulse that ends Ω.
+        N m s, the angular impulse that would end Ω.
     """
     nx, ny, nz, ri, rj = contact.nx, contact.ny, contact.nz, contact.arm_i, contact.arm_j
     radius = ri * rj / (ri + rj) if rj > 0.0 else ri
@@ -190,7 +191,7 @@ def angular_loss(x: float, y: float, z: float, wx: float, wy: float, wz: float, 
 
 @inline
 def apply_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: float, z: float) -> None:
-    """Change the angular velocities of two bodies; fixed bodies are not written to."""
+    """Change the angular velocities of two bodies; fixed bodies are not written."""
     si, sj = a.inverse_inertia, b.inverse_inertia
     if si > 0.0:
         a.wx -= si * x
@@ -204,7 +205,7 @@ def apply_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: f
 
 @inline
 def accumulate_angular_impulse(a: BodyStateRecord, b: BodyStateRecord, x: float, y: float, z: float) -> None:
-    """Add the changes by `apply_angular_impulse` to those of the iteration."""
+    """Add the changes of `apply_angular_impulse` to those of the iteration."""
     si, sj = a.inverse_inertia, b.inverse_inertia
     if si > 0.0:
         a.dwx -= si * x

@@ -1,4 +1,4 @@
-"""The contact snapshot of a step: the contacts at its end, and the impacts during its drift; near pairs are left out.
+"""The contact snapshot of a step: the contacts at its end and the impacts during its drift, without near pairs.
 
 A snapshot copies its contacts, so it is made only when it is needed.
 """
@@ -27,11 +27,11 @@ class ContactSnapshot:
     """The contacts of a step, each pair once, in the order of the graph."""
 
     graph: CollisionGraph
-    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest if there were several
-    rest_speed: FloatArray  # (m,) m/s, up to which each is at rest
-    impacts: int  # how many closed faster than that; a pair may count more than once
-    _order: IntArray | None = None  # (l,) of contacts and impacts by pair; None if there were no impacts
-    _first: IntArray | None = None  # (m,) position of the first of each pair in that order
+    approach: FloatArray  # (m,) m/s, closing speed before the impulses; the largest of several
+    rest_speed: FloatArray  # (m,) m/s, closing speed up to which a contact is at rest
+    impacts: int  # number of contacts that closed faster; a pair may count more than once
+    _order: IntArray | None = None  # (l,) order of contacts and impacts by pair; None without impacts
+    _first: IntArray | None = None  # (m,) index of each pair's first entry in that order
 
     @classmethod
     def of(cls, graph: CollisionGraph, approach: FloatArray, rest_speed: FloatArray) -> ContactSnapshot:
@@ -39,7 +39,7 @@ class ContactSnapshot:
         return cls(graph, approach, rest_speed, int(np.count_nonzero(approach > rest_speed)))
 
     def joined(self, others: CollisionGraph, inverse_mass: FloatArray) -> tuple[ContactSnapshot, IntArray]:
-        """Add contacts at rest of other pairs; return each contact's place in the solver, -1 for the added ones."""
+        """Add resting contacts of other pairs; return each contact's index in the solver, -1 for the added ones."""
         graph, m = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, others.pairs))
         order = np.lexsort((pairs[:, 1], pairs[:, 0]))
@@ -57,17 +57,17 @@ class ContactSnapshot:
         return ContactSnapshot.of(joined, approach, rest_speed), np.where(order < m, order, -1)
 
     def after(self, impacts: Impacts, dt: float, inverse_mass: FloatArray) -> ContactSnapshot:
-        """Add the impacts during a step of dt, in s; ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
+        """Add the impacts during a step of dt (s); ``inverse_mass`` is that of bodies and planes, (n + p,) 1/kg.
 
-        A pair that no longer touches at the end has the normal of its hardest impact and no overlap. Contacts at the
-        end keep the colours in which they were resolved; the others get theirs in the order of time.
+        A pair that no longer touches at the end gets the normal of its hardest impact, and no overlap. Contacts at the
+        end keep the colours in which they were resolved; the others are coloured in the order of time.
         """
         if len(impacts) == 0:
             return self
         graph, late = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, impacts.pairs))
         approach = np.concatenate((self.approach, impacts.approach))
-        # in each pair, the contact at the end comes first, then the hardest impact
+        # of each pair, the contact at the end comes first, then the hardest impact
         softness = -np.concatenate((np.full(late, np.inf), impacts.approach))
         order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
         first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
@@ -94,7 +94,7 @@ class ContactSnapshot:
     def _colours(
         self, pairs: IntArray, shown: IntArray, into_step: FloatArray, inverse_mass: FloatArray
     ) -> tuple[IntArray, IntArray | None]:
-        """Colour pairs; ``shown`` has their positions in this graph, or positions past its end if not in it."""
+        """Colour pairs; ``shown`` has their indices in this graph, or indices past its end if they are not in it."""
         graph = self.graph
         if graph.body_colours is not None:
             return colour_bodies(pairs, len(graph.body_colours), graph.body_colours)
@@ -105,7 +105,7 @@ class ContactSnapshot:
         return colour_rest(pairs, colours, in_time[added[in_time]], inverse_mass), None
 
     def sums(self, late: FloatArray, impacts: FloatArray) -> FloatArray:
-        """Sum rows of the contacts at the end, and of the impacts, by contact."""
+        """Sum rows of the contacts at the end and of the impacts, for each contact."""
         if self._order is None or self._first is None:
             return late
         return np.add.reduceat(np.concatenate((late, impacts))[self._order], self._first)
@@ -115,12 +115,12 @@ EMPTY_SNAPSHOT = ContactSnapshot.of(empty_graph(), np.empty(0), np.empty(0))
 
 
 class SnapshotSource:
-    """Makes the contact snapshot of the last step when frames, statistics or the audit need it.
+    """Makes the contact snapshot of the last step when a frame, the statistics or the audit needs it.
 
     Parameters
     ----------
     solver
-        Its records are those of the contacts of the step.
+        The solver, whose records are those of the step's contacts.
     inverse_mass
         (n + p,) 1/kg, of bodies and planes.
     """
@@ -131,8 +131,8 @@ class SnapshotSource:
 
     def forget(self) -> None:
         """Return to the state before the first step."""
-        self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not made yet
-        self._place = np.empty(0, dtype=np.int64)  # (m,) places of the records of its contacts, -1 for sleepers
+        self._snapshot: ContactSnapshot | None = EMPTY_SNAPSHOT  # None: not yet made
+        self._place = np.empty(0, dtype=np.int64)  # (m,) indices of the records of its contacts; -1 for sleepers
         self._impacts = NO_IMPACTS
 
     def set_step(self, contacts: OrderedContacts, slept: SleepingContacts | None, impacts: Impacts, dt: float) -> None:
@@ -141,8 +141,8 @@ class SnapshotSource:
         self._snapshot = None
 
     def set_quiet(self, contacts: OrderedContacts) -> None:
-        """Set steps in which nothing touched, after a step in which nothing did."""
-        if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # that of an earlier step is empty, too
+        """Set steps without contacts, after a step without contacts."""
+        if self._snapshot is None or self._snapshot is EMPTY_SNAPSHOT:  # the snapshot of an earlier step is empty, too
             self.set_step(contacts, None, NO_IMPACTS, 0.0)
 
     @property
@@ -159,9 +159,9 @@ class SnapshotSource:
         return self._snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Keep the ledger of this step; the function returns that of each contact, (m, 3) J, at any later time."""
+        """Keep the ledger of this step; the function later returns the entries of each contact, (m, 3) J."""
         snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger
-        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is of sleepers
+        late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for sleepers
         return lambda: snapshot.sums(late[place], impacts)
 
 
@@ -179,18 +179,18 @@ def late_contacts(
     Parameters
     ----------
     pairs, colours
-        (m, 2), sorted, and (m,), of all contacts, near ones included.
+        (m, 2), sorted, and (m,), of all contacts, including near ones.
     body_colours
         As in `CollisionGraph`.
     place
-        (m,) index of each one's record.
+        (m,) index of each contact's record.
     contacts, states, normals
         (m,) `CONTACT`, (m,) `CONTACT_STATE`, and (m, 3) before the position correction.
 
     Returns
     -------
     snapshot
-        Without the impacts during the step.
+        A snapshot without the impacts during the step.
     kept
         (k,) indices of the records of its contacts.
     """
@@ -222,10 +222,10 @@ def _copy_touching(
     rest_speed: FloatArray,
     kept_place: IntArray,
 ) -> int:
-    """Copy the contacts that touched or carry an impulse; return how many.
+    """Copy the contacts that touched or carry an impulse; return their number.
 
-    Normals and overlaps are from before the position correction. A contact that the correction opens is still resolved.
-    Otherwise the body would fall and be pushed back in every step.
+    Normals and overlaps are those before the position correction. A contact that the correction opened is still
+    resolved. Otherwise the body would fall and be pushed back in each step.
     """
     count = 0
     for c in range(len(pairs)):

@@ -1,4 +1,4 @@
-"""Contact statistics of a step: their number, the hardest and deepest, and their energies; the limits that it met.
+"""Contact statistics of a step: numbers, hardest impact, deepest overlap, energies, and the limits that it reached.
 
 Statistics are computed in every step, block by block, from the records of the solver. The graph of the contacts is
 built only on demand (`snapshot`).
@@ -25,16 +25,16 @@ MIN_BLOCKS_PER_TASK = 2
 
 
 class BlockCountsRecord(LedgerRecord, Protocol):
-    """Statistics of a block of contacts."""
+    """Statistics of one block of contacts."""
 
     contacts: float  # numbers
     impacts: float
     struck: float  # J, Σ ½ μ v_n² of the impacts
     hardest: float  # J
-    hardest_i: float  # its ends
+    hardest_i: float  # ends of the hardest impact
     hardest_j: float
-    deepest: float  # overlap / smaller radius
-    deepest_i: float  # its ends
+    deepest: float  # deepest overlap / smaller radius
+    deepest_i: float  # ends of the deepest overlap
     deepest_j: float
 
 
@@ -42,13 +42,13 @@ BLOCK_COUNTS = dtype_of(BlockCountsRecord)
 
 
 class ContactStatistics(NamedTuple):
-    """Statistics of the contacts of a step that touch or carry an impulse, and the work of all."""
+    """Statistics of the contacts of a step that touch or carry an impulse, and the work of all contacts."""
 
     work: FloatArray  # (k, 3) J, the ledger, summed over blocks of contacts
     contacts: int
-    impacts: int  # each impact during the drift; of those found at the end, contacts faster than the rest speed
-    struck: float  # J, Σ ½ μ v_n² of these
-    hardest: float  # J, the largest of them; 0 without impacts
+    impacts: int  # every impact during the drift; at the end of the step, contacts faster than the rest speed
+    struck: float  # J, Σ ½ μ v_n² of these impacts
+    hardest: float  # J, the hardest of them; 0 without impacts
     hardest_pair: tuple[int, int]  # the first of equally hard ones
     deepest: float  # overlap / smaller radius
     deepest_pair: tuple[int, int]
@@ -62,7 +62,7 @@ class ContactStatistics(NamedTuple):
         ends: Ends,
         team: Team,
     ) -> ContactStatistics:
-        """Count contacts; for the arrays see `ConstraintSystem`."""
+        """Return the statistics of contacts; for the arrays see `ConstraintSystem`."""
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
@@ -85,7 +85,7 @@ class ContactStatistics(NamedTuple):
         )
 
     def plus(self, others: ContactStatistics) -> ContactStatistics:
-        """Add contacts of other pairs, none of them an impact."""
+        """Add contacts of other pairs that are not impacts."""
         mine, theirs = (self.deepest, self.deepest_pair), (others.deepest, others.deepest_pair)
         first = max(mine, theirs, key=lambda overlap: (overlap[0], -overlap[1][0], -overlap[1][1]))
         return self._replace(contacts=self.contacts + others.contacts, deepest=first[0], deepest_pair=first[1])
@@ -98,12 +98,12 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; a pair that had several counts as one contact, by its hardest.
+        """Add the impacts during the drift of a step; a pair with several counts as one contact, by its hardest.
 
         Parameters
         ----------
         ordered, contacts, states
-            The contacts at the end of the step, whose statistics these are; see `ConstraintSystem`.
+            The contacts at the end of the step, which these statistics describe; see `ConstraintSystem`.
         inverse_mass
             (n + p,) 1/kg
         """
@@ -113,7 +113,7 @@ class ContactStatistics(NamedTuple):
         further, energy, hardest, i, j = _add_impacts(*by_pair, ordered.pairs, place, contacts, states, inverse_mass)
         mine, theirs = (self.hardest, self.hardest_pair), (hardest, (i, j))
         first = max(mine, theirs, key=lambda impact: (impact[0], -impact[1][0], -impact[1][1]))
-        touching, deepest_pair = [(i, j) for i, j in by_pair[0][:1].tolist()], self.deepest_pair  # without an overlap
+        touching, deepest_pair = [(i, j) for i, j in by_pair[0][:1].tolist()], self.deepest_pair  # no overlap
         if self.deepest == 0.0 and touching and (self.contacts == 0 or touching[0] < deepest_pair):
             deepest_pair = touching[0]
         return self._replace(
@@ -141,7 +141,7 @@ def _count(
     radius: FloatArray,
     blocks: RecordArray[BlockCountsRecord],
 ) -> None:
-    """Count the contacts of the blocks [lo, hi)."""
+    """Compute the statistics of the blocks [lo, hi) of contacts."""
     for k in range(lo, hi):
         block = blocks[k]
         _begin(block)
@@ -177,14 +177,14 @@ def _add_impacts(
     states: RecordArray[ContactStateRecord],
     inverse_mass: FloatArray,
 ) -> tuple[int, float, float, int, int]:
-    """Count impacts in the order of their pairs, the hardest of each first.
+    """Add impacts in the order of their pairs, the hardest of each pair first.
 
     Returns
     -------
     contacts
-        Pairs that have no contact at the end.
+        Number of pairs without a contact at the end.
     energy
-        J, by which the energy of the impacts grows, with the hardest of each pair.
+        J, the sum of the impacts' energies, to which the hardest of each pair is added.
     hardest, i, j
         J, of the hardest impact, and its ends.
     """
@@ -268,7 +268,7 @@ def limits_of(
     deepest: float,
     at_impacts: bool,
 ) -> list[tuple[str, str]]:
-    """Return the limits that a step met: level, `WARN` or `INFO`, and text.
+    """Return the limits of the method that a step reached: level, `WARN` or `INFO`, and text.
 
     Parameters
     ----------
@@ -277,30 +277,30 @@ def limits_of(
     serial_stage
         Whether contacts need more colours than there are parallel stages.
     too_few_sweeps
-        Whether contacts still closed after the sweeps.
+        Whether contacts were still closing after the sweeps.
     exhausted
         Whether a body had so many impacts that its contacts were held.
     crossed
         Whether a body would have passed through a plane.
     deepest
-        The deepest overlap over the smaller radius.
+        The deepest overlap relative to the smaller radius.
     at_impacts
-        Whether impacts are resolved at their own times.
+        Whether impacts are resolved at their exact times.
     """
     reached = []
-    if serial_stage:  # this costs time only
+    if serial_stage:  # this only costs time
         text = f"More than {OVERFLOW} colours are needed: the remaining contacts are resolved in a last, serial stage."
         reached.append(("INFO", text))
     if too_few_sweeps:
         reached.append(("WARN", still_closing(contact)))
     if exhausted:
         text = (
-            "A body had so many impacts in one step that its last contacts were held without a rebound; with shorter "
-            "steps (time.fixed_dt, time.cfl), more of them rebound."
+            "A body had so many impacts in one step that its last contacts were held without a rebound; shorter "
+            "steps (time.fixed_dt, time.cfl) resolve more of them."
         )
         reached.append(("WARN", text))
     if crossed:
-        longer = "" if at_impacts else ' or contact.timing = "time-of-impact"'
+        longer = "" if at_impacts else ' or set contact.timing = "time-of-impact"'
         text = (
             "A body would have passed through a plane within one step and was stopped where it touched the plane; "
             f"try a shorter step (time.fixed_dt, time.cfl){longer}."
@@ -314,7 +314,7 @@ def limits_of(
 
 
 def still_closing(contact: ContactSettings) -> str:
-    """Return the text of too few sweeps."""
+    """Return the warning about too few sweeps."""
     return (
         f"Contacts were still closing after the sweeps of a step (contact.sweeps = {contact.sweeps}); "
         "the remainder is resolved in later steps."

@@ -32,11 +32,11 @@ from carom.scene.schema import Scene
 from carom.scene.units.dimension import TIME
 from carom.scene.wording import Names
 
-ROUNDING = 1e-10  # of a sum over 10⁶ bodies, at most
+ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
 
 
 class BalanceAudit:
-    """Energy and momentum as of the last frame or check; the first one is the start of the run.
+    """Energy and momentum as of the last frame or check; the first entry is the start of the run.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class BalanceAudit:
     uniform
         (3,) m/s², acceleration that is the same for all bodies.
     constant
-        J, the gravitational energy of fixed bodies among each other.
+        J, the gravitational energy between fixed bodies.
     losses
         The ledger's entries for forces without a potential.
     """
@@ -67,12 +67,12 @@ class BalanceAudit:
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
         self.energy: Energy
         self.momentum: Momentum
-        self.step = -1  # of the last frame or check
+        self.step = -1  # step of the last frame or check
         self._bodies = bodies
         self._units = scene.unit_system
         held = scene.anchored or acts_from_outside(scene)
         self._energy = EnergyAccount(bodies, uniform, held, constant)
-        booked = len(self.ledger.forces) > 0  # with drag: even the field is booked step by step
+        booked = len(self.ledger.forces) > 0  # with drag, even the field is booked step by step
         self._momentum = MomentumAccount(bodies, np.zeros(3) if booked else uniform, periodic, held)
         self._watch = EnergyMonitor(scene.record.energy_tolerance, names, integrator(scene), scene.unit_system)
         self._suspects: Suspects | None = None
@@ -81,7 +81,7 @@ class BalanceAudit:
     @property
     def energy_baseline(self) -> EnergyBaseline:
         """The reference values of the energy."""
-        assert self._energy.baseline is not None, "the stock of the start has been taken"
+        assert self._energy.baseline is not None, "the initial state has been measured"
         return self._energy.baseline
 
     @property
@@ -101,7 +101,7 @@ class BalanceAudit:
         self._suspects = None
 
     def refer_to(self, books: Books) -> bool:
-        """Adopt references of a recorded start that differ from these by rounding; return whether one did.
+        """Adopt references of a recorded start that differ from these only by rounding; return whether any did.
 
         Versions before 23 November 2026 summed the centre of mass and Σ m |g| r with BLAS, whose rounding depends on
         the processor.
@@ -138,7 +138,7 @@ class BalanceAudit:
         return self._momentum.balance(TotalMotion.of(self._bodies), time, judged=False)
 
     def measure(self, step: int, time: float, potentials: Mapping[str, float], extremes: Extremes | None) -> None:
-        """Compute energy and momentum, and update the extremes of the run, if given, with their errors.
+        """Compute energy and momentum, and update the extremes of the run, if given, by their errors.
 
         Raises
         ------
@@ -158,7 +158,7 @@ class BalanceAudit:
     def check(self, time: float, extremes: Extremes, contact: ContactPipeline | None = None) -> list[Event]:
         """Check the energy; return the warnings of the energy monitor.
 
-        They list the copied contacts and, if these may have changed the energy, those of ``contact``.
+        They list the copied contacts and, if these may have changed the energy, the contacts in ``contact``.
         """
 
         def suspects() -> list[Suspects]:
@@ -176,7 +176,7 @@ def _nearly(recorded: float, own: float, size: float) -> float:
 
 
 class Bookkeeper:
-    """Follows the steps of a world.
+    """Books the steps of a world.
 
     Parameters
     ----------
@@ -192,11 +192,11 @@ class Bookkeeper:
     activity
         The phase of the run.
     impulse_audit
-        Compares velocities with impulses, where ``expect.contact_audit`` requests it.
+        Compares changes of velocities with impulses, if ``expect.contact_audit`` is set.
     pace
         Warns of a run that slows down, if limits set its steps.
     kept_until
-        s, after which the accuracy is no longer promised; infinite if nothing is promised or the run has logged it.
+        s, time up to which the accuracy is promised; infinite if nothing is promised, or its end is already logged.
     """
 
     def __init__(self, world: World) -> None:
@@ -242,7 +242,7 @@ class Bookkeeper:
         self.activity.reopen(books.phase, books.activity)
         self._events = []
         if checkpoint.time > self.kept_until:
-            self.kept_until = np.inf  # known already
+            self.kept_until = np.inf  # already logged
 
     def refer_to(self, books: Books) -> bool:
         """Adopt the references of a recorded start; return whether they differed."""
@@ -269,7 +269,7 @@ class Bookkeeper:
             contact.tap.begin(clock.step, clock.before, clock.time)
 
     def finish_step(self, potentials: Potentials, computed: bool, judged: bool) -> None:
-        """Book the contacts of a step; compute energy and momentum, and judge their errors, if it is due."""
+        """Book the contacts of a step; compute energy and momentum, and judge their errors, if due."""
         contact = self._world.contact
         if contact:
             self._book_contacts(contact)
@@ -285,12 +285,12 @@ class Bookkeeper:
             self.kept_until = np.inf
 
     def book_exchanges(self, entry: str, exchanges: Iterable[Exchange]) -> None:
-        """Book energy and momentum exchanged with a medium, under an entry of the ledger."""
+        """Book energy and momentum exchanged with a medium in an entry of the ledger."""
         for exchange in exchanges:
             self.audit.exchange(entry, *exchange)
 
     def check_pace(self, dt: float, limit: str) -> None:
-        """Warn if the next step, of dt seconds, and those before are much shorter than the first."""
+        """Warn if the next step, of dt seconds, and the recent ones are much shorter than the first."""
         clock = self._world.clock
         warning = self.pace.check(clock.step, clock.time, dt, limit) if self.pace else None
         if warning:
@@ -300,14 +300,16 @@ class Bookkeeper:
         """Compute energy and momentum.
 
         ``judged`` states whether their errors count for the verdict on the run and for warnings. A computation for a
-        frame alone does not change the books. A warning lists the present contacts of ``contact``, if given, beside the
-        kept ones.
+        frame alone does not change the books. A warning lists the present contacts in ``contact``, if given, besides
+        the copied ones.
         """
         world, clock = self._world, self._world.clock
         try:
             self.audit.measure(clock.step, clock.time, potentials, self.extremes if judged else None)
         except PhysicsError:
-            refuse_infinities(world.bodies, world.names.bodies, clock.step, clock.time, clock.units)  # names them
+            refuse_infinities(
+                world.bodies, world.names.bodies, clock.step, clock.time, clock.units
+            )  # its message names the bodies
             raise
         if judged:
             for warning in self.audit.check(clock.time, self.extremes, contact):
@@ -354,13 +356,13 @@ class Bookkeeper:
         self.extremes.add_impulse_audit(clock.step, clock.time, audit.finish(impulses, work, self.audit.ledger))
 
     def _beginning(self, extremes: Extremes) -> Extremes:
-        """Return a copy of the extremes so far, with an entry for everything that this run measures."""
+        """Return a copy of the extremes so far, with an entry for every quantity that this run measures."""
         known, audited = extremes.contact_audit, self._world.scene.expect.contact_audit is not None
         return replace(extremes, contact_audit=NOTHING if audited and known is None else known)
 
 
 def end_of_promise(scene: Scene, step: int, time: float) -> Event:
-    """Return the event that the accuracy of a scene is no longer kept."""
+    """Return the event that the promised accuracy ends."""
     promise = scene.promise
     assert promise is not None
     units = scene.unit_system

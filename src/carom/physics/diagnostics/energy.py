@@ -1,10 +1,10 @@
-"""Energy terms and their balance with the ledger.
+"""The terms of the energy, and their balance with the ledger.
 
     E = Σ ½ m v² + Σ ½ I ω² - Σ G m_i m_j / √(r_ij² + ε²) - Σ m g·x
     integration error = E(t) + dissipated(t) - injected(t) - E(0)
 
-The error is given relative to the energy scale: the conserved total, or the energy that the field and the spins
-exchange with it where that is more (docs/physics.md, 11).
+The error is relative to the energy scale: the conserved total or, if larger, the energy that the field and the spins
+exchange with it (docs/physics.md, 11).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from carom.physics.diagnostics.momentum import TotalMotion, internal_energy
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
 
 _PULL, _FIELD = GRAVITY.potential, UNIFORM_FIELD.potential
-CANCELLED = 1e-8  # of the magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
+CANCELLED = 1e-8  # of the sum of magnitudes; a smaller sum of kinetic and gravitational energy counts as 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Energy:
         return self.relative(abs(self.integration_error))
 
     def relative(self, energy: float) -> float:
-        """Return an energy in joules over the energy scale; ±1 for any energy if the scale is 0."""
+        """Return an energy (J) relative to the energy scale; ±1 for any energy if the scale is 0."""
         if self.scale > 0.0:
             return energy / self.scale
         return 0.0 if energy == 0.0 else math.copysign(1.0, energy)
@@ -73,7 +73,7 @@ class Energy:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Terms at the start, to which the energy scale refers, in joules."""
+    """Terms at the start, in joules, on which the energy scale is based."""
 
     conserved: float  # kinetic + gravitational, relative to the centre of mass if nothing is fixed
     rotational: float
@@ -85,8 +85,8 @@ class EnergyBaseline:
     """Reference values of the energy."""
 
     initial: float  # J, the total at the start of the run
-    scale: float  # J, the largest at the checks so far
-    origin: Origin | None = None  # None in older recordings, whose different scale is then kept
+    scale: float  # J, the largest scale of the checks so far
+    origin: Origin | None = None  # None in older recordings, which keep their different scale
 
 
 class EnergyAccount:
@@ -95,7 +95,7 @@ class EnergyAccount:
     The scale is the largest, among the checks so far and the state itself, of
 
     - |E_c - (restitution + friction) + stabilisation - drag|, where E_c is the kinetic and gravitational energy at the
-      start: the conserved total, less the energy that contacts and drag took out, plus that put in by stabilisation;
+      start: the conserved total, less the energy removed by contacts and drag, plus the energy added by stabilisation;
     - the energy that the other forces and the spins exchanged with it, |ΔE_field|, |drag| and |ΔE_rotational|;
     - Σ m |g| r, if there is a field: bodies that rest on a plane have no other energy.
 
@@ -106,11 +106,11 @@ class EnergyAccount:
     bodies
         Of the run.
     field
-        (3,) m/s², the uniform field and the push of a moving medium.
+        (3,) m/s², the uniform field and the constant acceleration by a moving medium.
     anchored
-        Whether something is fixed: speeds in E_c are then relative to it, otherwise to the centre of mass.
+        Whether something is fixed: speeds in E_c are then relative to it, and otherwise to the centre of mass.
     constant
-        J, the gravitational energy of fixed bodies among each other, which is left out of E_c.
+        J, the gravitational energy between fixed bodies, which E_c leaves out.
     """
 
     def __init__(self, bodies: Bodies, field: FloatArray, anchored: bool = False, constant: float = 0.0) -> None:
@@ -118,15 +118,17 @@ class EnergyAccount:
         self._anchored = anchored
         self._constant = constant
         lift = np.sqrt((field**2).sum()) * (bodies.mass * bodies.radius).sum()
-        self._lift = float(lift)  # J, potential energy of every body at the height of its radius
+        self._lift = float(lift)  # J, Σ m |g| r
         self.baseline: EnergyBaseline | None = None  # None before the first call
 
     def balance(
         self, motion: TotalMotion, potentials: Mapping[str, float], ledger: Ledger, judged: bool = True
     ) -> Energy:
-        """Return the energy, given the potential energies of the forces in joules. The first call sets the start.
+        """Return the energy, given the potential energies of the forces in joules.
 
-        ``judged`` says whether it is that of a check, whose scale later ones keep.
+        The first call sets the initial values.
+
+        ``judged`` marks a check, whose scale later checks keep.
         """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)

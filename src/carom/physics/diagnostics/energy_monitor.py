@@ -1,4 +1,4 @@
-"""The energy monitor: warns if the energy rises or becomes wrong.
+"""The energy monitor: warns if the energy rises or its error is large.
 
 A closed system cannot gain energy, so a gain is an error. A warning lists the contacts that may have caused it.
 """
@@ -22,14 +22,14 @@ from carom.scene.units.dimension import ANGULAR_VELOCITY, ENERGY, LENGTH, TIME, 
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
 
-MOST_CONTACTS = 6  # listed in a warning, the largest energy first
-LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
+MOST_CONTACTS = 6  # listed in a warning, the largest added energies first
+LOST = 0.1  # of rises in one run; more would be redundant
 MOST_WARNINGS = 100  # of rises in a run; more would be redundant
 
 
 @dataclass(frozen=True, slots=True)
 class Suspects:
-    """The contacts of one step, for a warning that may come a step later."""
+    """Copies of the contacts of one step, for a warning that may come a step later."""
 
     step: int
     graph: CollisionGraph
@@ -81,27 +81,27 @@ class MonitorState:
     """The state of the monitor between two checks."""
 
     lowest: Energy | None = None  # the lowest total since the last warning
-    since: float = 0.0  # s, the time of that total
+    since: float = 0.0  # s, the time of the lowest total
     warnings: int = 0
-    lost: bool = False  # whether it has warned of a large error
-    gained: bool = False  # whether it has warned of energy injected by contact impulses
+    lost: bool = False  # whether a large error has been reported
+    gained: bool = False  # whether energy added by contact impulses has been reported
 
 
 class EnergyMonitor:
-    """Checks the energy and warns of a rise, and of an integration error that makes the run useless.
+    """Checks the energy; warns of a rise, and of an integration error that makes the run useless.
 
     A rise is relative to the lowest energy since the last warning, so that any rate of checks detects a slow rise.
 
     Parameters
     ----------
     tolerance
-        Of a rise, over the energy scale.
+        Smallest rise to report, relative to the energy scale.
     names
         Of the bodies.
     integrator
-        Of the run; the remedy for a large error depends on it.
+        Of the run; it determines the remedy for a large error.
     units
-        Units of energies in warnings.
+        Units of the energies in warnings.
     """
 
     def __init__(self, tolerance: float, names: Names, integrator: Integrator, units: UnitSystem = SI) -> None:
@@ -121,10 +121,10 @@ class EnergyMonitor:
         step, time, energy
             Of the check; s.
         contact_gain
-            Largest energy that impulses of contacts have put in so far, over the energy scale.
+            Largest energy that contact impulses have added so far, relative to the energy scale.
         suspects
             Returns the contacts of the previous and of this step, which a warning lists with the states of their
-            bodies. Copying them takes as long as the rest of a check, and few checks warn.
+            bodies. Copying them takes as long as the rest of a check, and warnings are rare.
         """
         tally = self.tally
         lowest = tally.lowest or energy
@@ -177,7 +177,8 @@ def _rise(energy: Energy, lowest: Energy, since: float, units: UnitSystem) -> st
 
 def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
     """Return the text of a warning about the error of the energy."""
-    pull = max(abs(energy.gravitational), abs(lowest.gravitational))  # bodies that fly apart no longer attract
+    # after bodies have flown apart, their attraction is small
+    pull = max(abs(energy.gravitational), abs(lowest.gravitational))
     what = "An orbit is lost" if pull > LOST * energy.scale else "The motion is wrong"
     error = energy.relative_error
     amount = f"{error:.0%} of" if error < 10.0 else f"{error:.2g} times"
@@ -186,7 +187,7 @@ def _loss(energy: Energy, lowest: Energy, units: UnitSystem) -> str:
 
 
 def _remedy(integrator: Integrator) -> str:
-    """Return the keys that reduce a large error of an integrator."""
+    """Return the keys that reduce the error of an integrator."""
     if integrator.hierarchical:
         return 'Use shorter steps (time.fixed_dt), or time.integrator = "gauss-radau15".'
     if integrator.controls_error:
@@ -199,7 +200,7 @@ def _remedy(integrator: Integrator) -> str:
 
 
 def _gain(energy: Energy, contact_gain: float, units: UnitSystem) -> str:
-    """Return the text of a warning about energy injected by contact impulses."""
+    """Return the text of a warning about energy added by contact impulses."""
     ledger = energy.ledger
     restitution, friction = (units.text(taken, ENERGY, ".4g") for taken in (ledger.restitution, ledger.friction))
     return (

@@ -24,7 +24,7 @@ class Extreme:
     value: float
     step: int
     time: float  # s
-    bodies: tuple[int, ...] = ()  # during the run, ends of a contact: numbers from n on are planes
+    bodies: tuple[int, ...] = ()  # during the run, ends of a contact, where numbers from n on are planes
     planes: tuple[int, ...] = ()  # planes involved, see `Extremes.named`
     between: str = ""  # names of bodies and planes
 
@@ -36,36 +36,36 @@ NOTHING = Extreme(0.0, 0, 0.0)
 class Extremes:
     """Extremes so far: of energy and momentum at the checks, of contacts at every step.
 
-    An extreme is None if nothing was measured. Contacts dissipate and gravity is conservative, so the total energy can
-    only fall. A rise from its lowest value is an error, whether or not the ledger explains it.
+    An extreme is None if it was not measured. Contacts dissipate and gravity is conservative, so the total energy can
+    only fall. A rise above its lowest value is an error, whether or not the ledger explains it.
     """
 
     energy_error: Extreme | None = None  # |integration error| / scale
-    energy_gain: Extreme = NOTHING  # rise of the total energy from its lowest so far / scale
-    contact_gain: Extreme = NOTHING  # energy injected or returned by contact impulses / scale
-    kinetic: Extreme = NOTHING  # kinetic energy / scale: of the last check, not the largest
+    energy_gain: Extreme = NOTHING  # rise of the total energy above its lowest value so far / scale
+    contact_gain: Extreme = NOTHING  # energy added by contact impulses, or returned / scale
+    kinetic: Extreme = NOTHING  # kinetic energy / scale at the last check, not the largest
     impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
     overlap: Extreme | None = None  # deepest overlap / smaller radius
     contacts: Extreme | None = None  # most contacts in a step
     momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
     angular_momentum_error: Extreme | None = NOTHING  # None where the scene does not conserve it
-    total_contacts: int = 0  # contact-steps: contacts, summed over the steps
-    impacts: int = 0  # each impact during a drift; those found at the end of a step once per contact and step
+    total_contacts: int = 0  # sum of the numbers of contacts over the steps
+    impacts: int = 0  # every impact during a drift; those at the end of a step once per contact
     lowest_energy: float = float("inf")  # J
     energy_scale: float = 0.0  # J, of the last check
     most_taken: float = 0.0  # J, the largest restitution + friction of the ledger
-    warned: tuple[str, ...] = ()  # kinds of warnings given so far
+    warned: tuple[str, ...] = ()  # kinds of warnings so far
     contact_audit: Extreme | None = None  # largest error of `diagnostics.impulse_audit`; None without the audit
 
     @property
     def energy_fault(self) -> Extreme | None:
-        """The larger of the integration error and the energy injected by contact impulses; both are errors."""
+        """The larger of the integration error and the energy added by contact impulses; both are errors."""
         if self.energy_error is None or self.contact_gain.value > self.energy_error.value:
             return self.contact_gain if self.contact_gain.value > 0.0 else self.energy_error
         return self.energy_error
 
     def add_contacts(self, step: int, time: float, tally: ContactStatistics) -> None:
-        """Update with the contacts of a step."""
+        """Update by the contacts of a step."""
         if tally.impacts:
             self.impact = _larger(self.impact, tally.hardest, tally.hardest_pair, step, time)
         self.overlap = _larger(self.overlap, tally.deepest, tally.deepest_pair, step, time)
@@ -79,7 +79,7 @@ class Extremes:
         return Extremes(*_values(self))
 
     def named(self, names: Names) -> Extremes:
-        """Return the same extremes with planes separated from bodies, and both by their names."""
+        """Return the extremes with planes and bodies separated, both by their names."""
         n = len(names.bodies)
 
         def named(extreme: Extreme) -> Extreme:
@@ -121,7 +121,7 @@ class Extremes:
         return tuple(sorted(events, key=lambda event: event.step))
 
     def add_energy(self, step: int, time: float, energy: Energy) -> None:
-        """Update with the energy of a step."""
+        """Update by the energy of a step."""
         undamped, ledger = energy.undamped, energy.ledger
         self.energy_error = _worse(self.energy_error, energy.relative_error, step, time)
         self.energy_scale = energy.scale
@@ -137,18 +137,18 @@ class Extremes:
         self.kinetic = Extreme(energy.relative(energy.translational + energy.rotational), step, time)
 
     def add_impulse_audit(self, step: int, time: float, worst: tuple[float, tuple[int, ...]]) -> None:
-        """Update with the largest error of a step's impulses, and its body."""
+        """Update by the largest error of a step's impulses, and its body."""
         error, bodies = worst
         if self.contact_audit is None or not error <= self.contact_audit.value:
             self.contact_audit = Extreme(error, step, time, bodies)
 
     def add_warning(self, kind: str) -> None:
-        """Update with a warning."""
+        """Update by a warning."""
         if kind not in self.warned:
             self.warned += (kind,)
 
     def add_momentum(self, step: int, time: float, momentum: Momentum) -> None:
-        """Update with the momenta of a step."""
+        """Update by the momenta of a step."""
         linear, angular = momentum.linear_error, momentum.angular_error
         self.momentum_error = None if linear is None else _worse(self.momentum_error, linear, step, time)
         self.angular_momentum_error = (

@@ -1,4 +1,4 @@
-"""A 64-bit fingerprint of the exact state: XXH64 of the bytes of the arrays, one after the other."""
+"""A 64-bit fingerprint of the exact state: XXH64 of the bytes of its arrays, in their order."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def fingerprint(bodies: Bodies, time: float) -> int:
 
 
 def fingerprint_of(time: float, arrays: Iterable[FloatArray | None]) -> int:
-    """Return the fingerprint of a time in s and of arrays; None counts as no array."""
+    """Return the fingerprint of a time (s) and of arrays; None counts as no array."""
     digest = xxhash.xxh64(np.float64(time).tobytes())
     for array in arrays:
         if array is not None:

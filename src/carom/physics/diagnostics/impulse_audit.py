@@ -1,11 +1,11 @@
-"""The audit of impulses: compares the changes of velocities with the impulses of contacts and the kicks of forces.
+"""The audit of impulses: compares changes of velocities with the impulses of contacts and the kicks of forces.
 
-In each step, for every body,
+For every body, in each step,
 
     Δv = Σ J/m + Σ a h,    Δω = Σ (ρ λ_t × n ± Λ) / I,    J = λ_n n + λ_t, which acts on j, and -J on i
 
-with the impulses that the contact tap reports and the kicks of the integrator, and for the ledger of contacts,
-Δledger = Σ over the contacts. A kick is a h. Drag multiplies velocities, so its effect is measured.
+with the impulses that the contact tap reports and the kicks of the integrator. The change of the ledger is compared
+with the sum over the contacts. A kick is a h. Drag multiplies velocities, so its effect is measured instead.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from carom.physics.diagnostics.ledger import Ledger
 
 
 class ImpulseAudit:
-    """Sums the impulses and kicks of each step and compares them with the changes of velocity.
+    """Compares the changes of velocity in each step with the sums of impulses and kicks.
 
     Parameters
     ----------
@@ -44,11 +44,11 @@ class ImpulseAudit:
 
     @property
     def kicks(self) -> list[FloatArray]:
-        """The changes of the velocities by forces in this step so far, in order, each (n, 3) m/s."""
+        """The changes of velocities by forces in this step so far, in order, each (n, 3) m/s."""
         return self._kicks
 
     def add_kick(self, acceleration: FloatArray, dt: float) -> None:
-        """Add a kick, (n, 3) m/s² for dt s."""
+        """Add a kick of (n, 3) m/s² for dt s."""
         self.add_force(acceleration * dt)
 
     def add_change(self, before: FloatArray) -> None:
@@ -56,7 +56,7 @@ class ImpulseAudit:
         self.add_force(self._bodies.velocity - before)
 
     def add_sleep(self, velocity: FloatArray, spin: FloatArray) -> None:
-        """Add the loss of velocities and spins by falling asleep, given their values (m/s, rad/s) before."""
+        """Add the velocities and spins lost by falling asleep, given their previous values (m/s, rad/s)."""
         self.add_change(velocity)
         self._spin = self._spin + (self._bodies.angular_velocity - spin)
 
@@ -66,20 +66,20 @@ class ImpulseAudit:
         self._fastest = max(self._fastest, _largest(change), _largest(self._bodies.velocity))
 
     def finish(self, impulses: Iterable[Impulses], work: FloatArray, ledger: Ledger) -> tuple[float, tuple[int, ...]]:
-        """Return the largest error, and its body if there is one.
+        """Return the largest error, and its body if it belongs to one.
 
-        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: that of a
-        body, or the sum of the magnitudes of its kicks or impulses over its mass. Impulses in a heavy pile may cancel,
-        and each has its own rounding. Errors of the ledger are relative to its largest entry.
+        Errors of velocities, and of spins times the radius, are relative to the largest speed in the step: of a body,
+        or the sum of the magnitudes of its kicks, or of its impulses over its mass. The impulses in a heavy pile may
+        cancel, and each has its own rounding. Errors of the ledger are relative to its largest entry.
 
         Parameters
         ----------
         impulses
-            Of the step.
+            Impulses of the step.
         work
             (k, 3) J, the ledger of each contact.
         ledger
-            At the end of the step.
+            The statistics at the end of the step.
         """
         bodies = self._bodies
         given = _Given.of(impulses, bodies)
@@ -108,7 +108,7 @@ class _Given:
 
     velocity: FloatArray  # (n, 3) m/s
     spin: FloatArray  # (n, 3) rad/s; (0, 3) where nothing spins
-    speed: FloatArray  # (n,) m/s, Σ |J| / m: the speed if all acted in one direction
+    speed: FloatArray  # (n,) m/s, Σ |J| / m: the speed if all impulses had one direction
 
     @classmethod
     def of(cls, impulses: Iterable[Impulses], bodies: Bodies) -> _Given:

@@ -1,6 +1,6 @@
-"""The energy ledger: energy that contacts and forces took out of the bodies or put into them, by term.
+"""The energy ledger: energy that contacts and forces removed from the bodies or added to them, by term.
 
-Kernels write each term of a contact into a field of that name. Arrays of all terms have one column for each, in this
+Kernels write each term of a contact into the field of its name. Arrays of all terms have one column per term, in this
 order.
 """
 
@@ -16,7 +16,7 @@ from carom.physics.aligned import columns
 from carom.physics.jit.decorators import inline, kernel
 
 RESTITUTION, FRICTION, STABILISATION = range(3)  # columns of (m, 3) arrays, J
-NamedEnergies = tuple[tuple[str, float], ...]  # J, by entries of the ledger or terms of the energy; hashable
+NamedEnergies = tuple[tuple[str, float], ...]  # J, by entry of the ledger or term of the energy; hashable
 
 
 class LedgerRecord(Protocol):
@@ -34,14 +34,14 @@ TERMS = tuple(LedgerRecord.__annotations__)
 class Ledger:
     """Energy moved by contacts and by forces without a potential since the start of the run, in joules.
 
-    Contacts are summed from the impulses themselves. Dissipation counts positive when energy left the bodies;
-    stabilisation counts positive when it entered them.
+    Contacts are summed from the impulses themselves. Dissipation is positive when energy leaves the bodies,
+    stabilisation when it enters them.
     """
 
-    restitution: float = 0.0  # taken out by the normal impulses
-    friction: float = 0.0  # taken out by the tangential impulses
-    stabilisation: float = 0.0  # put in by pushing overlapping bodies apart (Baumgarte bias or split)
-    forces: NamedEnergies = ()  # taken out by forces without a potential, by entry
+    restitution: float = 0.0  # removed by normal impulses
+    friction: float = 0.0  # removed by tangential impulses
+    stabilisation: float = 0.0  # added by pushing overlapping bodies apart (Baumgarte bias or split)
+    forces: NamedEnergies = ()  # removed by forces without a potential, by entry
 
     def entry(self, name: str) -> float:
         """Return an entry by its name in the recording, in joules."""
@@ -60,29 +60,29 @@ class Ledger:
         )
 
     def plus_loss(self, entry: str, loss: float) -> Ledger:
-        """Return the ledger after a force without a potential took out ``loss`` joules."""
+        """Return the ledger after a force without a potential removed ``loss`` joules."""
         forces = dict(self.forces)
         return replace(self, forces=tuple({**forces, entry: forces.get(entry, 0.0) + loss}.items()))
 
     @property
     def balance(self) -> float:
-        """The energy that left less the energy that entered."""
+        """The energy that left the bodies minus the energy that entered them."""
         by_contacts = self.restitution + self.friction - self.stabilisation
         return by_contacts + self.by_forces if self.forces else by_contacts
 
     @property
     def by_forces(self) -> float:
-        """The energy taken out by forces without a potential; a moving medium can make it negative."""
+        """The energy removed by forces without a potential; negative if a moving medium added more."""
         return sum(loss for _, loss in self.forces)
 
     @property
     def taken_out(self) -> float:
-        """The energy that contacts took out, without entries of the wrong sign."""
+        """The energy removed by contacts, without entries of the wrong sign."""
         return max(0.0, self.restitution) + max(0.0, self.friction)
 
 
 def terms_of(records: RecordArray[LedgerRecord]) -> FloatArray:
-    """Return the terms that records hold, (m, 3) J, as a view."""
+    """Return the ledger terms of records, (m, 3) J, as a view."""
     return columns(records, TERMS)
 
 

@@ -7,8 +7,8 @@ centre of mass X moves on a parabola:
 
     p(t) = p₀ + M g t,    L(t) = L₀ + M (X₀ t + ½ V₀ t²) × g
 
-With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies take
-up both momenta; nothing is compared then.
+With drag, the impulses of the medium and the field are booked step by step instead. Planes, walls and fixed bodies
+absorb both momenta; nothing is compared then.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carom.physics.vector import square, vector
 
 
 class TotalMotion(NamedTuple):
-    """The motion of all bodies together."""
+    """The total motion of all bodies."""
 
     linear: FloatArray  # (3,) kg m/s, Σ m v
     angular: FloatArray  # (3,) kg m²/s about the origin, Σ (m x × v + I ω)
@@ -37,7 +37,7 @@ class TotalMotion(NamedTuple):
 
     @classmethod
     def of(cls, bodies: Bodies) -> TotalMotion:
-        """Sum over the bodies as they move now."""
+        """Sum over the present motion of the bodies."""
         linear, angular = np.empty(3), np.empty(3)
         state = bodies.position, bodies.velocity, bodies.angular_velocity
         return cls(linear, angular, *_add_up(*state, bodies.mass, bodies.inertia, linear, angular))
@@ -117,13 +117,14 @@ class Momentum:
 
     linear: FloatArray  # (3,) kg m/s
     angular: FloatArray  # (3,) kg m²/s about the origin
-    linear_error: float | None  # over the largest Σ m |v| of the checks so far; None if something is fixed
-    angular_error: float | None  # over the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
+    linear_error: float | None  # relative to the largest Σ m |v| of the checks so far; None if something is fixed
+    # relative to the largest Σ (m |x| |v| + I |ω|); None without a scale, and in a periodic box
+    angular_error: float | None
 
 
 @dataclass(frozen=True, slots=True)
 class MomentumBaseline:
-    """Reference values: the momenta at the start, and the largest sums of magnitudes at the checks so far."""
+    """Reference values: the initial momenta, and the largest sums of magnitudes at the checks so far."""
 
     linear: tuple[float, float, float]  # kg m/s
     angular: tuple[float, float, float]  # kg m²/s
@@ -160,12 +161,12 @@ class MomentumAccount:
         self._baseline = known
 
     def receive(self, linear: FloatArray, angular: FloatArray) -> None:
-        """Add momenta that came from outside to the reference values."""
+        """Add momenta that entered from outside to the reference values."""
         self._linear, self._angular = self._linear + linear, self._angular + angular
         self._baseline = None
 
     def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
-        """Return the momenta at a time since the start, in seconds.
+        """Return the momenta at a time since the start (s).
 
         ``judged`` marks the sums of a check, whose scales later checks keep.
         """

@@ -35,7 +35,7 @@ def refuse_infinities(
     Raises
     ------
     PhysicsError
-        If one is infinite or not a number; it names the bodies, the step and the time.
+        If a number is infinite or NaN; the message names the bodies, the step and the time.
     """
     lost = np.zeros(1, dtype=np.bool_)
     numbers = bodies.position.reshape(-1), bodies.velocity.reshape(-1)
@@ -45,8 +45,8 @@ def refuse_infinities(
     finite = np.isfinite(bodies.position) & np.isfinite(bodies.velocity)
     bodies_lost = np.flatnonzero(~finite.all(axis=1))
     raise PhysicsError(
-        f"the state is no longer finite at step {step}, t = {units.text(time, TIME)}: "
-        f"position or velocity of {bodies_called(bodies_lost.tolist(), names)}"
+        f"the state is no longer finite at step {step}, t = {units.text(time, TIME)}: position or velocity of "
+        f"{bodies_called(bodies_lost.tolist(), names)}"
     )
 
 
@@ -55,12 +55,12 @@ def refuse_many_crossings(
 ) -> None:
     """Refuse a step of dt (s) in which a body would cross a periodic box too often.
 
-    Its position in the box loses a digit for each factor of 10.
+    Each factor of 10 in the crossings costs its position in the box a digit.
 
     Raises
     ------
     PhysicsError
-        If it is more than `MOST_CROSSINGS` times.
+        If it crosses more than `MOST_CROSSINGS` times.
     """
     turns = float((np.abs(velocity).max(axis=0) * dt / box).max())
     if turns > MOST_CROSSINGS:
@@ -81,32 +81,34 @@ def _find_infinities(lo: int, hi: int, position: FloatArray, velocity: FloatArra
         lost[0] = True
 
 
-STEPS_REMEMBERED = 50  # steps over which the energy of impacts is summed
-SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if its recent impacts sum to less
-STILL_BELOW = 1e-4  # of the energy scale; bodies with more kinetic energy roll, slide or fall
+STEPS_REMEMBERED = 50  # steps over which the energy of impacts is averaged
+SETTLED_BELOW = 1e-3  # of the energy scale; a pile has settled if the energy of its recent impacts is less
+STILL_BELOW = 1e-4  # of the energy scale; with more kinetic energy, bodies roll, slide or fall
 
 
 class Activity:
     """Follows the contacts of n bodies from step to step.
 
     ``phase`` is "warm-up" before the first step, then "free", "colliding" or "settled". A run has settled if most
-    bodies touch, recent impacts were slight and, with ``from_rest``, the kinetic energy is small.
+    bodies touch, recent impacts were weak and, with ``from_rest``, the kinetic energy is small.
 
     Parameters
     ----------
     bodies
-        How many there are.
+        Number of bodies.
     from_rest
-        Whether there is a uniform field or something fixed, so a pile at rest has no kinetic energy. Otherwise it may
-        drift and rotate as a whole.
+        Whether there is a uniform field or something fixed, so that a pile at rest has no kinetic energy. Otherwise it
+        may drift and rotate as a whole.
     """
 
     def __init__(self, bodies: int, from_rest: bool) -> None:
         self.phase = "warm-up"
-        self.impact_energy = 0.0  # J, ½ μ v_n² of the impacts in the last steps
+        self.impact_energy = 0.0  # J, ½ μ v_n² of recent impacts
         self._bodies = bodies
         self._from_rest = from_rest
-        self._contacts: int | None = None  # of the last step; None before the first one of a new or resumed run
+        self._contacts: int | None = (
+            None  # contacts of the last step; None before the first step of a new or resumed run
+        )
 
     def reopen(self, phase: str, impact_energy: float) -> None:
         """Continue an earlier run."""
@@ -132,14 +134,14 @@ class Activity:
 
 @kernel
 def remembered(energy: float, impacts: float) -> float:
-    """Return the energy of recent impacts after a step, given that before it and that of its impacts, all in J."""
+    """Return the energy (J) of recent impacts after a step, given that before it and that of the step's impacts."""
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
 CRAWL = 5.0  # ratio to the number of steps expected from the first one
-MIN_STEPS = 50_000  # a shorter run ends before a warning would be useful
+MIN_STEPS = 50_000  # a shorter run would end before a warning is useful
 
-REMEDY = {  # the key that makes steps longer, by the limit that sets them
+REMEDY = {  # the key that allows longer steps, by the limit that sets them
     "acceleration": "time.target_dx",
     "held": "time.target_dx",
     "velocity": "time.cfl",
@@ -150,11 +152,11 @@ REMEDY = {  # the key that makes steps longer, by the limit that sets them
 
 
 def remedies_of(scene: Scene) -> Mapping[str, str]:
-    """Return the scene key to increase for fewer steps, by the limit that sets them.
+    """Return the scene key to raise for fewer steps, by the limit that sets them.
 
-    An accuracy replaces the keys that set the step. Without forces, its steps are the longest useful ones. Integrators
-    that choose steps by their error use time.max_dt directly. Leapfrog also uses it, when it takes over resting
-    contacts.
+    An accuracy replaces the keys that set the step. Without forces, steps with an accuracy already have their longest
+    useful length. Integrators that choose steps by their error use time.max_dt directly. Leapfrog also uses it when it
+    takes over resting contacts.
     """
     accuracy = scene.time.accuracy
     if accuracy is None:
@@ -168,8 +170,8 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
 class PaceTally:
     """The state of the monitor between two checks."""
 
-    slow_since: float | None = None  # s, since which all checked steps were short; None: the last was not
-    told: bool = False  # whether it has warned
+    slow_since: float | None = None  # s, time since which all checked steps were short; None if the last one was not
+    told: bool = False  # whether the warning has been given
 
 
 class PaceMonitor:
@@ -180,7 +182,7 @@ class PaceMonitor:
     duration
         s, of the scene.
     first_dt
-        s, the step at its start.
+        s, the step at the start of the run.
     units
         Of the scene.
     remedies
@@ -196,9 +198,9 @@ class PaceMonitor:
         self.tally = PaceTally()
 
     def check(self, step: int, time: float, dt: float, limit: str) -> Event | None:
-        """Check the next step, of dt seconds, and the limit that sets it; return a warning at most once.
+        """Check the next step, of dt seconds, and the limit that sets it; return the warning at most once.
 
-        It warns if the run would take too many steps at the pace so far, and also at the pace of the next step.
+        It warns if the run would take too many steps both at the mean pace so far and at that of the next step.
         """
         short = CRAWL * dt < self._first_dt
         since = self.tally.slow_since if self.tally.slow_since is not None else time
@@ -211,15 +213,15 @@ class PaceMonitor:
         raised = self._remedies.get(limit)
         remedy = f" To shorten the run, raise {raised}." if raised else ""
         text = (
-            f"The step is set by the limit {limit}, and {self._first_dt / dt:.3g} times shorter than the first step, "
-            f"since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
+            f"The step is set by the limit {limit} and has been {self._first_dt / dt:.3g} times shorter than the "
+            f"first step since t = {self._units.text(since, TIME)}: at this pace the run takes {whole:.3g} steps, "
             f"{whole / promised:.3g} times the estimate at its start.{remedy}"
         )
         return Event(step, time, "WARN", text, "pace")
 
 
 class Profile:
-    """Sums wall time by part of the step. Marking the end of a part costs one clock reading."""
+    """Sums wall time by part of the step. Each mark costs one reading of the clock."""
 
     def __init__(self) -> None:
         self._nanoseconds: dict[str, int] = {}

@@ -1,1 +1,1 @@
-"""The forces between contacts: one module for each row of `carom.scene.forces.FORCES`."""
+"""The forces other than contacts: one module for each row of `carom.scene.forces.FORCES`."""

@@ -7,17 +7,17 @@ drift. With z = h/τ, E = e^{-z}, φ₁ = (1 - E)/z and φ₂ = (1 - φ₁)/z, a
 
     v += a k₁,   v *= φ₁,    x += v h,    v *= E/φ₁,   v += a' k₂        k₁ = h φ₂/φ₁,   k₂ = h (φ₁ - E φ₂/φ₁)
 
-Between the two factors, velocities are the mean velocities of the drift: contacts are held there, and impacts lie on
-straight lines, along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks
-make the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is its own adjoint, hence of order 2.
+Between the two factors, velocities are the mean velocities of the drift. Contacts are held there, and impacts happen on
+straight lines along which bodies slow down (`carom.physics.contact.events.trajectories`). The lengths of the kicks make
+the step exact for a constant acceleration; for τ → ∞ both are h/2. The step is its own adjoint, hence of order 2.
 
-The energy dissipated by the medium is the change of the energy in the step less the work of the other forces
+The energy dissipated by the medium is the change of the energy in the step minus the work of the other forces
 (docs/physics.md, 6):
 
     lost = Σ ½ m (v² - w²) + κ m a·w - ½ m κ (h - κ) a²                     by the kick and the factor before the drift
     lost = Σ ½ m (w² - v²) + (h - κ) m a'·w - h m (u/τ)·w + ½ m κ (h - κ) a'²    after it
 
-with w between the factors and κ = ½ (h φ₂ + k₂²/(h φ₂)), which makes both ledger entries of a body at rest zero.
+with w between the factors, and κ = ½ (h φ₂ + k₂²/(h φ₂)), for which both ledger entries of a body at rest are zero.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class StokesDrag:
     bodies
         The bodies in the medium.
     outer
-        (3,) m/s², acceleration by other forces that is the same for all bodies.
+        (3,) m/s², the acceleration by other forces that is the same for all bodies.
     team
         Threads that work.
     """
@@ -81,7 +81,7 @@ class StokesDrag:
         self._against = np.zeros_like(bodies.ends.acceleration)
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add u/τ, the part that does not depend on velocities; see `Force`."""
+        """Add u/τ, the constant part; see `Force`."""
         if first:
             acceleration[:] = 0.0
         if self.uniform.any():
@@ -89,7 +89,7 @@ class StokesDrag:
         return 0.0
 
     def step(self, dt: float) -> DampedStep:
-        """Return kicks and factors of a step of dt seconds."""
+        """Return the kicks and factors of a step of dt seconds."""
         decay, phi1, phi2 = exponentials(dt * self._rate)
         first, held = dt * (phi2 / phi1), dt * phi2
         last = dt * (phi1 - decay * (phi2 / phi1))
@@ -101,13 +101,13 @@ class StokesDrag:
         return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held, path)
 
     def begin(self, step: DampedStep) -> Exchange:
-        """Kick, and slow down to the mean velocity of the drift."""
+        """Kick, then slow down to the mean velocity of the drift."""
         n, bodies = len(self._bodies), self._bodies
         self._against[:n] = bodies.acceleration - bodies.velocity * self._rate
         return self._exchange(_begin, step, step.first_kick, step.before)
 
     def end(self, step: DampedStep) -> Exchange:
-        """Slow down from the mean velocity of the drift, and kick."""
+        """Slow down from the mean velocity of the drift, then kick."""
         return self._exchange(_end, step, step.last_kick, step.after)
 
     def against(self) -> FloatArray:
@@ -115,7 +115,7 @@ class StokesDrag:
         return self._against
 
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the change of the loss by holding the contacts, in joules; see `Damping`."""
+        """Return the change of the loss because contacts were held, in joules; see `Damping`."""
         bodies = self._bodies
         return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
 
@@ -139,7 +139,7 @@ def _exchange_of(sums: RecordArray[DragSumsRecord]) -> Exchange:
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
-    """Make the drag of a scene."""
+    """Return the drag of a scene."""
     assert scene.drag is not None, "the scene requires drag"
     return StokesDrag(scene.drag, bodies, np.array(scene.gravity.uniform), team)
 
@@ -159,7 +159,7 @@ def _begin(
     factor: float,
     sums: RecordArray[DragSumsRecord],
 ) -> None:
-    """Kick and slow down, before the drift; add loss, impulse and angular impulse to ``sums``."""
+    """Kick and slow down before the drift; add loss, impulse and angular impulse to ``sums``."""
     total = sums[0]
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
@@ -192,7 +192,7 @@ def _end(
     factor: float,
     sums: RecordArray[DragSumsRecord],
 ) -> None:
-    """Slow down and kick, after the drift; add loss, impulse and angular impulse to ``sums``."""
+    """Slow down and kick after the drift; add loss, impulse and angular impulse to ``sums``."""
     total = sums[0]
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
@@ -222,7 +222,7 @@ def _slow_down(
     factor: float,
     total: DragSumsRecord,
 ) -> None:
-    """Multiply a velocity by a factor; add the external impulse of this and of the kick, and its moment."""
+    """Multiply a velocity by a factor; add the external impulse of the factor and of the kick, and its moment."""
     px = mass * (v[i, 0] * (factor - 1.0) + outer[0] * kick)
     py = mass * (v[i, 1] * (factor - 1.0) + outer[1] * kick)
     pz = mass * (v[i, 2] * (factor - 1.0) + outer[2] * kick)
@@ -240,7 +240,7 @@ def _slow_down(
 def _lost_in_hold(
     v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, share: float
 ) -> float:
-    """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, and the kick books κ m Δv·a."""
+    """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, but the kick books κ m Δv·a."""
     lost = 0.0
     for i in range(len(mass)):
         for k in range(3):
@@ -262,9 +262,9 @@ def _exchange_in_impacts(
     share: float,
     sums: RecordArray[DragSumsRecord],
 ) -> None:
-    """Add what the medium exchanges because of impacts to ``sums``, and write the changes of the velocities over ``w``.
+    """Add the exchange with the medium due to impacts to ``sums``, and write the changes of velocities to ``w``.
 
-    Over both bodies of each impact, with w̄ the mean of w before and after it,
+    Summed over both bodies of each impact, with w̄ the mean of w before and after it:
 
         lost = Σ m Δw·((f² - 1) w̄ + f (σ - k) a + (κ - σ) a + σ u/τ),    impulse = Σ m Δw (1 - f)
     """

@@ -36,7 +36,7 @@ class UniformField:
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> UniformField:
-    """Make the field of a scene."""
+    """Return the field of a scene."""
     return UniformField(np.array(scene.gravity.uniform), bodies.mass, team)
 
 

@@ -2,7 +2,7 @@
 
 A force that depends only on positions adds an acceleration and may have a potential. Its kind states when a scene
 requires it, and its recorded energy (`carom.scene.forces`). Each of carom's own forces has a function ``make(scene,
-bodies, team)``, named in `carom.registry`; `carom.physics.forces.kernel_forces` makes those of installed packages.
+bodies, team)``, named in `carom.registry`. `carom.physics.forces.kernel_forces` makes the forces of installed packages.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from carom.plan.features import Requirements
 from carom.scene.forces import FORCES, ForceKind
 from carom.scene.schema import Scene
 
-Potentials = dict[str, float]  # J, by their terms of the energy
+Potentials = dict[str, float]  # J, by term of the energy
 
 
 class Force(Protocol):
-    """Accelerates bodies.
+    """A force that accelerates bodies.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Force(Protocol):
     uniform: FloatArray
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add its acceleration at positions, both (n, 3); return its potential energy in joules if requested.
+        """Add the acceleration at positions, both (n, 3); return the potential energy in joules if requested.
 
         Parameters
         ----------
@@ -55,12 +55,12 @@ class Force(Protocol):
         first
             Whether this is the first force: ``acceleration`` is then overwritten.
         potential
-            Whether the energy is requested; otherwise, or without a potential, 0 is returned.
+            Whether the energy is requested. Otherwise, and without a potential, 0 is returned.
         """
 
 
 class DampedPath(NamedTuple):
-    """The change of velocities along a drift with the mean velocity w.
+    """The change of velocities along a drift whose mean velocity is w.
 
     See `carom.physics.contact.events.trajectories`.
     """
@@ -75,16 +75,16 @@ class DampedStep(NamedTuple):
 
     length: float  # s
     first_kick: float  # s
-    before: float  # factor of the velocities before the drift, which makes them their mean along it
+    before: float  # factor of the velocities before the drift, which makes them the mean velocities of the drift
     after: float  # factor after the drift
     last_kick: float  # s
-    share: float  # s, portion of the drift for which the other forces' work is booked before it
+    share: float  # s, part of the drift for which the work of the other forces is booked before it
     held_kick: float  # s, effective length of the first kick at held contacts
     path: DampedPath
 
 
 class Exchange(NamedTuple):
-    """The energy that left the bodies in a part of a step, and the external impulses."""
+    """The energy that left the bodies during a part of a step, and the external impulses."""
 
     loss: float  # J
     impulse: FloatArray  # (3,) N s
@@ -100,33 +100,33 @@ class Damping(Force, Protocol):
     """
 
     def step(self, dt: float) -> DampedStep:
-        """Return kicks and factors of a step in seconds."""
+        """Return the kicks and factors of a step (s)."""
 
     def begin(self, step: DampedStep) -> Exchange:
-        """Kick, and change velocities to their mean along the drift."""
+        """Kick, then change velocities to their mean along the drift."""
 
     def end(self, step: DampedStep) -> Exchange:
-        """Change velocities from their mean along the drift to those at its end, and kick."""
+        """Change velocities from their mean along the drift to those at its end, then kick."""
 
     def against(self) -> FloatArray:
         """Return the accelerations against which contacts are held, (n + p, 3) m/s²: those at the start of the step."""
 
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
-        """Return the change of its loss by holding the contacts, in joules.
+        """Return the change of its loss because contacts were held, in joules.
 
         ``before`` are the velocities before the hold, (n + p, 3) m/s.
         """
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
-        """Return the exchange due to impacts during the drift.
+        """Return the exchange that is due to impacts during the drift.
 
         ``before`` are the velocities at the beginning of the drift, (n + p, 3) m/s. They are overwritten by the changes
-        of velocities due to impacts, beyond their impulses over the masses.
+        of velocities that impacts cause in addition to their impulses over the masses.
         """
 
 
 def forces_of(scene: Scene, needs: Requirements, bodies: Bodies, team: Team) -> list[Force]:
-    """Make the forces that a scene requires, in the order in which accelerations are summed."""
+    """Return the forces that a scene requires, in the order in which accelerations are summed."""
     kinds = [kind for kind in FORCES if needs.forces[kind.name].modelled]
     own = [registry.load("forces", kind.name)(scene, bodies, team) for kind in kinds]
     return [*own, *(kernel_forces.make(name, scene, bodies, team) for name in scene.forces.given)]
@@ -153,7 +153,7 @@ class ForceLaws(NamedTuple):
     softening: float  # m
     is_uniform: bool  # whether there is a field
     uniform: FloatArray  # (3,) m/s²
-    others: Parameters  # forces of installed packages, for `add_forces`
+    others: Parameters  # forces of installed packages, as for `add_forces`
 
 
 class TotalForce:
@@ -164,7 +164,7 @@ class TotalForce:
     uniform
         (3,) m/s², the part of the acceleration that is the same for every body.
     damping
-        The force that depends on velocities, if there is one.
+        The force that depends on velocities; None if there is none.
     losses
         The ledger's entries for forces without a potential.
     """
@@ -182,7 +182,7 @@ class TotalForce:
 
     @property
     def laws(self) -> ForceLaws | None:
-        """The forces for a kernel with many steps; None with drag, or with gravity by a tree."""
+        """The forces for a kernel that takes many steps; None with drag, or with gravity by a tree."""
         needs, gravity = self._needs, self._scene.gravity
         if self.damping or uses_tree(self._scene):
             return None
@@ -208,7 +208,7 @@ class TotalForce:
         return accelerate(self._forces, self._bodies.position, unused, True, Profile())
 
     def potential_of_fixed_bodies(self) -> float:
-        """Return the constant gravitational energy of fixed bodies among each other, in J."""
+        """Return the constant gravitational energy between fixed bodies, in J."""
         fixed = self._fixed
         gravity = gravity_of(self._scene, self._bodies.mass[fixed], self._team) if len(fixed) > 1 else None
         if gravity is None:

@@ -1,12 +1,12 @@
 """Forces of installed packages: `BodyForce` and `PairForce` of `carom.scene.forces`, in kernels.
 
-Every kernel that sums accelerations calls `add_forces` with a tuple of records, one for each force, which hold the
-parameters. The type of a record names the force and a hash of its sources. Numba compiles a kernel anew for each tuple
-of types, with the functions of these forces in it, and keeps it on disk under these types. Without such forces the
-tuple is empty and the call compiles to nothing.
+Every kernel that sums accelerations calls `add_forces` with a tuple of records that hold the parameters, one for each
+force. The type of a record names the force and a hash of its sources. Numba compiles a kernel for each tuple of types,
+with the functions of these forces in it. It is stored on disk under these types. Without such forces the tuple is empty
+and the call compiles to nothing.
 
-A body's terms are added in the order of their sources, whoever computes them, so that all integrators and any number of
-threads have the same bits. A pair is computed twice, once for each body.
+A body's terms are added in the order of their sources, whichever thread computes them, so all integrators and any
+number of threads give the same bits. A pair is computed twice, once for each body.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from carom.scene.schema import Scene
 
 Parameters = tuple[Records, ...]  # (1,) records, one for each force
 
-BODIES_PER_TASK = 2000  # about 10 µs of work, for one body each
+BODIES_PER_TASK = 2000  # bodies, about 10 µs of work
 PAIRS_PER_TASK = 4000
 
-_BODY, _PAIR = "body_force_", "pair_force_"  # how the first field of a record begins, which names the force
+_BODY, _PAIR = "body_force_", "pair_force_"  # prefixes of the first field of a record, which names the force
 
 
 class _Compiled(NamedTuple):
     """The functions of a force, which kernels inline."""
 
-    acceleration: Any  # or attraction
+    acceleration: Any  # or the attraction of a pair
     potential: Any
 
 
@@ -62,7 +62,7 @@ class KernelForce:
         self._bodies_per_task = max(1, PAIRS_PER_TASK // pairs) if pairs > 1 else BODIES_PER_TASK
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, *, first: bool, potential: bool) -> float:
-        """Add its acceleration; see `Force`."""
+        """Add the acceleration; see `Force`."""
         if first:
             acceleration[:] = 0.0
         state = (self.parameters,), position, self._mass, self._box
@@ -71,19 +71,19 @@ class KernelForce:
 
 
 def make(name: str, scene: Scene, bodies: Bodies, team: Team) -> KernelForce:
-    """Make a force that a scene has a section of."""
+    """Return a force that has a section in a scene."""
     size = scene.domain.size if scene.domain.boundary == "periodic" else None
     box = np.array(size or (0.0, 0.0, 0.0))
     return KernelForce(kind_called(name), parameters_of(name, scene), bodies, box, team)
 
 
 def forces_of_packages(scene: Scene, bodies: Bodies) -> list[KernelForce]:
-    """Make all forces of installed packages that a scene has, for few bodies."""
+    """Return all forces of installed packages in a scene, for few bodies."""
     return [make(name, scene, bodies, SOLO) for name in scene.forces.given]
 
 
 def parameters_of(name: str, scene: Scene) -> Records:
-    """Return the record of a force with the parameters that a scene gives it, (1,)."""
+    """Return the record of a force with its parameters in a scene, (1,)."""
     force = force_called(name)
     is_pair = isinstance(force, PairForce)
     first = force.attraction if isinstance(force, PairForce) else force.acceleration
@@ -98,7 +98,7 @@ def parameters_of(name: str, scene: Scene) -> Records:
 
 
 def parameters_of_all(scene: Scene) -> Parameters:
-    """Return the records of all forces of installed packages that a scene has."""
+    """Return the records of all forces of installed packages in a scene."""
     return tuple(parameters_of(name, scene) for name in scene.forces.given)
 
 
@@ -120,19 +120,19 @@ def add_forces(
 
 
 def energy_of(forces: Parameters, x: FloatArray, m: FloatArray, box: FloatArray) -> float:
-    """Return the potential energy in joules; for kernels, as `add_forces`."""
+    """Return the potential energy in joules; for kernels, like `add_forces`."""
     raise NotImplementedError("only kernels call it")
 
 
 def _functions(record: Any) -> tuple[bool, _Compiled]:
-    """Return whether the type of a record belongs to a force between bodies, and the functions of the force."""
+    """Return whether the type of a record belongs to a force between bodies, and that force's functions."""
     marker = next(iter(record.dtype.fields))
     return marker.startswith(_PAIR), _compiled[marker]
 
 
 @chosen_by_type(add_forces)
 def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> Any:
-    """Return what Numba compiles for a call of `add_forces`: the first force, and a call for the others."""
+    """Return the code that Numba compiles for a call of `add_forces`: the first force, and a call for the others."""
     if len(forces) == 0:
         return lambda forces, lo, hi, x, m, box, a: None
     is_pair, functions = _functions(forces[0])
@@ -170,7 +170,7 @@ def _adding(forces: Any, lo: Any, hi: Any, x: Any, m: Any, box: Any, a: Any) -> 
 
 @chosen_by_type(energy_of)
 def _summing(forces: Any, x: Any, m: Any, box: Any) -> Any:
-    """Return what Numba compiles for a call of `energy_of`."""
+    """Return the code that Numba compiles for a call of `energy_of`."""
     if len(forces) == 0:
         return lambda forces, x, m, box: 0.0
     is_pair, functions = _functions(forces[0])

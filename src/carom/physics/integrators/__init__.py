@@ -1,1 +1,1 @@
-"""Integrators: how the motion between contacts is computed. `carom.scene.integrators` lists them."""
+"""Integrators: the methods for the motion between contacts. `carom.scene.integrators` lists them."""

@@ -1,7 +1,7 @@
 """The protocol of integrators that choose their own steps and take many of them per call.
 
-`carom.registry` names the function ``make(scene, needs, bodies, uniform)`` of each. The other integrators are sequences
-of kicks and drifts, which `carom.physics.step` takes one at a time.
+`carom.registry` names the function ``make(scene, needs, bodies, uniform)`` of each. Other integrators are sequences of
+kicks and drifts, which `carom.physics.step` takes one at a time.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from carom.plan.auto import integrator
 from carom.plan.features import Requirements
 from carom.scene.schema import Scene
 
-BY_LEAPFROG = -1.0  # in place of ``last_dt``: contacts came to rest, and leapfrog takes the steps
+BY_LEAPFROG = -1.0  # value of ``last_dt`` where contacts came to rest, and leapfrog takes the steps
 
 
 class EqualSteps(NamedTuple):
-    """A series of equal steps of Wisdom–Holman integration; a checkpoint has them as five numbers."""
+    """A series of equal steps of Wisdom–Holman integration, stored as five numbers in a checkpoint."""
 
-    phase: float  # of `wisdom_holman`
+    phase: float  # one of the phases in `wisdom_holman`
     start: float  # s, when the series began
-    steps: float  # since then
+    steps: float  # number of steps since then
     dt: float  # s
-    limit: float  # index of what set dt
+    limit: float  # index of the limit that set dt
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class OrbitCheckpoint:
 
     series: EqualSteps
     order: FloatArray  # (n,) index of each body in the scene
-    near: FloatArray  # (n,) m, the distance from which another body is close
+    near: FloatArray  # (n,) m, distance below which another body is close
     position: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick
     velocity: FloatArray  # (n, 3) m/s
 
@@ -44,37 +44,37 @@ class OrbitCheckpoint:
 class IntegratorCheckpoint:
     """State of Gauss–Radau integration; rows of the last two are the coordinates x, y, z of body after body.
 
-    Its arrays have no rows while Wisdom–Holman integration goes on without it.
+    Its arrays have no rows while Wisdom–Holman integration does not use it.
     """
 
-    last_dt: float  # s; 0 if nothing is to be predicted from the last step, or `BY_LEAPFROG`
-    position_rest: FloatArray  # (n, 3) m, rounding errors of the positions so far
+    last_dt: float  # s; `BY_LEAPFROG`, or 0 if the last step predicts nothing
+    position_rest: FloatArray  # (n, 3) m, accumulated rounding errors of the positions
     velocity_rest: FloatArray  # (n, 3) m/s
     accepted: FloatArray  # (3 n, 8) m/s², coefficients of the last step's polynomial
-    correction: FloatArray  # (3 n, 8) m/s², error of their prediction
+    correction: FloatArray  # (3 n, 8) m/s², error of the predicted coefficients
     orbits: OrbitCheckpoint | None = None  # None with Gauss–Radau integration alone
 
 
 class Meeting(NamedTuple):
-    """Two that touch: bodies, or n + p for plane p."""
+    """Two ends that touch: bodies, or n + p for plane p."""
 
     ends: tuple[int, int]
-    rests: bool  # whether forces press them together so that they no longer part
+    rests: bool  # whether forces press them together so that they do not separate
 
 
 class Batch(NamedTuple):
-    """Steps that were taken in one call; none if bodies meet where the first one begins."""
+    """Steps taken in one call; none if bodies meet at their start."""
 
     steps: int
-    before: float  # s, time before the last one
+    before: float  # s, time before the last step
     time: float  # s, time after it
     dt: float  # s, its length
-    limit: str  # what set it
-    meeting: Meeting | None = None  # where the last one ended; to be resolved before the next call
+    limit: str  # what set its length
+    meeting: Meeting | None = None  # the pair that touches at the end; to be resolved before the next call
 
 
 class BatchIntegrator(Protocol):
-    """Moves bodies in place, by many steps per call."""
+    """Moves bodies in place, many steps per call."""
 
     @property
     def next_dt(self) -> float:
@@ -82,16 +82,16 @@ class BatchIntegrator(Protocol):
 
     @property
     def checkpoint(self) -> IntegratorCheckpoint:
-        """A copy of the state that the next step needs, besides the bodies."""
+        """A copy of the state that the next step needs in addition to the bodies."""
 
     def begin(self, dt: float) -> None:
-        """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
+        """Start anew at the present positions and velocities, with a first step of about dt seconds."""
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
         """Continue from a checkpoint with a step in s; without a checkpoint, start at the present state."""
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
-        """Make steps until a time is reached, the run ends, or the number of steps is reached.
+        """Take steps until a time or a number of steps is reached, or the run ends.
 
         Parameters
         ----------
@@ -102,13 +102,13 @@ class BatchIntegrator(Protocol):
         """
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step."""
 
 
 def batch_integrator_of(
     scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray
 ) -> BatchIntegrator | None:
-    """Make the integrator of a scene if it takes many steps per call; ``uniform`` is the field, (3,) m/s²."""
+    """Return the integrator of a scene if it takes many steps per call; ``uniform`` is the field, (3,) m/s²."""
     row = integrator(scene)
     if not row.controls_error:
         return None

@@ -1,4 +1,4 @@
-"""Building blocks of the integrators: kick, drift, wrap into a periodic box. `scene.integrators` lists integrators."""
+"""Building blocks of the integrators in `scene.integrators`: kick, drift, and wrap into a periodic box."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def drift(position: FloatArray, velocity: FloatArray, dt: float, team: Team = SO
 
 
 def wrap(position: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
-    """Bring every centre back into the periodic box about the origin."""
+    """Wrap every centre into the periodic box about the origin."""
     team.divide(len(position), MIN_BODIES_PER_TASK, wrap_rows, position, box)
 
 
@@ -36,7 +36,7 @@ def advance(lo: int, hi: int, what: FloatArray, rate: FloatArray, dt: float) -> 
 
 @long_kernel
 def wrap_rows(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
-    """Bring the centres [lo, hi) back into the box."""
+    """Wrap the centres [lo, hi) into the box."""
     for i in range(lo, hi):
         for k in range(3):
             position[i, k] = minimum_image(position[i, k], box[k])

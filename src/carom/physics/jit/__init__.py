@@ -1,6 +1,6 @@
 """Compiled kernels, and the threads that share their work: the only package that imports Numba and llvmlite.
 
-Each trick that Numba does not document has a plain form with the same bits (see `inside`).
+Each technique that Numba does not document has a plain form with the same bits (see `inside`).
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Compiled kernels on disk: verified before they are used, in folders that nobody else can write to.
 
-A run starts within a second in place of 20 to 60 s of compilation. Without a folder, or if Numba lacks a part that is
-used here, each process compiles the kernels again.
+A run starts within a second in place of 20 to 60 s of compilation. Without a folder, or if the installed Numba lacks a
+required part, each process compiles the kernels again.
 
 Numba's own cache unpickles and links any file in its folder, and identifies a kernel by its source file. Here each file
 begins with a checksum of its content, of the kernel and its argument types, and of all sources that the kernel may
-depend on. Damaged, exchanged or outdated files are compiled anew. There is one file per kernel and types, and no index
-that two processes could write at once. A process that compiles a kernel claims it, so that others wait for the result.
+depend on. Damaged, exchanged or outdated files are ignored and the kernel is compiled again. There is one file per
+kernel and types, and no index that two processes could write at once. A process that compiles a kernel claims it, so
+that others wait for the result.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ import xxhash
 from carom.physics.jit.inside import MISSING, PLAIN, compiler, config, serialize
 from carom.private_folder import is_own
 
-CHECKSUM = 16  # bytes, before the others
-CLAIMS = "claims.lock"  # in each folder; a byte of it is locked while a kernel is compiled
-PATIENCE = 120.0  # s, longest wait for another process, which normally takes a few seconds
+CHECKSUM = 16  # bytes of a checksum, at the start of a file
+CLAIMS = "claims.lock"  # a file in each folder; one of its bytes is locked while a kernel is compiled
+PATIENCE = 120.0  # s, longest wait for another process, which usually takes a few seconds
 POLL = 0.02  # s, between two checks of a claim
-# What kernels of carom are compiled from. The other modules reach a kernel by its arguments and their types. To follow
-# imports into the scene, too, would compile all kernels again when a message there changes.
+# The sources that kernels of carom are compiled from. Other modules affect a kernel only through its arguments and
+# their types. If imports into the scene counted, a changed message there would compile all kernels again.
 SOURCES = ("physics/", "scene/forces.py", "scene/portable_math.py", "contact_table.py", "arrays.py", "extend.py")
 _FROM = re.compile(r"^[ \t]*from[ \t]+([\w.]+)[ \t]+import[ \t]+(\([^)]*\)|[^\n]*)", re.MULTILINE)
 _IMPORT = re.compile(r"^[ \t]*import[ \t]+([^\n#]+)", re.MULTILINE)
@@ -46,7 +47,7 @@ _VERSIONS = (numba.__version__, llvmlite.__version__, np.__version__, sys.versio
 
 
 def cache_of(function: Callable[..., Any]) -> KernelCache | None:
-    """Return the cache of a kernel, or None if there is no folder for it or its sources cannot be read."""
+    """Return the cache of a kernel; None if there is no folder for it, or its sources cannot be read."""
     if MISSING:
         return None
     file = Path(function.__code__.co_filename)
@@ -61,10 +62,10 @@ def cache_of(function: Callable[..., Any]) -> KernelCache | None:
 
 @cache
 def folder_of(package: Path) -> Path | None:
-    """Return the folder for the compiled kernels of a package, or None if none is writable.
+    """Return the folder for the compiled kernels of a package; None if none is writable.
 
-    The first of these: below ``NUMBA_CACHE_DIR``; beside the sources, where their byte code is; in the user's cache; in
-    the system's temporary folder. All but the second must be the user's own, and nobody else may write there.
+    It is the first of: below ``NUMBA_CACHE_DIR``; beside the sources, with their byte code; in the user's cache; in the
+    system's temporary folder. All but the second must belong to the user, and nobody else may have write access.
     """
     name = f"{package.name}-{xxhash.xxh3_64_hexdigest(str(package).encode())}"
     chosen = config.CACHE_DIR
@@ -81,7 +82,7 @@ def folder_of(package: Path) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Make a folder if it does not exist; tell whether it is writable."""
+    """Create a folder if it does not exist; return whether it is writable."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -90,7 +91,7 @@ def _is_writable(folder: Path) -> bool:
 
 
 def _is_own(folder: Path) -> bool:
-    """Make a folder if it does not exist; tell whether it is this user's own, and nobody else can write to it."""
+    """Create a folder if it does not exist; return whether it belongs to this user, and nobody else can write to it."""
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
@@ -100,7 +101,7 @@ def _is_own(folder: Path) -> bool:
 
 
 class KernelCache:
-    """The compiled forms of one kernel, in the place of Numba's own cache."""
+    """The compiled forms of one kernel, which replace Numba's own cache."""
 
     def __init__(self, function: Callable[..., Any], folder: Path, sources: bytes) -> None:
         code = function.__code__
@@ -122,7 +123,7 @@ class KernelCache:
             return None
         try:
             content = pickle.loads(data)
-        except (ImportError, AttributeError):  # a class that it names was moved, as by an upgrade of a library
+        except (ImportError, AttributeError):  # a class named in it was moved, as by an upgrade of a library
             return None
         return compiler.CompileResult._rebuild(target_context, *content)
 
@@ -144,7 +145,7 @@ class KernelCache:
         return data if content[:CHECKSUM] == self._checksum(types, data) else None
 
     def _write(self, types: bytes, data: Any) -> None:
-        if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # only of use to this process
+        if data.library.has_dynamic_globals or data.lifted or b" at 0x" in types:  # useful to this process only
             return
         content: bytes = serialize.dumps(data._reduce())
         path = self._path(types)
@@ -169,7 +170,7 @@ class KernelCache:
 
 @cache
 def _claims(folder: Path) -> int | None:
-    """Open the file of the claims in a folder, once: to close it would give up all claims of this process."""
+    """Open the file of the claims in a folder once: closing it would release all claims of this process."""
     try:
         return os.open(folder / CLAIMS, os.O_RDWR | os.O_CREAT, 0o600)
     except OSError:
@@ -177,14 +178,14 @@ def _claims(folder: Path) -> int | None:
 
 
 def _byte_of(path: Path) -> int:
-    return xxhash.xxh3_64_intdigest(path.name.encode()) >> 2  # what a file's offset can hold
+    return xxhash.xxh3_64_intdigest(path.name.encode()) >> 2  # within the range of a file's offset
 
 
 def _claim(path: Path) -> bool:
-    """Claim a kernel, and wait while another process has it; tell whether this process has it now.
+    """Claim a kernel, and wait while another process has it; return whether this process has it now.
 
-    The end of a process ends its claims. Processes cannot wait for each other in a circle: each holds claims only of
-    kernels that call, directly or not, the one it waits for.
+    The claims of a process end with it. Processes cannot wait for each other in a circle: each one holds claims only on
+    kernels that call, directly or indirectly, the one it waits for.
     """
     claims = _claims(path.parent)
     if claims is None:
@@ -210,9 +211,9 @@ def _release(path: Path) -> None:
 
 
 def _types(sig: Any, codegen: Any) -> bytes:
-    """Return a key of the types of a kernel's arguments and of the processor.
+    """Return a key for the types of a kernel's arguments and the processor.
 
-    Numba names a named tuple by its class alone. The module and the fields belong to it: compiled code reads fields by
+    Numba names a named tuple by its class alone. Module and fields are part of the key: compiled code reads fields by
     number, and the module that defines the class need not be among the sources of the kernel.
     """
     kinds = getattr(sig, "args", sig)
@@ -225,13 +226,13 @@ def _named_tuples(kind: Any) -> list[tuple[str, str, tuple[str, ...]]]:
         return []
     made_by = getattr(kind, "instance_class", None)
     own = [] if made_by is None else [(made_by.__module__, made_by.__qualname__, tuple(made_by._fields))]
-    members: Any = kind  # iterates over the types of its members
+    members: Any = kind  # iteration yields the types of its members
     return own + [named for member in members for named in _named_tuples(member)]
 
 
 @cache
 def sources_of(module: str, file: Path) -> bytes:
-    """Return a checksum of a module and of all that it imports, directly or not, from its package and `SOURCES`.
+    """Return a checksum of a module and of its imports, direct or indirect, from its package and `SOURCES`.
 
     Raises
     ------
@@ -254,14 +255,14 @@ def sources_of(module: str, file: Path) -> bytes:
 
 @cache
 def _may_be_compiled(file: Path) -> bool:
-    """Return whether a file belongs to another package than carom, or to `SOURCES`."""
+    """Return whether a file belongs to `SOURCES`, or to a package other than carom."""
     root = Path(__file__).parents[2]
     return root not in file.parents or file.relative_to(root).as_posix().startswith(SOURCES)
 
 
 @cache
 def imports_of(file: Path, package: str) -> tuple[Path, ...]:
-    """Return the files of a package and of carom that a file imports; too many do no harm.
+    """Return the files of a package and of carom that a file imports, possibly too many.
 
     ``from carom import registry`` counts as an import of the module only: `carom` itself imports nearly everything.
     """

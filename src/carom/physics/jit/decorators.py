@@ -2,13 +2,13 @@
 
 No ``fastmath``: reassociated or fused arithmetic would make the bits depend on the processor.
 
-Options that Numba does not document are left out where kernels are plain. They save the wrappers that only Python
-needs, which take most of the compilation of a kernel with many arrays, and the atomic counts of references to arrays.
+Plain kernels use only options that Numba documents. The others save the wrappers that only Python needs, which take
+most of the compilation of a kernel with many arrays, and the atomic counts of references to arrays.
 
-Functions of installed packages are compiled into carom's kernels, chosen by the types of arguments (`chosen_by_type`).
-A record that is handed to kernels carries in its type which functions belong to it: the name of its first field has
-their `identity_of`. A kernel is thus compiled once for each set of functions, and `KernelCache` keeps each under its
-types.
+Functions of installed packages are compiled into carom's kernels, selected by the types of arguments
+(`chosen_by_type`). A record passed to kernels names its functions in its type: the name of its first field contains
+their `identity_of`. A kernel is therefore compiled once for each set of functions, and `KernelCache` stores each
+version under its types.
 """
 
 from __future__ import annotations
@@ -31,40 +31,41 @@ _entries: dict[tuple[Callable[..., Any], Any], Callable[..., Any]] = {}
 
 
 def kernel(function: Function) -> Function:
-    """Compile a short function on its first call, or load it from the cache. It keeps the interpreter's lock.
+    """Compile a short function on its first call, or load it from the cache. It holds the interpreter lock.
 
-    Releasing the lock for microseconds does not pay: the recorder takes it, and the physics waits. (When all kernels
+    Releasing the lock for microseconds does not pay: the recorder acquires it, and the physics waits. (When all kernels
     released it, recording every step of 1000 bodies cost 19 % instead of 11 %.)
     """
     return _compiled(function)
 
 
 def long_kernel(function: Function) -> Function:
-    """Compile a function that runs for tens of microseconds or more; it releases the interpreter's lock."""
+    """Compile a function that runs for tens of microseconds or more; it releases the interpreter lock."""
     return _compiled(function, nogil=True)
 
 
 def inner(function: Function) -> Function:
-    """Compile a function that only kernels call, without the wrapper that Python would need.
+    """Compile a function that only kernels call, without the wrapper that Python needs.
 
-    With many array arguments that wrapper takes most of the compilation. A call from Python would crash.
+    With many array arguments, that wrapper takes most of the compilation. A call from Python would crash.
     """
     return _compiled(function, no_cpython_wrapper=True)
 
 
 def unowned(function: Function) -> Function:
-    """Compile a function like `inner` that neither makes nor keeps arrays, without counting references to them.
+    """Compile a function like `inner` that neither creates nor stores arrays, without counting references to them.
 
-    Kernels that it calls make no arrays either: Numba compiles them without counts, too, if they are not compiled yet.
-    The counts are atomic. In a short function that hands on arrays of a tuple they take most of the time.
+    Kernels that it calls must not create arrays either: if they are not yet compiled, Numba compiles them without
+    counts, too. The counts are atomic. In a short function that passes on the arrays of a tuple, they take most of the
+    time.
     """
     return _compiled(function, no_cpython_wrapper=True, _nrt=False)
 
 
 def borrowing(function: Function) -> Function:
-    """Compile a function like `unowned` that Python calls, too. It releases the interpreter's lock.
+    """Compile a function like `unowned` that Python calls, too. It releases the interpreter lock.
 
-    Without the counts it is called faster and compiled in less time.
+    Without the counts, it is called faster and compiled in less time.
     """
     return _compiled(function, nogil=True, _nrt=False)
 
@@ -75,10 +76,10 @@ def inline(function: Function) -> Function:
 
 
 class QuickFlags(compiler.Flags):  # type: ignore[misc] # untyped, like all of Numba's inside
-    """Options of a compilation that are quick to compare.
+    """Options of a compilation that can be compared quickly.
 
-    Numba compares options whenever a kernel calls one of Numba's own functions, such as ``max``, and asks for each of
-    some 40 options by its name. Without this class a compilation takes 1.2 times as long, and so does a first run.
+    Numba compares options whenever a kernel calls one of Numba's own functions, such as ``max``, and looks up each of
+    some 40 options by its name. Without this class, compilations and first runs take 1.2 times as long.
     """
 
     __slots__ = ()
@@ -98,13 +99,13 @@ _HASH = 0 if PLAIN else hash(compiler.Flags())  # Numba's options have one hash,
 
 def _compiled(function: Function, **options: Any) -> Function:
     """Compile for Python and other kernels, not for C; once for all literal arguments."""
-    compile_as: Any = numba.njit  # its stub lacks some options
+    compile_as: Any = numba.njit  # the stub of `njit` lacks some options
     if PLAIN:
         documented = {name: value for name, value in options.items() if name in ("nogil", "inline")}
         compiled = compile_as(error_model="numpy", **documented)(function)
     else:
         compiled = compile_as(error_model="numpy", no_cfunc_wrapper=True, **options)(function)
-        compiled._compiler._customize_flags = QuickFlags  # the hook for changes of the options
+        compiled._compiler._customize_flags = QuickFlags  # Numba's hook for changes of the options
     kept = cache_of(function)
     if kept is not None:
         compiled._cache = kept
@@ -113,7 +114,7 @@ def _compiled(function: Function, **options: Any) -> Function:
     template_for = compiled.get_call_template
 
     def get_call_template(args: Sequence[Any], kws: dict[str, Any]) -> Any:
-        """Find or compile a called kernel; Numba would compile it anew for each literal argument."""
+        """Return a called kernel, compiled at most once; Numba would compile it again for each literal argument."""
         unliteral: Any = types.unliteral
         return template_for([unliteral(arg) for arg in args], kws)
 
@@ -131,9 +132,10 @@ def compile_for(function: Callable[..., Any], *arguments: Any) -> None:
 def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any]:
     """Compile a kernel for the types of these arguments, or load it; return it as a function of such arguments only.
 
-    Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the entry
-    takes 0.5 µs, or 2 µs if it counts references. It misreads arguments of other types, so it is only for arrays whose
-    types its owner sets. A step of few spheres at rest takes 1.3 times as long without. The plain form is the kernel.
+    Numba looks up the types of all arguments at each call: 3 to 5 µs for a tuple of 25 arrays. A call of the returned
+    function takes 0.5 µs, or 2 µs if it counts references. It misreads arguments of other types, so it may be used only
+    for arrays whose types its owner sets. Without it, a step of few spheres at rest takes 1.3 times as long. In the
+    plain form, the kernel itself is returned.
     """
     if PLAIN:
         return function
@@ -147,7 +149,7 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
 
 
 def layout_of(argument: Any) -> Any:
-    """Return what Numba's type of an argument follows from, in 1 % of the time that `numba.typeof` takes."""
+    """Return the properties of an argument that determine its Numba type, in 1 % of the time of `numba.typeof`."""
     if isinstance(argument, np.ndarray):
         return argument.dtype, argument.ndim, argument.flags.num & ~_OWNS
     if isinstance(argument, tuple):
@@ -161,7 +163,7 @@ def cache_folder() -> str:
 
 
 class Compilations(event.Listener):  # type: ignore[misc] # untyped, like all of Numba's inside
-    """Counts the kernels that are compiled while it is active; kernels from the cache do not count."""
+    """Counts the kernels that are compiled while it is active, without those loaded from the cache."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -197,12 +199,12 @@ class _FirstCompilation(event.Listener):  # type: ignore[misc] # untyped, like a
 
 
 def on_compilation(callback: Callable[[], None]) -> None:
-    """Call back once, before the first kernel is compiled; never if all are in the cache."""
+    """Call back once, before the first kernel is compiled; never if all are loaded from the cache."""
     event.register("numba:compile", _FirstCompilation(callback))
 
 
 def leaf(function: Function) -> Function:
-    """Compile a function into the kernels that call it; it is not kept on disk by itself."""
+    """Compile a function into the kernels that call it; it is not stored on disk by itself."""
     compile_as: Any = numba.njit
     return cast("Function", compile_as(error_model="numpy", inline="always")(function))
 
@@ -217,10 +219,10 @@ def chosen_by_type(stub: Callable[..., Any]) -> Callable[[Callable[..., Any]], C
 
 
 def identity_of(*functions: Callable[..., Any]) -> str:
-    """Return a text that changes with the sources of functions, to stand in the name of a type.
+    """Return a text that changes with the sources of functions, for use in the name of a type.
 
-    A function within another one, or whose sources cannot be read, depends on more than its text. Its address is then
-    part of the name, so that `KernelCache` keeps no kernel with it.
+    A function within another one, or one whose sources cannot be read, depends on more than its text. Its address is
+    then part of the name, so that `KernelCache` stores no kernel with it.
     """
     whole = xxhash.xxh3_64()
     for function in functions:

@@ -1,9 +1,9 @@
-"""The parts of Numba and llvmlite that are not documented for users; nothing else imports them.
+"""The parts of Numba and llvmlite that are not documented for users; no other module imports them.
 
-`PLAIN` is true where kernels must do without them: with ``CAROM_PLAIN=1`` in the environment, or if the installed Numba
-lacks one of these parts. Plain kernels have the same bits and use what Numba documents. One thread does all the work,
-one contact and one body after another. Use plain kernels to find out whether a fault is in the code of this package,
-and to step through the phases of the contact solver, which plain Python then leads.
+`PLAIN` is true if kernels must do without them: with ``CAROM_PLAIN=1`` in the environment, or if the installed Numba
+lacks one of these parts. Plain kernels give the same bits and use only what Numba documents. One thread does all the
+work, one contact and one body at a time. Use plain kernels to find out whether a fault is in the code of this package,
+and to debug the phases of the contact solver step by step, since plain Python then calls them.
 
 `tests/physics/jit/test_numba.py` tries each part, and `tests/physics/jit/test_plain.py` compares the bits.
 """
@@ -21,7 +21,7 @@ MISSING: list[str] = []  # parts that the installed Numba lacks
 
 
 class Absent:
-    """Stands for a part that is missing, so that modules which use it can be imported."""
+    """Stands for a missing part, so that modules which use it can be imported."""
 
     def __getattr__(self, name: str) -> Absent:
         if name.startswith("__"):
@@ -63,14 +63,14 @@ config = _module("numba.core.config", "CACHE_DIR")
 event = _module("numba.core.event", "Listener", "register", "unregister")
 extending = _module("numba.extending", "intrinsic", "overload")
 serialize = _module("numba.core.serialize", "dumps")
-types: Any = numba.types  # documented, without types of its own
+types: Any = numba.types  # documented, but without type hints
 
 PLAIN = bool(MISSING) or os.environ.get("CAROM_PLAIN", "0") not in ("", "0")
 
 if MISSING:
     warnings.warn(
-        f"numba {numba.__version__} lacks {', '.join(MISSING)}, so carom computes with plain kernels: with the same "
-        "results, but on one thread, more slowly, and compiled again in each process",
+        f"numba {numba.__version__} lacks {', '.join(MISSING)}, so carom uses plain kernels: the results are the "
+        "same, but they run on one thread, are slower, and are compiled again in each process",
         RuntimeWarning,
         stacklevel=2,
     )

@@ -1,14 +1,15 @@
-"""Instructions: functions of kernels that are written as code of LLVM, each with a plain form.
+"""Instructions: functions of kernels written as LLVM code, each with a plain form.
 
 - *Atomic words* let threads share work inside kernels: pieces of a phase, cells of a grid, branches of a tree. Without
-  them one thread does all work; two threads gain 1.5 to 1.9 × (docs/performance.md).
-- *Prefetching*. The two bodies of a contact may be anywhere in memory, and the processor cannot predict those of the
-  next contacts. Prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost 40 in place of
-  150 ns a contact and iteration, as little as bodies in the order of a lattice. Rejected: sorting the bodies along a
-  space-filling curve, which gains nothing more.
-- `from_front`. Numba's indices may count from the end, as in Python, so each access examines the sign of its index
-  unless the compiler knows that it is not negative. Phases of the solver take 8 to 13 % less time. It is plain itself.
-- `lowest_bit` finds a free colour in a set of 64: one instruction in place of a loop.
+  them, one thread does all the work; two threads gain 1.5 to 1.9 × (docs/performance.md).
+- *Prefetching*. The two bodies of a contact may be anywhere in memory, and the processor cannot predict the bodies of
+  the next contacts. Prefetched sixteen contacts ahead, they arrive in time: 10⁵ bodies in random order cost 40 instead
+  of 150 ns per contact and iteration, as little as bodies in the order of a lattice. Rejected: sorting the bodies along
+  a space-filling curve, which gains nothing more.
+- `from_front`. Numba's indices may count from the end, as in Python, so each access tests the sign of its index unless
+  the compiler knows that it is not negative. With it, phases of the solver take 8 to 13 % less time. It is its own
+  plain form.
+- `lowest_bit` finds a free colour in a set of 64, with one instruction instead of a loop.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from carom.physics.aligned import CACHE_LINE
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.inside import PLAIN, cgutils, extending, ir, types
 
-AHEAD = 16  # contacts; 8 cost the same in the cache, and 45 instead of 38 ns if the bodies do not fit into it
+AHEAD = 16  # contacts; 8 cost the same if the bodies fit into the cache, and 45 instead of 38 ns otherwise
 LARGEST = 2**63 - 1
 WORD = ir.IntType(64)
 
@@ -35,9 +36,9 @@ class Code:
     Attributes
     ----------
     context, builder
-        Of Numba, for the code.
+        Numba's objects for the code.
     kinds, values
-        Numba's type of each argument, and its value in the code, by name.
+        Numba's type of each argument and its value in the code, by name.
     """
 
     def __init__(self, context: Any, builder: Any, kinds: dict[str, Any], values: dict[str, Any]) -> None:
@@ -45,7 +46,7 @@ class Code:
         self.kinds, self.values = kinds, values
 
     def element(self, name: str, *indices: Any) -> Any:
-        """Return the address of an element of an array, an argument."""
+        """Return the address of an element of an array argument."""
         return self.element_of(self.kinds[name], self.values[name], *indices)
 
     def element_of(self, kind: Any, array: Any, *indices: Any) -> Any:
@@ -59,7 +60,7 @@ class Code:
         return self.builder.extract_value(self.context.make_array(kind)(self.context, self.builder, array).shape, 0)
 
     def load(self, address: Any, offset: int = 0) -> Any:
-        """Load a value from an address, or from some values further on."""
+        """Load a value from an address, or a number of values after it."""
         return self.builder.load(self.builder.gep(address, [WORD(offset)]) if offset else address)
 
     def variable(self, value: Any) -> Any:
@@ -67,11 +68,11 @@ class Code:
         return cgutils.alloca_once_value(self.builder, value)
 
     def loop(self, begin: Any, end: Any) -> Any:
-        """Return a context in which code is repeated; it yields the index, and a value that is not used."""
+        """Return a context whose code is repeated; it yields the index, and an unused value."""
         return cgutils.for_range_slice(self.builder, begin, end, WORD(1))
 
     def call(self, function: Callable[..., Any], returns: str | tuple[str, ...], *given: tuple[Any, Any]) -> Any:
-        """Call a plain function of Python, compiled here; each argument is a type and a value."""
+        """Call a plain Python function, compiled here; each argument is a type and a value."""
         kinds, values = zip(*given, strict=True)
         signature = _type_of(returns, {})(*(_type_of(kind, {}) for kind in kinds))
         return self.context.compile_internal(self.builder, function, signature, values)
@@ -80,15 +81,15 @@ class Code:
 def instruction(
     plain: Callable[..., Any], *, returns: str | tuple[str, ...] = "none", **kinds: str
 ) -> Callable[[Callable[..., Any]], Any]:
-    """Make an instruction of the function that generates its code from a `Code` and the arguments.
+    """Make an instruction from a function that generates its code, given a `Code` and the arguments.
 
     Parameters
     ----------
     plain
-        What to use in its place where kernels are plain: a kernel with the same bits.
+        The plain form: a kernel with the same bits.
     returns, **kinds
-        Types of the result and of arguments by name, such as ``"float64"``, or ``"words.dtype"`` for that of an array's
-        elements. Arguments that are not named keep their types.
+        Types of the result and of arguments by name, such as ``"float64"``, or ``"words.dtype"`` for the elements of an
+        array. Arguments that are not named keep their types.
     """
 
     def add(generate: Callable[..., Any]) -> Any:
@@ -178,19 +179,19 @@ def atomic_store(code: Code, words: Any, word: Any, value: Any) -> None:
 
 @instruction(_add, returns="words.dtype", word="intp", value="words.dtype")
 def atomic_add(code: Code, words: Any, word: Any, value: Any) -> Any:
-    """Add to a word of an (n,) array of integers and return what it was before."""
+    """Add to a word of an (n,) array of integers and return its previous value."""
     return code.builder.atomic_rmw("add", code.element("words", word), value, "seq_cst")
 
 
 @instruction(_raise, word="intp", value="int64")
 def atomic_max(code: Code, words: Any, word: Any, value: Any) -> None:
-    """Raise a word of an (n,) int64 array to a value, if it is below."""
+    """Raise a word of an (n,) int64 array to a value if it is lower."""
     code.builder.atomic_rmw("max", code.element("words", word), value, "seq_cst")
 
 
 @instruction(_replace, returns="boolean", word="intp", expected="int64", value="int64")
 def atomic_replace(code: Code, words: Any, word: Any, expected: Any, value: Any) -> Any:
-    """Write a word of an (n,) int64 array if it is as expected; return whether it was."""
+    """Write a word of an (n,) int64 array if it has the expected value; return whether it had."""
     replaced = code.builder.cmpxchg(code.element("words", word), expected, value, "seq_cst", "seq_cst")
     return code.builder.extract_value(replaced, 1)
 
@@ -221,24 +222,24 @@ def _fetch_no_record(records: Records, record: int) -> None:
 
 @instruction(_fetch_none, row="intp", column="intp")
 def prefetch(code: Code, rows: Any, row: Any, column: Any) -> None:
-    """Fetch the cache line of an element of a (k, l) array, to be written."""
+    """Prefetch the cache line of an element of a (k, l) array, to be written."""
     fetch_line(code.builder, code.element("rows", row, column), 0, to_write=True)
 
 
 @instruction(_fetch_no_record, record="intp")
 def prefetch_to_read(code: Code, records: Any, record: Any) -> None:
-    """Fetch the first cache line of a record in a (k,) array, to be read; other cores keep it."""
+    """Prefetch the first cache line of a record in a (k,) array, to be read; other cores keep it."""
     fetch_line(code.builder, code.element("records", record), 0, to_write=False)
 
 
 @instruction(_fetch_none, record="intp", line="intp")
 def prefetch_record(code: Code, records: Any, record: Any, line: Any) -> None:
-    """Fetch a cache line, 0 or 1, of a record in a (k,) array, to be written."""
+    """Prefetch a cache line, 0 or 1, of a record in a (k,) array, to be written."""
     fetch_line(code.builder, code.element("records", record), line, to_write=True)
 
 
 def fetch_line(builder: Any, address: Any, line: Any, *, to_write: bool) -> None:
-    """Generate the code that fetches a cache line, an int or a value of the code, counted from an address."""
+    """Generate code to prefetch a cache line, counted from an address by an int or a value in the code."""
     byte, word = ir.IntType(8).as_pointer(), ir.IntType(32)
     offset = WORD(line * CACHE_LINE) if isinstance(line, int) else builder.mul(line, line.type(CACHE_LINE))
     kind = ir.FunctionType(ir.VoidType(), [byte, word, word, word])

@@ -1,11 +1,12 @@
 """A kernel and its arguments as two addresses, so that any thread can do a piece of the work without the interpreter.
 
 A helper that calls through the interpreter waits for its lock: 10 to 30 µs for half a dozen pieces. A step of 10⁴
-bodies gained a factor of 1.2 from a second thread that way, and 1.65 by addresses. Numba can pass a kernel to another
+bodies gained a factor of 1.2 from a second thread that way, and 1.65 with addresses. Numba can pass a kernel to another
 kernel as a value, but then compiles the other one again for each kernel and each set of arguments. The phases of the
 contact solver, called by name, would all be compiled into each of their callers.
 
-In the plain form a task is an object of Python, which calls its kernel; what leads tasks (`leading`) is Python, too.
+In the plain form, a task is a Python object that calls its kernel; the functions that lead tasks (`leading`) are
+Python, too.
 """
 
 from __future__ import annotations
@@ -22,9 +23,10 @@ from carom.physics.jit.decorators import Function, compile_for, inline
 from carom.physics.jit.inside import PLAIN, callconv, cgutils, ir, types
 from carom.physics.jit.instructions import WORD, Code, instruction
 
-PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])  # address of the job, first piece, one after the last
-FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # of a job; error code (0: none), exception
-CODE: Any = np.object_ if PLAIN else np.int64  # the type of `code_for`, for arrays
+# arguments: address of the job, first piece, end of the pieces
+PIECES_OF = ir.FunctionType(ir.VoidType(), [WORD, WORD, WORD])
+FAULT, INFO, KERNEL, COUNT, PIECES, ARGUMENTS = range(6)  # words of a job; error code (0: none), exception
+CODE: Any = np.object_ if PLAIN else np.int64  # type of `code_for`, for arrays
 
 
 def leading(compile_as: Callable[[Function], Function]) -> Callable[[Function], Function]:
@@ -41,11 +43,11 @@ def _with_attributes(records: Any) -> Any:
     return records.view(np.recarray)
 
 
-led = _with_attributes if PLAIN else _unchanged  # records for `leading` functions, with fields as attributes
+led = _with_attributes if PLAIN else _unchanged  # makes records for `leading` functions, with fields as attributes
 
 
 class PlainJob:
-    """A kernel to be called on [0, count), cut into pieces."""
+    """A kernel to be called on [0, count), divided into pieces."""
 
     def __init__(self, kernel: Callable[..., None] | int, count: int, pieces: int, arguments: tuple[Any, ...]) -> None:
         self.kernel: Any = kernel
@@ -89,7 +91,7 @@ def _kind(kinds: Sequence[Any]) -> int:
 
 @instruction(lambda arguments: 0, returns="int64")
 def kind_of(code: Code, arguments: Any) -> Any:
-    """Return a number, not 0, that identifies the types of a tuple's members."""
+    """Return a nonzero number that identifies the types of a tuple's members."""
     return WORD(_kind(list(code.kinds["arguments"])))
 
 
@@ -101,12 +103,12 @@ def kind_of(code: Code, arguments: Any) -> Any:
     pieces="int64",
 )
 def lay_out(code: Code, kernel: Any, count: Any, pieces: Any, arguments: Any) -> list[Any]:
-    """Lay out a job, valid until the caller returns: a kernel to be called on [0, count), cut into pieces.
+    """Lay out a job, valid until the caller returns: a kernel to be called on [0, count), divided into pieces.
 
     Returns
     -------
     doer, job
-        Addresses of the function that does pieces of such a job, and of the job.
+        Addresses of the function that processes pieces of such a job, and of the job.
     """
     kinds = (types.int64, types.int64, *code.kinds["arguments"])
     layout = ir.LiteralStructType([WORD] * ARGUMENTS + [code.context.get_value_type(code.kinds["arguments"])])
@@ -118,9 +120,9 @@ def lay_out(code: Code, kernel: Any, count: Any, pieces: Any, arguments: Any) ->
 
 
 def _doer(context: Any, module: Any, layout: Any, kinds: Sequence[Any]) -> Any:
-    """Write the function that calls the kernel of a job on some pieces.
+    """Write the function that calls the kernel of a job for some pieces.
 
-    It keeps the first exception of a job there, for `raise_fault`.
+    It stores the first exception of a job in the job, for `raise_fault`.
     """
     doer = ir.Function(module, PIECES_OF, module.get_unique_name("do_pieces"))
     doer.linkage = "internal"
@@ -149,7 +151,7 @@ def _member(builder: Any, job: Any, k: int) -> Any:
 
 @instruction(lambda job: None, job="int64")
 def raise_fault(code: Code, job: Any) -> None:
-    """Raise the exception of a piece of a job, if there was one; all pieces must be done."""
+    """Raise the exception of a job's pieces, if there was one; all pieces must be done."""
     builder, convention = code.builder, code.context.call_conv
     words = builder.inttoptr(job, WORD.as_pointer())
     fault, info = (builder.load_atomic(builder.gep(words, [WORD(k)]), "seq_cst", 8) for k in (FAULT, INFO))
@@ -161,7 +163,7 @@ def raise_fault(code: Code, job: Any) -> None:
 
 @instruction(lambda job, kernel: setattr(job, "kernel", kernel), job="int64", kernel="int64")
 def assign(code: Code, job: Any, kernel: Any) -> None:
-    """Give a job another kernel, which takes the same arguments."""
+    """Give a job another kernel that takes the same arguments."""
     words = code.builder.inttoptr(job, WORD.as_pointer())
     code.builder.store(kernel, code.builder.gep(words, [WORD(KERNEL)]))
 

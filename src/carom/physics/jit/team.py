@@ -1,10 +1,11 @@
-"""A team of threads that divides the work of a kernel: a leader and helpers.
+"""A team of threads that share the work of a kernel: a leader and helpers.
 
-Two threads gain 1.5 to 1.9 × in steps of 10⁴ bodies or more (docs/performance.md). The plain form is a leader alone.
+Two threads gain 1.5 to 1.9 × in steps of 10⁴ bodies or more (docs/performance.md). In the plain form, the leader is
+alone.
 
-The leader posts a phase of independent pieces on a board, takes pieces itself, and posts the next phase when all are
-done. Helpers take pieces while there are any. Any thread may do any piece, so the pieces of a phase must be
-independent. The bits then do not depend on the number of threads.
+The leader posts a phase of independent pieces on a board, processes pieces itself, and posts the next phase when all
+are done. Helpers process pieces while there are any. Any thread may process any piece, so the pieces of a phase must be
+independent. The bits therefore do not depend on the number of threads.
 
 The leader waits only for pieces that a helper has already taken, never for a helper to start. If another process keeps
 a helper from running, the leader does the work alone. Helpers yield their core between pieces, so they are rarely
@@ -12,12 +13,12 @@ interrupted within one.
 
 Rejected, with measurements:
 
-- Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, 2 µs on a quiet machine and
-  7.8 ms beside two busy processes with libgomp's defaults. Its threading layer differs from machine to machine.
+- Numba's ``prange``: its threads meet at a barrier after each of hundreds of colours, which takes 2 µs on a quiet
+  machine, and 7.8 ms beside two busy processes with libgomp's defaults. Its threading layer depends on the machine.
 - One thread pool task for each phase: 20 µs, and 60 to 80 µs if the thread has slept for a millisecond. A helper that
-  still looks at the board begins within 1 µs.
-- Helpers that ask the interpreter what to call: they and the leader wait for its lock, 10 to 30 µs a phase. A step of
-  10⁴ bodies gained a factor of 1.2 from a second thread that way, 1.65 without.
+  is polling the board starts within 1 µs.
+- Helpers that ask the interpreter which function to call: they and the leader wait for its lock, 10 to 30 µs a phase. A
+  step of 10⁴ bodies gained a factor of 1.2 from a second thread that way, 1.65 without.
 """
 
 from __future__ import annotations
@@ -40,20 +41,21 @@ from carom.physics.jit.task import address_of, c_function, call, do, kind_of, la
 LEFT, BACK, DONE, DOER = 0, 8, 16, 24  # words of the board, each in a cache line of its own
 JOB, FIRST = DOER + 1, DOER + 2  # written by the leader only, like DOER
 WORDS = 32
-PATIENCE = 5000  # looks at the board, about 20 µs, before an idle helper yields its core
-LOOKOUT = 50 * PATIENCE  # looks between two jobs before a helper sleeps; with a fifth, two threads gain 1.38, not 1.53
+PATIENCE = 5000  # polls of the board, about 20 µs, before an idle helper yields its core
+# polls between two jobs before a helper sleeps; with a fifth of them, two threads gain 1.38, not 1.53
+LOOKOUT = 50 * PATIENCE
 SHIFT = 32  # pieces, some tenths of a millisecond, before a busy helper yields its core
-SHARED = 0  # returned by `_lead` when the job is done; otherwise the kind of arguments that it needs code for
+SHARED = 0  # result of `_lead` when the job is done; otherwise it is the kind of arguments that needs code
 PIECES = 16  # most pieces per thread: enough for all threads to finish at about the same time
 
 
 class Team:
-    """A leader and its helpers. One thread at a time may lead.
+    """A leader and its helpers. Only one thread at a time may lead.
 
     Parameters
     ----------
     threads
-        Including the leader.
+        Number of threads, including the leader.
     """
 
     least = 2  # grains; smaller work is not shared
@@ -69,7 +71,7 @@ class Team:
 
     @contextmanager
     def leading(self) -> Iterator[IntArray]:
-        """Let the caller lead phases by `lead_phase`, on the board that is yielded; it is empty without helpers."""
+        """Let the caller lead phases with `lead_phase`, on the yielded board, which is empty without helpers."""
         if self._pool is None:
             yield ALONE
             return
@@ -88,20 +90,21 @@ class Team:
         *arguments: Any,
         alone: Callable[..., None] | None = None,
     ) -> None:
-        """Call ``work(lo, hi, *arguments)`` on pieces that make up [0, count).
+        """Call ``work(lo, hi, *arguments)`` on pieces that cover [0, count).
 
         An exception in a piece is raised here when all pieces are done.
 
         Parameters
         ----------
         grain
-            Elements that take about 10 µs: the smallest piece.
+            Elements in the smallest piece, which take about 10 µs.
         work
             A `long_kernel`, which releases the interpreter's lock.
         alone
-            Its `entry_of` these arguments, called where the work is not shared.
+            Its `entry_of` for these arguments, called if the work is not shared.
         """
-        if self._pool is None or count < self.least * grain:  # first, because with few bodies calls take most of a step
+        # tested first, because with few bodies such calls take most of a step
+        if self._pool is None or count < self.least * grain:
             (alone or work)(0, count, *arguments)
         else:
             pieces = max(1, min(count // grain, PIECES * self.size))
@@ -122,12 +125,12 @@ class Team:
             _lead(self._board, code, kind, count, pieces, arguments)
 
     def _lead_alone(self) -> None:
-        """Become the leader. Raises RuntimeError while another thread is, since both would share one board."""
+        """Become the leader. Raises RuntimeError if another thread leads, since both would share one board."""
         if not self._leading.acquire(blocking=False):
             raise RuntimeError("two threads use one team at once; only one thread may use a Space at a time")
 
     def _rouse(self) -> None:
-        """Wake sleeping helpers. One that falls asleep before the work is posted wakes for the next job."""
+        """Wake sleeping helpers. A helper that falls asleep before the work is posted wakes for the next job."""
         assert self._pool is not None
         with self._falling_asleep:
             for helper, awake in enumerate(self._awake):
@@ -136,7 +139,7 @@ class Team:
                     self._pool.submit(self._look_out, helper)
 
     def _look_out(self, helper: int) -> None:
-        """Help with jobs; return after a while without any."""
+        """Process pieces of jobs; return after some time without any."""
         while self._awake[helper]:
             _look(self._board, OFFER, LOOKOUT)
             with self._falling_asleep:
@@ -152,7 +155,7 @@ OFFER: int = c_function("sched_yield") if hasattr(os, "sched_yield") else 0
 
 @kernel
 def post(board: IntArray, pieces: int) -> None:
-    """Post a phase of ``pieces`` pieces. Write the data that helpers read before."""
+    """Post a phase of ``pieces`` pieces. Write the data that helpers read before they claim a piece."""
     atomic_store(board, DONE, 0)
     atomic_store(board, BACK, pieces)
     atomic_store(board, LEFT, pieces)
@@ -160,16 +163,16 @@ def post(board: IntArray, pieces: int) -> None:
 
 @kernel
 def claim(board: IntArray) -> bool:
-    """Claim a piece of the phase; False if none is left. The leader takes the next one from the front."""
+    """Claim a piece of the phase; False if none is left. The leader takes pieces from the front."""
     claimed: bool = atomic_load(board, LEFT) > 0 and atomic_add(board, LEFT, -1) > 0
     return claimed
 
 
 @kernel
 def last_piece(board: IntArray) -> int:
-    """Return the piece for a helper that claimed one: the next one from the back.
+    """Return the piece for a helper that claimed one, taken from the back.
 
-    With the leader at the front, bodies mostly stay in the same core's cache from phase to phase.
+    Since the leader starts at the front, bodies mostly stay in the same core's cache from phase to phase.
     """
     piece: int = atomic_add(board, BACK, -1) - 1
     return piece
@@ -190,7 +193,7 @@ def wait(board: IntArray, pieces: int) -> None:
 
 @long_kernel
 def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, arguments: tuple[Any, ...]) -> int:
-    """Do the pieces of [0, count) with the code of a kernel; return `SHARED`, or the kind of code that it needs."""
+    """Process the pieces of [0, count) with a kernel; return `SHARED`, or the kind of arguments that needs code."""
     needed: int = kind_of(arguments)
     if kind != needed:
         return needed
@@ -202,9 +205,9 @@ def _lead(board: IntArray, code: int, kind: int, count: int, pieces: int, argume
 
 @kernel
 def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) -> None:
-    """Post ``pieces`` pieces of a job, from ``first`` on, and do them with the helpers.
+    """Post ``pieces`` pieces of a job, from ``first`` on, and process them with the helpers.
 
-    The caller must raise the fault of the job afterwards, not before: helpers need the job until all pieces are done.
+    The caller must raise the fault of the job after that, not before: helpers need the job until all pieces are done.
     """
     board[DOER], board[JOB], board[FIRST] = doer, job, first
     post(board, pieces)
@@ -218,7 +221,7 @@ def lead_phase(board: IntArray, doer: int, job: int, first: int, pieces: int) ->
 
 @long_kernel
 def _look(board: IntArray, offer: int, looks: int) -> None:
-    """Help with jobs; return after so many looks without work.
+    """Process pieces of jobs; return after a number of polls without work.
 
     Parameters
     ----------
@@ -240,7 +243,7 @@ def _look(board: IntArray, offer: int, looks: int) -> None:
 
 @contextmanager
 def sharing_all() -> Iterator[None]:
-    """Share even the smallest work, to compile or load the kernels for sharing."""
+    """Share even the smallest work, to compile or load the kernels that this needs."""
     least, Team.least = Team.least, 0
     try:
         yield

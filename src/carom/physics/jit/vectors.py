@@ -1,16 +1,16 @@
-"""Vectors: the same arithmetic on eight records or bodies at once, in the vector registers of the processor.
+"""Vectors: the same arithmetic on eight records or bodies at once, in the processor's vector registers.
 
-`Lanes` is a value in the code of an instruction (see `instructions`): one double for each of `WIDTH` records, and
-`Mask` one bit for each. Their operators emit strict IEEE arithmetic, so each lane has the bits that a loop over the
-records would give it. Processors with narrower registers take two or four instructions for each operation, with the
-same bits. Formulas are written once, for doubles: `in_lanes` makes the same Python code compute with lanes.
+`Lanes` is a value in the code of an instruction (see `instructions`) with one double for each of `WIDTH` records;
+`Mask` has one bit for each. Their operators emit strict IEEE arithmetic, so each lane has the bits that a loop over the
+records would give. Processors with narrower registers use two or four instructions for each operation, with the same
+bits. Formulas are written once, for doubles: `in_lanes` compiles the same Python code for lanes.
 
 `RecordLanes` are eight records whose fields are lanes. Records are read and written as whole cache lines, which are
-transposed in registers. A transposition takes 24 instructions, so what several lines gain is transposed once, and added
-to them in memory.
+transposed in registers. A transposition takes 24 instructions, so a change that belongs to several lines is transposed
+once and added to them in memory.
 
-Gains (docs/performance.md): a sweep of the contact solver takes 18 in place of 24.5 ns a contact, and an iteration of
-the position correction 29 in place of 42 µs, 6 to 10 % of a step of falling spheres. A pair of boxes of the fast
+Gains (docs/performance.md): a sweep of the contact solver takes 18 instead of 24.5 ns per contact, and an iteration of
+the position correction 29 instead of 42 µs; that is 6 to 10 % of a step of falling spheres. A pair of boxes of the fast
 multipoles takes two thirds of the time of a loop over a table of products.
 
 The plain form of each instruction on lanes is the loop over records that it replaces.
@@ -32,7 +32,7 @@ from carom.physics.jit.inside import cgutils, ir
 WIDTH = 8  # doubles in a cache line
 HALF = WIDTH // 2
 DOUBLE, WORD, BIT, BYTE, INDEX = ir.DoubleType(), ir.IntType(64), ir.IntType(1), ir.IntType(8), ir.IntType(32)
-NOTHING = DOUBLE(-0.0)  # adding it keeps all bits, those of -0.0, too
+NOTHING = DOUBLE(-0.0)  # adding it preserves all bits, even those of -0.0
 VECTOR, MASK = ir.VectorType(DOUBLE, WIDTH), ir.VectorType(BIT, WIDTH)
 
 
@@ -52,7 +52,7 @@ class Mask:
         return Mask(self.builder, self.builder.not_(self.value))
 
     def __bool__(self) -> bool:
-        raise TypeError("lanes take no branches: use `where`")
+        raise TypeError("lanes cannot branch: use `where`")
 
     @property
     def any(self) -> Any:
@@ -64,7 +64,7 @@ class Mask:
         return self.builder.extract_element(self.value, INDEX(k))
 
     def in_each(self, do: Callable[[int], None]) -> None:
-        """Do something for each lane that is set. Most often all are, which takes a single branch."""
+        """Run code for each lane that is set. Usually all are set, which takes a single branch."""
         builder = self.builder
         every = builder.icmp_unsigned("==", builder.bitcast(self.value, BYTE), BYTE(2**WIDTH - 1))
         with builder.if_else(every, likely=True) as (in_all, in_some):
@@ -78,7 +78,7 @@ class Mask:
 
 
 class Lanes:
-    """One double per lane. An operand may be a number, which all lanes share."""
+    """One double per lane. An operand may be a number, which then is in all lanes."""
 
     def __init__(self, builder: Any, value: Any) -> None:
         self.builder, self.value = builder, value
@@ -110,14 +110,14 @@ class Lanes:
     def __abs__(self) -> Lanes:
         return self._apply("llvm.fabs")
 
-    def __gt__(self, other: Lanes | float) -> Mask:  # NaN is not greater, nor is anything greater than NaN
+    def __gt__(self, other: Lanes | float) -> Mask:  # NaN is not greater than anything, and nothing is greater than NaN
         return Mask(self.builder, self.builder.fcmp_ordered(">", self.value, self._alike(other).value))
 
     def __lt__(self, other: Lanes | float) -> Mask:
         return Mask(self.builder, self.builder.fcmp_ordered("<", self.value, self._alike(other).value))
 
     def __bool__(self) -> bool:
-        raise TypeError("lanes take no branches: use `where`")
+        raise TypeError("lanes cannot branch: use `where`")
 
     def sqrt(self) -> Lanes:
         """Return the square roots; `numpy.sqrt` calls this."""
@@ -128,7 +128,7 @@ class Lanes:
         return Lanes(self.builder, self.builder.select(mask.value, self.value, self._alike(other).value))
 
     def lane(self, k: int) -> Any:
-        """Return the double of a lane."""
+        """Return the double in one lane."""
         return self.builder.extract_element(self.value, INDEX(k))
 
     def largest(self) -> Any:
@@ -152,15 +152,15 @@ class Lanes:
 
 @inline
 def where(condition: bool, then: float, otherwise: float) -> float:
-    """Return one of two doubles, for formulas of doubles and of lanes; both are computed."""
+    """Return one of two doubles, for formulas of doubles and of lanes; both are computed in any case."""
     return then if condition else otherwise
 
 
 @cache
 def in_lanes(formula: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a formula of kernels as a function of lanes: its operators, and those of formulas in it, emit code.
+    """Return a formula as a function of lanes: its operators, and those of formulas that it calls, emit code.
 
-    A formula has no branches that depend on its doubles, but `where`.
+    A formula has no branches that depend on its doubles, except `where`.
     """
     if formula is where:
         return _where
@@ -175,12 +175,12 @@ def _where(condition: Mask, then: Lanes, otherwise: Lanes | float) -> Lanes:
 
 
 def greater(first: Lanes | float, second: Lanes) -> Lanes:
-    """Return the larger, like ``max`` of doubles: the first where they are equal or not numbers."""
+    """Return the larger, like ``max`` of doubles: the first where they are equal or one is NaN."""
     return second.where(second > first, first)
 
 
 def added_in_order(builder: Any, total: Any, *terms: Lanes) -> Any:
-    """Add all terms of the first lane to a double, then those of the next; its bits depend on this order."""
+    """Add all terms of the first lane to a double, then those of the next; the bits depend on this order."""
     for k in range(WIDTH):
         for term in terms:
             total = builder.fadd(total, term.lane(k))
@@ -199,7 +199,7 @@ def gathered(builder: Any, values: Sequence[Any]) -> Lanes:
 
 
 def at_least(builder: Any, numbers: Sequence[Any], least: Any) -> Mask:
-    """Return the lanes whose integers are no less than another one."""
+    """Return a mask of the lanes whose integer is at least another one."""
     kind = ir.VectorType(WORD, WIDTH)
     vectors = (_collected(builder, kind, values) for values in (numbers, [least] * WIDTH))
     return Mask(builder, builder.icmp_signed(">=", *vectors))
@@ -218,12 +218,12 @@ def _collected(builder: Any, kind: Any, values: Sequence[Any]) -> Any:
 
 
 def read_doubles(builder: Any, address: Any, offset: int = 0) -> Lanes:
-    """Read eight doubles of an array, from an address or from some doubles further on."""
+    """Read eight doubles of an array, at an address or a number of doubles after it."""
     return Lanes(builder, builder.load(_vector_at(builder, address, offset), align=8))
 
 
 def write_doubles(lanes: Lanes, address: Any, offset: int = 0) -> None:
-    """Write eight doubles of an array, from an address or from some doubles further on."""
+    """Write eight doubles of an array, at an address or a number of doubles after it."""
     lanes.builder.store(lanes.value, _vector_at(lanes.builder, address, offset), align=8)
 
 
@@ -232,7 +232,7 @@ def _vector_at(builder: Any, address: Any, offset: int) -> Any:
 
 
 class Sum:
-    """Lanes to which the code of a loop adds."""
+    """Lanes in which the code of a loop sums terms."""
 
     def __init__(self, start: Lanes) -> None:
         self._builder = start.builder
@@ -250,20 +250,20 @@ class Sum:
 
 
 def read_flags(builder: Any, address: Any) -> Mask:
-    """Read eight flags of an array, from the one at an address on."""
+    """Read eight flags of an array, starting at an address."""
     flags = builder.load(builder.bitcast(address, ir.VectorType(BYTE, WIDTH).as_pointer()), align=1)
     return Mask(builder, builder.icmp_unsigned("!=", flags, ir.Constant(flags.type, None)))
 
 
 def shuffled(builder: Any, a: Any, b: Any, lanes: Sequence[int]) -> Any:
-    """Return the vector of some lanes of two vectors; those of the second are numbered from `WIDTH` on."""
+    """Return a vector of selected lanes of two vectors; those of the second are numbered from `WIDTH` on."""
     return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(INDEX, WIDTH), list(lanes)))
 
 
 def either(
     builder: Any, condition: Any, then: Callable[[], Sequence[Lanes]], otherwise: Callable[[], Sequence[Lanes]]
 ) -> list[Lanes]:
-    """Return what one of two functions computes, by a condition that is the same for all lanes."""
+    """Return the result of one of two functions, by a condition that is the same for all lanes."""
     found = []
     with builder.if_else(condition) as (if_so, if_not):
         for branch, compute in ((if_so, then), (if_not, otherwise)):
@@ -279,16 +279,16 @@ def either(
 
 
 class RecordLanes:
-    """Eight records; the fields of the lines that were read are attributes.
+    """Eight records, with the fields of the lines read so far as attributes.
 
     Parameters
     ----------
     builder
-        Of the code.
+        Builder of the code.
     kind
-        Type of the records, whole cache lines.
+        Type of the records, which consist of whole cache lines.
     addresses
-        Of the records.
+        Addresses of the records.
     lines
         Cache lines to read.
     """
@@ -302,19 +302,19 @@ class RecordLanes:
         return self._lines[line][place]
 
     def field(self, name: str) -> Lanes:
-        """Return a field of a line that was not read; the line is not transposed."""
+        """Return a field of a line that has not been read; the line is not transposed."""
         line, place = self._place_of(name)
         places = [_at(self._builder, at, line * CACHE_LINE + 8 * place, DOUBLE) for at in self._addresses]
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
     def change(self, **fields: Lanes) -> None:
-        """Change fields of lines that were read, not yet in memory."""
+        """Change fields of lines that have been read, but not yet in memory."""
         for name, value in fields.items():
             line, place = self._place_of(name)
             self._lines[line][place] = value
 
     def write(self, line: int, mask: Mask | None = None) -> None:
-        """Write a line that was read, in the records of a mask (default: in all)."""
+        """Write a line that has been read to the records of a mask (default: to all)."""
         rows = _rows_of(self._builder, self._lines[line])
 
         def write(k: int) -> None:
@@ -327,7 +327,7 @@ class RecordLanes:
             mask.in_each(write)
 
     def add(self, lines: Sequence[int], fields: Sequence[Lanes], mask: Mask) -> None:
-        """Add eight fields to each of some lines in memory, in the records of a mask."""
+        """Add eight fields to each of some lines in memory, for the records of a mask."""
         builder, rows = self._builder, _rows_of(self._builder, fields)
 
         def add(k: int) -> None:
@@ -338,7 +338,7 @@ class RecordLanes:
         mask.in_each(add)
 
     def add_to(self, mask: Mask, **fields: Lanes) -> None:
-        """Add to named fields of a cache line in memory, in the records of a mask; the others keep their bits."""
+        """Add to named fields of a cache line in memory, for the records of a mask; the others keep their bits."""
         (line,) = {self._place_of(name)[0] for name in fields}
         row = [spread(self._builder, NOTHING)] * WIDTH
         for name, value in fields.items():
@@ -346,7 +346,7 @@ class RecordLanes:
         self.add((line,), row, mask)
 
     def _place_of(self, name: str) -> tuple[int, int]:
-        """Return the line of a field, and its place in the line."""
+        """Return the line of a field, and its index in the line."""
         if name not in (self._kind.fields or {}):
             raise AttributeError(f"these records have no {name}")
         assert self._kind.fields is not None
@@ -355,9 +355,9 @@ class RecordLanes:
 
 
 def _read(builder: Any, addresses: Sequence[Any], line: int) -> list[Lanes]:
-    """Read a cache line of eight records; return its eight fields."""
+    """Read a cache line of eight records; return the eight fields."""
     vectors = []
-    for part in range(2):  # halves of two lines make a vector, which saves a step of the transposition
+    for part in range(2):  # halves of two lines form a vector, which saves a step of the transposition
         halves = [builder.load(_half_of(builder, address, line, part), align=CACHE_LINE // 2) for address in addresses]
         pairs = zip(halves[:HALF], halves[HALF:], strict=True)
         vectors += [shuffled(builder, *pair, range(WIDTH)) for pair in pairs]
@@ -370,13 +370,13 @@ def _rows_of(builder: Any, fields: Sequence[Lanes]) -> list[Any]:
 
 
 def transposed(rows: Sequence[Lanes]) -> list[Lanes]:
-    """Return the columns of eight lanes."""
+    """Return the transpose of eight lanes."""
     builder = rows[0].builder
     return [Lanes(builder, column) for column in _exchanged(builder, [row.value for row in rows], (1, 2, 4))]
 
 
 def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[Any]:
-    """Exchange single lanes, pairs or halves of eight vectors; all three steps transpose them."""
+    """Exchange single lanes, pairs or halves of eight vectors; all three steps together transpose them."""
     for step in steps:
         firsts = [k - k % (2 * step) + k % step + (WIDTH if k % (2 * step) >= step else 0) for k in range(WIDTH)]
         exchanged = list(vectors)
@@ -390,7 +390,7 @@ def _exchanged(builder: Any, vectors: list[Any], steps: Sequence[int]) -> list[A
 
 
 def line_of(builder: Any, address: Any, line: int) -> Any:
-    """Return the address of a cache line of a record, as that of a vector."""
+    """Return the address of a cache line of a record, as the address of a vector."""
     return _at(builder, address, line * CACHE_LINE, VECTOR)
 
 
@@ -399,6 +399,6 @@ def _half_of(builder: Any, address: Any, line: int, part: int) -> Any:
 
 
 def _at(builder: Any, address: Any, offset: int, kind: Any) -> Any:
-    """Return the address of a value some bytes after another address."""
+    """Return the address some bytes after another address."""
     moved = builder.gep(builder.bitcast(address, BYTE.as_pointer()), [WORD(offset)])
     return builder.bitcast(moved, kind.as_pointer())

@@ -1,1 +1,1 @@
-"""The look ahead: a run's step, found by running its scene with longer steps first."""
+"""The look-ahead: finds a run's step by first running the scene with longer steps."""

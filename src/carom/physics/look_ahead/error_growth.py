@@ -1,9 +1,9 @@
 """The growth of errors: distances between runs over time, extrapolated to shorter steps, and the divergence of twins.
 
-The error with shorter steps follows from the distances between runs with successively shorter steps. No step of a run
-ahead is a multiple of another run's step. If a ball stops sliding within a step of length h, after the fraction f, the
-step has the error C h² f (1 - f). Halved steps end at the ends of the longer ones. If one of these coincides with such
-an event, f is 0 in all runs ahead, and they agree on a wrong answer.
+The error with shorter steps follows from the distances between trial runs with successively shorter steps. No step of a
+trial run is a multiple of another's step. If a ball stops sliding within a step of length h, after a fraction f of it,
+the error of the step is C h² f (1 - f). Halved steps end where the longer ones end. If such an event coincides with the
+end of a step, f is 0 in all trial runs, and they agree on a wrong result.
 """
 
 from __future__ import annotations
@@ -19,33 +19,34 @@ from carom.physics.vector import minimum_images
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-GOLDEN = 0.3819660112501051  # of the time from one comparison to the next
-COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first run ahead, and of each over the one before
-SAFETY = 3.5  # the step is chosen for an error that is smaller than requested by this factor
-FARTHEST = 8.0  # times as fine as the finest run ahead, which then costs an eighth of the run itself
-TRIED = 3  # required comparisons: one or two may be small by chance, see above
+GOLDEN = 0.3819660112501051  # of the time between two comparisons
+COARSEST, RATIO = 1.0618, 1.4715  # refinement of the first trial run, and of each relative to the previous one
+SAFETY = 3.5  # the step is chosen for an error smaller than requested by this factor
+FARTHEST = 8.0  # largest refinement relative to the finest trial run, which then costs an eighth of the run itself
+TRIED = 3  # required comparisons: one or two may be small by chance (see above)
 LATEST = 4  # number of latest comparisons in use
-NEARLY = 0.95  # sufficient fraction of the longest time with the accuracy, unless that is the whole run
-FALLING = 0.82  # largest ratio by which shorter steps should reduce the distance
+# sufficient fraction of the longest time for which the accuracy can be kept, unless that is the whole run
+NEARLY = 0.95
+FALLING = 0.82  # largest ratio between successive distances that still counts as a reduction
 APART = 1e-2  # of the size; above it, twins no longer diverge exponentially
 EPS = float(np.finfo(np.float64).eps)
 MOST_GROWTH = 600.0  # of the logarithm of their distance, which stays finite
 
 
 class Run(Protocol):
-    """A run ahead."""
+    """A trial run."""
 
     @property
     def times(self) -> FloatArray:
         """(K,) s."""
 
     def at(self, sample: int) -> FloatArray | None:
-        """Return the positions at one of the times, (n, 3) m; None where it failed before."""
+        """Return the positions at one of the times, (n, 3) m; None if the run failed before."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """The size of a system, and the distances of its states over it."""
+    """The size of a system, and the distances of its states relative to it."""
 
     size: float  # m
     box: FloatArray | None  # (3,) m, of a periodic domain
@@ -54,7 +55,7 @@ class Scale:
     def of(cls, scene: Scene, start: InitialBodies) -> Scale:
         """Return the scale: half the box, or the rms distance of the bodies from their centre.
 
-        For a single body, it is the distance from 0, or its radius if it is at 0.
+        For a single body, it is the distance from the origin, or the radius if it is there.
         """
         if scene.domain.boundary == "periodic":
             box = np.array(scene.domain.size)
@@ -64,12 +65,12 @@ class Scale:
         return cls(size or math.sqrt(float(np.sum(start.position[0] ** 2))) or float(start.radius.max()), None)
 
     def distance(self, a: FloatArray, b: FloatArray) -> float:
-        """Return the rms distance between positions, (n, 3) m, over the size."""
+        """Return the rms distance between positions, (n, 3) m, relative to the size."""
         d = a - b if self.box is None else minimum_images(a - b, self.box)
         return math.sqrt(float(np.mean(np.sum(d * d, axis=1)))) / self.size
 
     def apart(self, one: Run, other: Run, enough: float) -> FloatArray:
-        """Compare two runs until their distance is ``enough``; return the running maximum over the size, (K,)."""
+        """Compare two runs until their distance is ``enough``; return its running maximum over the size, (K,)."""
         apart = np.full(len(one.times), np.inf)
         largest = 0.0
         for k in range(len(apart)):
@@ -88,10 +89,10 @@ def samples(end: float, count: int) -> FloatArray:
 
 
 def between_round_times(end: float, count: int) -> FloatArray:
-    """Return times up to ``end`` at which steps of runs ahead may end, (count,) s.
+    """Return times up to ``end`` at which steps of trial runs may end, (count,) s.
 
     An event within a step causes an error, an event at its end does not. Events are more frequent at round fractions of
-    the duration, so these are avoided.
+    the duration, so the times avoid these.
     """
     times = end * ((np.arange(1, count + 1) - GOLDEN) / count)
     times[-1] = end
@@ -104,7 +105,7 @@ def with_start(values: FloatArray, start: float) -> FloatArray:
 
 
 def kept_until(times: FloatArray, error: FloatArray, accuracy: float) -> float:
-    """Return the time at which the error exceeds the accuracy, in s; the last if it does not."""
+    """Return the time (s) at which the error exceeds the accuracy; the last time if it does not."""
     over = np.flatnonzero(~(error <= accuracy))
     if not len(over):
         return float(times[-1])
@@ -121,18 +122,18 @@ def kept_until(times: FloatArray, error: FloatArray, accuracy: float) -> float:
 def extrapolate(
     times: FloatArray, apart: list[FloatArray], finest: float, highest: int, accuracy: float
 ) -> tuple[float, float, FloatArray]:
-    """Return a refinement, the time in s until which it keeps the accuracy, and its error.
+    """Return a refinement, the time (s) for which it keeps the accuracy, and its error.
 
-    The refinement is a power of two, so that steps and frames end together: from the latest run ahead but one to
-    `FARTHEST` times the latest. The coefficient of h^p depends on the position of impacts within their steps, so the
-    largest of the latest distances counts, each scaled by the order.
+    The refinement is a power of two, so that steps and frames end together, between that of the last trial run but one
+    and `FARTHEST` times that of the last. The coefficient of h^p depends on the position of impacts within their steps,
+    so the largest of the latest distances is used, each scaled by the order.
 
     Parameters
     ----------
     apart
-        (K,) each, over the size, the distances of each run ahead from the next.
+        (K,) each, distance of each trial run from the next, relative to the size.
     finest
-        The refinement of the latest run ahead.
+        The refinement of the latest trial run.
     highest
         Order of the integrator.
     """
@@ -151,13 +152,13 @@ def extrapolate(
 
 
 def stays(times: FloatArray, apart: list[FloatArray], kept: float) -> bool:
-    """Return whether shorter steps hardly changed the distance at the time where the accuracy is lost."""
+    """Return whether shorter steps hardly changed the distance at the time when the accuracy is lost."""
     k = min(int(np.searchsorted(times, kept, side="right")), len(times) - 1)
     return len(apart) > 1 and bool(FALLING * apart[-2][k] < apart[-1][k] < APART)
 
 
 def _observed(apart: list[FloatArray], order: int) -> float:
-    """Return the order of the latest distances where they can be compared: from 1 to the integrator's order."""
+    """Return the order of the latest distances where they can be compared: between 1 and the integrator's order."""
     age = min(LATEST, len(apart)) - 1
     coarse, fine = apart[-1 - age], apart[-1]
     usable = np.flatnonzero((coarse < APART) & (coarse > 0.0) & (fine > 0.0) & np.isfinite(fine))
@@ -169,16 +170,16 @@ def _observed(apart: list[FloatArray], order: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Twins:
-    """The divergence of two runs that begin almost equally."""
+    """The divergence of two runs with almost equal initial states."""
 
-    apart: FloatArray  # (K,) largest distance so far over the size
+    apart: FloatArray  # (K,) largest distance so far, relative to the size
     exponent: float  # 1/s
 
     @classmethod
     def grown(cls, times: FloatArray, apart: FloatArray, began: float, known: int) -> Twins:
-        """Continue the distance, (K,) over the size, to times where it is no longer small.
+        """Continue the distance, (K,) relative to the size, to times at which it is no longer small.
 
-        From the time ``known`` on, it is unknown and set to infinity.
+        From the time ``known`` on it is unknown, and set to infinity.
         """
         if known < len(apart):
             if not known:
@@ -187,7 +188,7 @@ class Twins:
             return cls(np.concatenate((part.apart, np.full(len(apart) - known, np.inf))), part.exponent)
         apart = np.maximum(apart, began)
         over = np.flatnonzero(~(apart < APART))
-        last = int(over[0]) if len(over) else len(apart) - 1  # beyond, the same rate is assumed
+        last = int(over[0]) if len(over) else len(apart) - 1  # after it, the same rate is assumed
         apart[last] = min(apart[last], 1.0)
         exponent = math.log(apart[last] / began) / float(times[last])
         growth = np.minimum(max(exponent, 0.0) * (times[last + 1 :] - times[last]), MOST_GROWTH)
@@ -195,10 +196,10 @@ class Twins:
         return cls(apart, exponent)
 
     def steps_that_count(self, began: float, steps: int) -> FloatArray:
-        """Return the error at all times, (K,), as a number of steps with the error of the first.
+        """Return the error at all times, (K,), as a number of steps that all err like the first.
 
-        An error of a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. The
-        number is half the steps so far in regular motion, and the steps of the last 1 / λ in chaotic motion.
+        An error made in a step grows like the distance G of twins: ∫ G(t - s) ds / G(t) over the length of a step. The
+        number is half the steps so far for regular motion, and the steps of the last 1 / λ for chaotic motion.
         """
         before = with_start(self.apart[:-1], began)
         growth = np.log(self.apart / before)
@@ -208,7 +209,7 @@ class Twins:
     def continued(self, times: FloatArray, error: FloatArray, known: FloatArray) -> FloatArray:
         """Interpolate an accumulated error, and continue it where it is infinite; (K,) at all times (s).
 
-        It grows like t times the distance of twins, which is proportional to t in regular motion.
+        It grows like t times the distance of twins, which grows like t in regular motion.
         """
         finite = np.isfinite(error)
         if not finite.any():
@@ -217,13 +218,13 @@ class Twins:
         return np.asarray(times * self.apart * np.interp(times, known[finite], share))
 
     def at(self, times: FloatArray, known: FloatArray, began: float) -> Twins:
-        """Interpolate to other times, in s; between known times the distance grows exponentially."""
+        """Interpolate to other times (s); between known times, the distance grows exponentially."""
         grown = np.log(np.maximum(with_start(self.apart, began), EPS**2))
         return Twins(np.exp(np.interp(times, with_start(known, 0.0), grown)), self.exponent)
 
 
 def displaced(start: InitialBodies, distance: float) -> InitialBodies:
-    """Return a start with free bodies displaced by an rms distance (m), or by a last bit."""
+    """Return initial states with free bodies displaced by an rms distance (m), or by a last bit."""
     direction = 2.0 * np.random.default_rng(0).random(start.position.shape) - 1.0  # of rms length 1
     moved = start.position + distance * direction
     unmoved = np.nextafter(start.position, np.copysign(np.inf, direction))

@@ -1,21 +1,21 @@
-"""Finds the step that keeps an accuracy, by running the scene ahead with longer steps.
+"""Finds the step that keeps an accuracy, by trial runs of the scene with longer steps.
 
-A run with steps of h has the error e(t). The same scene run with steps of h and of h/q differs by D(t), and
+A run with steps of length h has the error e(t). It differs from a run of the same scene with steps of h/q by D(t), and
 
     e(t) of the finer run = D(t) / (q^p - 1),     e(t) with steps s times shorter = e(t) / s^p
 
-for an integrator of order p, or for the order that the latest runs show, if that is lower. D contains all causes of
-growing errors, including contacts and chaos. The runs begin with about the longest useful steps and shorten them until
-the extrapolation to the required step is short. Then the run itself uses that step, and never has to be repeated.
+for an integrator of order p, or with the order that the latest trial runs show, if it is lower. D includes all causes
+of growing errors, such as contacts and chaos. Trial runs start with about the longest useful steps, and shorten them
+until the extrapolation to the required step is short. The run itself then uses that step, and never has to be repeated.
 
-Chaos ends every promise. A twin run that starts slightly displaced shows how errors grow. The error r(t) by rounding is
-proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the accuracy.
-The error of gauss-radau15 is rounding; its twins start a last bit apart and so measure this error directly. The errors
-of its longer steps are multiples of the distance of two runs ahead, see `RADAU_ERRORS`. The largest Lyapunov exponent
-is the growth rate of the distance of twins, to the end or until it is `APART`.
+Chaos limits every promise. A twin, a run with slightly displaced bodies, shows how errors grow. The error r(t) by
+rounding is proportional to the distance of the twins. The horizon is the time at which 2 e(t) + r(t) exceeds the
+accuracy. The error of gauss-radau15 is rounding; its twins start a last bit apart and therefore measure this error
+directly. The errors of its longer steps are multiples of the distance between two trial runs, see `RADAU_ERRORS`. The
+largest Lyapunov exponent is the growth rate of the distance of twins, up to the end or until it reaches `APART`.
 
-The look-ahead has a budget (`budget`). If it is too small for the whole run, the runs ahead cover the beginning, and
-the promise ends with them.
+The look-ahead has a budget (`budget`). If it is too small for the whole run, the trial runs cover only the beginning,
+and the promise ends there.
 """
 
 from __future__ import annotations
@@ -64,57 +64,59 @@ if TYPE_CHECKING:
     from carom.physics.integrators.gauss_radau.radau_twin import FollowedOrbits
 
 SAMPLES = 64  # times at which runs are compared
-ENOUGH_SAMPLES = 8  # required within the budget; with fewer, the reached time is divided into more
-STEPS_PER_SAMPLE = 8  # least number for the coarsest run ahead, whose steps end at samples
-FEWER_SAMPLES = (4, 32)  # if bodies meet, since pauses cost more than steps; the second if a promise ends early
+ENOUGH_SAMPLES = 8  # samples required within the budget; with fewer, the time reached is divided into more
+STEPS_PER_SAMPLE = 8  # smallest number for the coarsest trial run, whose steps end at samples
+# samples if bodies meet, since pauses cost more than steps; the second number if a promise ends early
+FEWER_SAMPLES = (4, 32)
 LONGEST = 1.0  # refinement of the longest useful steps
-EXACT = 2.0**-8  # refinement of a run ahead with only rounding errors; shorter steps cost more
+EXACT = 2.0**-8  # refinement of a trial run with only rounding errors; shorter steps cost more
 EXACT_OF_MANY = 0.125  # the same for many bodies, which have more possible partners in longer steps
-EXACT_UP_TO = 200  # bodies; more take `EXACT_OF_MANY`
-FEWEST_ORBITS = 30.0  # of the innermost body; the first ones cost little with gauss-radau15
+EXACT_UP_TO = 200  # bodies; for more, `EXACT_OF_MANY` applies
+FEWEST_ORBITS = 30.0  # revolutions of the innermost body; the first ones cost little with gauss-radau15
 FINEST_OF_ORBITS = 1e-7  # accuracy; below it, gauss-radau15 is cheaper than wisdom-holman
-HILL_RADII = 3.0  # between orbits, so that encounters are rare
-SAMPLES_OF_ORBITS = 16  # each takes a corrector and its inverse
-MARGIN = 3.0  # expected over extrapolated error; with 2, an event in a step exceeded it by a factor 1.4
-MOST_IDLE = 5  # runs in a row with shorter steps that hardly change the distance, see `stays`
-# Consecutive comparisons after which shorter steps would hardly extend a promise; one may be chance. Without any kept
-# promise, the steps may still be too long to judge.
+HILL_RADII = 3.0  # Hill radii between orbits, so that encounters are rare
+SAMPLES_OF_ORBITS = 16  # samples, each of which takes a corrector and its inverse
+MARGIN = 3.0  # expected error over the extrapolated one; with 2, an event in a step exceeded it by a factor of 1.4
+MOST_IDLE = 5  # successive trial runs with shorter steps that hardly change the distance, see `stays`
+# Consecutive comparisons after which shorter steps would hardly extend a promise; one of them may be chance. The second
+# number applies if no promise is kept yet, since the steps may be too long to judge.
 MOST_ENOUGH = 2
-DISPLACEMENT = 1e-11  # of the twin, over the size of the system; beyond the rounding of many steps
-# Error over the distance of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases; with 1.3,
-# errors exceeded the request before the horizon in 11 of 235, by up to a fifteenth of the time.
+# initial displacement of the twin, relative to the size of the system; larger than the rounding of many steps
+DISPLACEMENT = 1e-11
+# Error over the distance of runs that differ by rounding. With 4, horizons were too early in 8 of 25 cases. With 1.3,
+# errors exceeded the request before the horizon in 11 of 235 cases, by up to a fifteenth of the time.
 SPREAD = 2.5
 LARGEST_ERROR = 1.0  # of the size; larger errors are not distinguished
 ROUNDING = 8.0  # ρ in units of the last bit of the coordinates
 LOWEST = 64.0  # smallest accuracy in units of ρ
-STEPS_OF_TWINS = 200  # steps in the last 1 / λ in chaos; a twin of one iteration has hardly any own rounding
-RADAU_AHEAD = 2.0**-1.5  # refinement of a run ahead with gauss-radau15
-RADAU_LONG = 0.25  # refinement of the run whose distance from the other measures its error
-# Refinement, and the error of its steps over that distance. Of 40 scenes (Kepler orbits of up to 3000 periods, planets,
-# hierarchical triples, 3 to 60 bodies) the largest were 1.1, 0.2, 0.009 and 0.0013 at the end; steps of 1 err by
-# rounding.
+STEPS_OF_TWINS = 200  # steps within the last 1 / λ in chaos; a twin with one iteration adds hardly any rounding
+RADAU_AHEAD = 2.0**-1.5  # refinement of a trial run with gauss-radau15
+RADAU_LONG = 0.25  # refinement of the run whose distance from the trial run measures its error
+# Refinement, and the error of its steps over that distance. In 40 scenes (Kepler orbits of up to 3000 periods, planets,
+# hierarchical triples, 3 to 60 bodies), the largest ratios at the end were 1.1, 0.2, 0.009 and 0.0013; steps of
+# refinement 1 err by rounding.
 RADAU_ERRORS = ((RADAU_LONG, 1.25), (RADAU_AHEAD, 0.2), (0.5, 0.01), (2.0**-0.5, 2e-3), (1.0, 0.0))
 
-PLANNED = COARSEST * RATIO**TRIED  # refinement up to which runs ahead are always made
+PLANNED = COARSEST * RATIO**TRIED  # refinement up to which trial runs are always made
 
 # Fractions of the budget.
-FIRST_SHARE = 1.0 / 13.0  # of the coarsest run ahead; with `TRIED` finer ones and a twin that makes 12 times as much
-TWIN_SHARE = 0.25  # of a run and of its twin each; the rest is for a run with long steps, or for leapfrog
+FIRST_SHARE = 1.0 / 13.0  # for the coarsest trial run; `TRIED` finer ones and a twin take 12 times as much
+TWIN_SHARE = 0.25  # for a run and for its twin each; the remainder is for a run with long steps, or for leapfrog
 
 
 def with_promise(
     scene: Scene, threads: int | None = None, start: InitialBodies | None = None, watch: Watcher | None = None
 ) -> Scene:
-    """Return a scene with the step of its accuracy as a [promise]; a scene without an accuracy is returned unchanged.
+    """Return a scene with the step for its accuracy in a [promise]; a scene without an accuracy is returned unchanged.
 
-    ``watch`` is called with the `Budget` during runs ahead.
+    ``watch`` is called with the `Budget` during trial runs.
 
     Raises
     ------
     SceneError
         If double precision cannot give the accuracy, or the look-ahead's budget ends before any result.
     PhysicsError
-        If no run ahead completes.
+        If no trial run completes.
     """
     if scene.time.accuracy is None or scene.promise is not None:
         return scene
@@ -124,13 +126,13 @@ def with_promise(
 
 
 class _Found(NamedTuple):
-    """A step and its accuracy."""
+    """A step and the accuracy that it keeps."""
 
-    kept: float  # s, up to which it keeps the accuracy
+    kept: float  # s, time for which it keeps the accuracy
     refinement: float
-    error: FloatArray  # (K,) over the size
-    run: TrialRun  # with about this step
-    known: int  # times at which the error is known
+    error: FloatArray  # (K,) relative to the size
+    run: TrialRun  # the trial run with about this step
+    known: int  # number of times at which the error is known
 
 
 class _LookAhead:
@@ -146,11 +148,11 @@ class _LookAhead:
         least = LOWEST * ROUNDING * self._last_bit
         if accuracy < least:
             raise SceneError(
-                f"time.accuracy = {accuracy:g}: for the coordinates of this scene, "
-                f"double precision allows {least:.1e} at best; set {least:.1e} or more",
+                f"time.accuracy = {accuracy:g}: double precision allows at best {least:.1e} for the coordinates of "
+                f"this scene; set {least:.1e} or more",
                 ("time", "accuracy"),
             )
-        if integrator(scene).controls_error:  # its error is rounding, so twins a last bit apart show it
+        if integrator(scene).controls_error:  # its error is rounding, which twins a last bit apart show
             self._twin, self._rounding = displaced(start, 0.0), SPREAD
         else:
             self._twin, self._rounding = (
@@ -179,7 +181,7 @@ class _LookAhead:
 
     @property
     def _is_exact(self) -> bool:
-        """Whether steps of any length are exact: without contacts, and with no forces but uniform fields and drag."""
+        """Whether steps of any length are exact: without contacts, and with uniform fields and drag only."""
         needs = require(self._scene)
         return not (needs.contact.modelled or pulls.differing(self._scene))
 
@@ -201,9 +203,9 @@ class _LookAhead:
             run, twins, rounding = self._part_of_orbits(RADAU_AHEAD, converges=False)
             if run.known == len(self._times) and not rounding[-1] <= self._accuracy:
                 run, twins, rounding = self._part_of_orbits(1.0, converges=True)
-        if not needs.gravity.modelled:  # parabolas are exact in steps of any length
+        if not needs.gravity.modelled:  # parabolas are exact for steps of any length
             refinement, error = RADAU_LONG, rounding
-        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other steps keep it longer
+        elif not SAFETY * rounding[self._last] <= self._accuracy:  # no other step keeps it longer
             refinement, error = 1.0, rounding
         else:
             missed = twins.continued(self._times, self._missed_by_long_steps(run), run.times)
@@ -231,7 +233,7 @@ class _LookAhead:
     def _part_of_orbits(self, refinement: float, *, converges: bool) -> tuple[FollowedOrbits, Twins, FloatArray]:
         """Return a run without contacts, its divergence from its twin, and its rounding error, (K,).
 
-        The twin has a single iteration in each step unless it ``converges``.
+        The twin makes a single iteration in each step unless it ``converges``.
         """
         from carom.physics.integrators.gauss_radau.radau_twin import CONVERGES, diverge  # noqa: PLC0415 - a part that can be removed
 
@@ -252,7 +254,7 @@ class _LookAhead:
         return run, twins, SPREAD * twins.apart * np.sqrt(np.maximum(1.0, steps / STEPS_OF_TWINS))
 
     def _bound(self, share: float) -> Callable[[int, float], bool]:
-        """Return the bound of a run of gauss-radau15 without contacts, by a fraction of the whole budget."""
+        """Return the bound of a run of gauss-radau15 without contacts, for a fraction of the whole budget."""
         budget, each, begun = self._budget, radau_work(self._scene.count), self._budget.spent
 
         def goes_on(iterations: int, time: float) -> bool:
@@ -263,7 +265,7 @@ class _LookAhead:
         return goes_on
 
     def _find_for_orbits(self, persists: bool) -> Scene | None:
-        """Return the scene with a promise of Wisdom–Holman integration; None if that is not worthwhile."""
+        """Return the scene with a promise of Wisdom–Holman integration; None if it is not worthwhile."""
         times, most = samples(self._scene.time.duration, SAMPLES_OF_ORBITS), self._accuracy * self._scale.size / SAFETY
         found = look_at_orbits(self._scene, self._start, times, self._accuracy, most, persists, self._budget)
         if not (found.keeps or persists):
@@ -278,9 +280,9 @@ class _LookAhead:
         coarse = self._coarsest()
         budget, refinement, apart, idle, enough = self._budget, coarse.refinement, list[FloatArray](), 0, 0
         best: _Found | None = None
-        while len(apart) < TRIED or 2.0 * RATIO * coarse.work <= budget.left:  # with a twin
+        while len(apart) < TRIED or 2.0 * RATIO * coarse.work <= budget.left:  # including a twin
             refinement *= RATIO
-            share = (budget.left / 2.0) / budget.total  # a twin costs the same
+            share = (budget.left / 2.0) / budget.total  # a twin costs the same again
             fine = self._run(refinement, share=share, longer=max(1.0, PLANNED / refinement))
             apart.append(self._scale.apart(coarse, fine, 1.0))
             known = min(coarse.known, fine.known)
@@ -303,14 +305,14 @@ class _LookAhead:
         error = MARGIN * best.error + self._rounding * twins.apart
         over = np.flatnonzero(~(error <= self._accuracy))
         last = int(over[0]) - 1 if len(over) else len(error) - 1
-        # the promise may end at any time after the last one at which it is kept
+        # the promise may end at any time after the last sample at which it is kept
         self._kept_at_most = float(self._times[last]) if last >= 0 else 0.0
         return self._promise(best.refinement, error, twins.exponent)
 
     def _coarsest(self) -> TrialRun:
-        """Return the coarsest run ahead, which covers as much of the run as finer ones can within the budget.
+        """Return the coarsest trial run, which covers as much of the run as finer ones can within the budget.
 
-        It sets the times of comparison.
+        It determines the times of comparison.
         """
         duration = self._scene.time.duration
         self._times = between_round_times(duration, SAMPLES)
@@ -341,7 +343,7 @@ class _LookAhead:
         return run, twins.at(self._times, times, self._began)
 
     def _within_budget(self, refinement: float) -> TrialRun:
-        """Return a run ahead to the end or, if its share of the budget ends before, with times up to there."""
+        """Return a trial run to the end or, if its share of the budget ends earlier, with times up to there."""
         run = self._run(refinement, share=TWIN_SHARE)
         run.at(len(run.times) - 1)
         if run.is_cut and run.reached > 0.0 and run.rests_from == math.inf:
@@ -356,17 +358,17 @@ class _LookAhead:
 
     @property
     def _last(self) -> int:
-        """The last of the times that the runs ahead have reached within the budget."""
+        """The last time that the trial runs have reached within the budget."""
         return max(0, int(np.count_nonzero(self._times <= self._budget.covered)) - 1)
 
     def _cover(self, times: FloatArray, known: int) -> None:
-        """Store the number of times that the runs ahead have reached within the budget."""
+        """Store the number of times that the trial runs have reached within the budget."""
         if known < len(times) or times[-1] < self._scene.time.duration:
             self._budget.cover(float(times[known - 1]) if known else 0.0)
 
     @property
     def _began(self) -> float:
-        """The distance of the twins at the start, over the size."""
+        """The initial distance of the twins, relative to the size."""
         return max(self._scale.distance(self._start.position, self._twin.position), EPS**2)
 
     def _run(
@@ -404,7 +406,7 @@ class _LookAhead:
         )
 
     def _refuse(self, covered: float, error: FloatArray) -> None:
-        """Refuse the accuracy, with one that could be promised."""
+        """Refuse the accuracy; the message names one that could be promised."""
         units, until = self._scene.unit_system, self._scene.time.duration
         best = float(error.min(initial=LARGEST_ERROR))
         if best <= LARGEST_ACCURACY:
@@ -412,9 +414,10 @@ class _LookAhead:
         else:
             could = f"not even {LARGEST_ACCURACY:g} could be promised"
         raise SceneError(
-            f"time.accuracy = {self._accuracy:g}: cannot promise this: for {LEAST:g} s of computing, or a tenth of the "
-            f"run, the trial runs reach t = {units.text(covered, TIME, '.2g')} of {units.text(until, TIME, '.4g')}; "
-            f"{could}; raise time.accuracy, shorten time.duration, use fewer bodies, or remove time.accuracy",
+            f"time.accuracy = {self._accuracy:g} cannot be promised: within {LEAST:g} s of computing, or a tenth of "
+            f"the run, the trial runs reach t = {units.text(covered, TIME, '.2g')} of "
+            f"{units.text(until, TIME, '.4g')}; {could}; raise time.accuracy, shorten time.duration, use fewer "
+            "bodies, or remove time.accuracy",
             ("time", "accuracy"),
         )
 

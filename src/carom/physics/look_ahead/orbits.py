@@ -1,11 +1,11 @@
-"""The longest step of Wisdom–Holman integration that keeps an accuracy, from runs ahead of the orbits.
+"""The longest step of Wisdom–Holman integration that keeps an accuracy, from trial runs of the orbits.
 
-The error is of second order in the step. With D(t) for the distance between runs of refinements r and s, that of
+The error is of second order in the step. If D(t) is the distance between runs of refinements r and s, the error of
 refinement q is
 
     e(t) = D(t) / q² / (1/r² - 1/s²)
 
-The two runs are also twins of each other: D shows the growth of errors, and rounding is far below these accuracies. The
+The two runs are also each other's twins: D shows the growth of errors, and rounding is far below these accuracies. The
 runs are sampled only a few times, because each sample takes a corrector and its inverse.
 """
 
@@ -22,23 +22,23 @@ from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-ROUGH = 1e-3  # lowest accuracy with coarse steps; refinements of at least 0.63 resolve the innermost orbit
-COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; from these to 1 the error falls faster than the second order
+ROUGH = 1e-3  # smallest accuracy for coarse steps; refinements of at least 0.63 resolve the innermost orbit
+COMPARED_ROUGHLY = (0.7, 0.85)  # refinements; between them and 1, the error falls faster than the second order
 COMPARED = (1.0, 1.2)
-# The error of single systems is up to 9 times that of second order: parts of it fall faster and have either sign
+# The error of single systems is up to 9 times that of second order, since parts of it fall faster and have either sign
 UNEVEN = 4.0
-CHEAP = (0.7, 1.0, 2.0)  # refinements with a lower cost than gauss-radau15
-STEPS_AT_ONCE = 1000  # between two checks of the budget
-SHARE = 1.0 / 3.0  # of the budget for each run ahead; the remainder is for gauss-radau15
-FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition if no other integrator is allowed
+CHEAP = (0.7, 1.0, 2.0)  # refinements that cost less than gauss-radau15
+STEPS_AT_ONCE = 1000  # steps between two checks of the budget
+SHARE = 1.0 / 3.0  # of the budget, for each trial run; the remainder is for gauss-radau15
+FINER = (4.0, 8.0, 16.0, 32.0)  # tried in addition if no other integrator is possible
 
 
 class OrbitStep(NamedTuple):
-    """A step that keeps an accuracy, or the finest."""
+    """A step that keeps an accuracy, or the finest one tried."""
 
     refinement: float
     error: FloatArray  # (K,) m, rms over the bodies, largest so far
-    exponent: float  # 1/s, of the growth of the error since the first time
+    exponent: float  # 1/s, growth rate of the error since the first time
     keeps: bool  # whether the error is within the requested one
 
 
@@ -60,11 +60,11 @@ def look_at_orbits(
     accuracy
         Requested.
     most
-        m, largest error of the step.
+        m, largest error allowed.
     persists
-        Whether to try steps that cost more than those of gauss-radau15.
+        Whether to try steps that cost more than gauss-radau15.
     budget
-        Bounds the runs ahead: each may spend a third of it.
+        Limits the trial runs: each may spend a third of it.
     """
     compared = COMPARED_ROUGHLY if accuracy >= ROUGH else COMPARED
     r, s = compared
@@ -80,14 +80,14 @@ def look_at_orbits(
 
 
 def _follow(scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, budget: WorkBudget) -> FloatArray:
-    """Return the positions at all times, (K, n, 3) m; NaN after the budget has ended."""
+    """Return the positions at all times, (K, n, 3) m; NaN from the end of the budget on."""
     from carom.physics.integrators.wisdom_holman.wisdom_holman import WisdomHolman  # noqa: PLC0415 - a part that can be removed
 
     rule, gm, n = scene.time, scene.gravity.constant * start.mass, scene.count
     state, resolves = (start.position.copy(), start.velocity.copy()), rule.encounters == "resolve"
     runner = WisdomHolman(*state, gm, largest_step(scene), None, resolves, refinement)
     runner.begin(0.0)
-    each, met = ORBIT_STEP + ORBIT_BODY * n, ITERATIONS * radau_work(n)  # nominal s of a step, and in an encounter
+    each, met = ORBIT_STEP + ORBIT_BODY * n, ITERATIONS * radau_work(n)  # nominal s per step, and in an encounter
     now, work, found = 0.0, 0.0, np.full((len(times), *start.position.shape), np.nan)
     for k, time in enumerate(times.tolist()):
         while now < time:

@@ -1,9 +1,9 @@
-"""A run ahead, which advances only as far as positions are requested and its share of the budget lasts.
+"""A trial run, which advances only as far as positions are requested and its share of the budget lasts.
 
-The budget counts work, not time, so that a promise has the same bits on any machine. Work is in nominal seconds: the
-steps, iterations, held contacts and impacts of the runs ahead, times their measured costs on one core of
-docs/performance.md. On another or a busy machine the actual time is longer, but the runs ahead end at the same step. A
-budget in actual time would give a scene different steps on fast and slow machines.
+The budget counts work, not time, so a promise has the same bits on any machine. Work is in nominal seconds: the steps,
+iterations, held contacts and impacts of the trial runs, times their costs measured on one core of docs/performance.md.
+On another or a busy machine the actual time is longer, but the trial runs end at the same step. A budget of actual time
+would give a scene different steps on fast and slow machines.
 """
 
 from __future__ import annotations
@@ -21,22 +21,23 @@ from carom.scene.schema import Expect, Promise, Scene
 from carom.scene.start import InitialBodies
 
 LEAST = 5.0  # nominal s
-PART_OF_RUN = 0.1  # of the nominal time of the run itself, if larger
-MOST = 60.0  # nominal s, because chattering contacts could take steps without end
-# Nominal s, to a factor of two: a call from Python, a step in a kernel, and what a body or contact adds to a step.
+PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
+MOST = 60.0  # nominal s, because chattering contacts could take infinitely many steps
+# Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
+# step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4
 KERNEL_STEP, KERNEL_BODY = 1e-7, 1e-8
-CONTACT_BODY = 5e-7  # search, and the next impacts
-HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last for each contact and iteration
+CONTACT_BODY = 5e-7  # the search, and the next impacts
+HELD_STEP, HELD_CONTACT, SWEEP = 4e-4, 1e-6, 4e-8  # for held contacts; the last value for each contact and iteration
 IMPACT = 1.4e-6
-PAIR = 3.2e-10  # of a direct sum, counted from both ends; few bodies take longer
+PAIR = 3.2e-10  # of a direct sum, for each end of a pair; few bodies take longer
 TREE_BODY, TREE_ANGLE = 1.2e-6, 0.5  # of a tree at this opening angle; the number of boxes grows like 1/angle³
 RADAU_STEP, RADAU_BODY, RADAU_PAIR = 1e-6, 4e-7, 3.5e-8  # of an iteration of Gauss–Radau integration
-ITERATIONS = 2.5  # of its step
+ITERATIONS = 2.5  # iterations per step
 ORBIT_STEP, ORBIT_BODY = 1e-7, 1e-7  # of Wisdom–Holman integration
-AT_ONCE = 0.05  # time of a kernel between two checks of the budget
+AT_ONCE = 0.05  # nominal s of a kernel between two checks of the budget
 Watcher = Callable[["WorkBudget"], None]
-NEVER = 2**62  # steps between two checks of the energy of a run ahead
+NEVER = 2**62  # steps between two checks of the energy of a trial run
 
 
 @dataclass
@@ -44,11 +45,11 @@ class WorkBudget:
     """The allowed and the spent work of a look-ahead."""
 
     duration: float  # s, of the run
-    watch: Watcher | None = None  # called now and then during runs ahead
-    own: float = 0.0  # nominal s, the work of the run itself, by the pace of the latest run ahead
+    watch: Watcher | None = None  # called now and then during trial runs
+    own: float = 0.0  # nominal s, the work of the run itself, estimated from the latest trial run
     spent: float = 0.0  # nominal s
-    reached: float = 0.0  # s, time of the present run ahead
-    covered: float = field(default=math.inf)  # s, reached by all runs ahead within the budget
+    reached: float = 0.0  # s, time of the present trial run
+    covered: float = field(default=math.inf)  # s, time reached by all trial runs within the budget
 
     @property
     def total(self) -> float:
@@ -61,19 +62,19 @@ class WorkBudget:
         return max(0.0, self.total - self.spent)
 
     def spend(self, work: float, reached: float) -> None:
-        """Add work (nominal s) of a run ahead that has reached a time (s)."""
+        """Add the work (nominal s) of a trial run that has reached a time (s)."""
         self.spent += work
         self.reached = reached
         if self.watch:
             self.watch(self)
 
     def cover(self, until: float) -> None:
-        """Record that a run ahead ended at a time (s) because its share of the budget was spent."""
+        """Record that a trial run ended at a time (s) because its share of the budget was spent."""
         self.covered = min(self.covered, until)
 
 
 def force_work(scene: Scene) -> float:
-    """Return the nominal time in s of a sum of all forces."""
+    """Return the nominal time (s) of a sum of all forces."""
     n, method = scene.count, gravity_method(scene)
     work = KERNEL_BODY * n
     if method == "none":
@@ -85,7 +86,7 @@ def force_work(scene: Scene) -> float:
 
 
 def radau_work(bodies: int) -> float:
-    """Return the nominal time in s of an iteration of a Gauss–Radau step."""
+    """Return the nominal time (s) of an iteration of a Gauss–Radau step."""
     return RADAU_STEP + RADAU_BODY * bodies + RADAU_PAIR * bodies * bodies
 
 
@@ -95,9 +96,9 @@ class TrialRun:
     Parameters
     ----------
     times
-        (K,) s, in order.
+        (K,) s, ascending.
     budget
-        Records the work; the work of the actual run is estimated as ``longer`` times as much.
+        Records the work; the actual run is estimated to take ``longer`` times as much.
     share
         Fraction of the whole budget for this run.
     """
@@ -117,7 +118,7 @@ class TrialRun:
         record = scene.record.model_copy(update={"check_every": NEVER})
         unchecked = scene.model_copy(update={"promise": promise, "record": record, "expect": Expect()})
         self.refinement = refinement
-        self.rests_from = math.inf  # s; after it, contacts rest that the integrator cannot hold
+        self.rests_from = math.inf  # s, from which contacts rest that the integrator cannot hold
         self.times = times
         self.work = 0.0  # nominal s so far
         self.is_cut = False  # whether it ended because its share of the budget was spent
@@ -134,11 +135,11 @@ class TrialRun:
         self._each = by_radau if self._chooses_steps else KERNEL_STEP + evaluations * force_work(scene)
         self._most = max(1, int(AT_ONCE / self._each))
         self._failed = False
-        self._positions: list[FloatArray] = []  # (n, 3) m, at the times so far
+        self._positions: list[FloatArray] = []  # (n, 3) m, at each of the times so far
 
     @property
     def known(self) -> int:
-        """The number of times at which the positions are known or certainly do not exist."""
+        """The number of times at which the positions are known, or known not to exist."""
         return len(self._positions) if self.is_cut else len(self.times)
 
     @property
@@ -148,11 +149,11 @@ class TrialRun:
 
     @property
     def reached(self) -> float:
-        """The time in s after the last step."""
+        """The time (s) after the last step."""
         return self._simulation.time
 
     def at(self, sample: int) -> FloatArray | None:
-        """Return the positions at one of the times, (n, 3) m; None where it fails or is cut before."""
+        """Return the positions at one of the times, (n, 3) m; None if the run failed or ended before."""
         while len(self._positions) <= sample and not (self._failed or self.is_cut):
             try:
                 self._advance(float(self.times[len(self._positions)]))
@@ -161,7 +162,7 @@ class TrialRun:
         return self._positions[sample] if sample < len(self._positions) else None
 
     def again(self, start: InitialBodies) -> TrialRun:
-        """Complete this run, then return a run from another start that reuses its memory."""
+        """Complete this run, then return a run from another initial state that reuses its memory."""
         self.at(len(self.times) - 1)
         other = copy(self)
         other.rests_from, other.work, other.is_cut, other._failed, other._positions = math.inf, 0.0, False, False, []
@@ -187,7 +188,7 @@ class TrialRun:
         self._positions.append(simulation.state.position.copy() if solution is None else solution[0])
 
     def _note_rest(self, flies: bool) -> None:
-        """Record that contacts rest from the last time at which they did not, or soon after."""
+        """Record that contacts rest from the last time at which they did not, or soon after it."""
         if self._chooses_steps and not flies and self.rests_from == math.inf:
             self.rests_from = float(self.times[len(self._positions) - 1]) if self._positions else 0.0
 

@@ -1,19 +1,20 @@
-"""Dense random packings: spheres that are placed small fly, bounce and grow to their size.
+"""Dense random packings: spheres start small, fly, bounce and grow to their full size.
 
-Random addition jams at a packing of 0.38. Here spheres begin at random places, small enough for a packing of 0.2. They
-then grow at one relative rate while they fly straight and bounce elastically off each other, the border of the region,
-planes and the bodies placed before (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60, 561). The more often they bounce,
-the slower they grow: at 1 radius/s they jam below 0.6. Equal spheres of a random close packing, 0.64, never cease to.
+Random addition jams at a packing of 0.38. Here spheres start at random positions, small enough for a packing of 0.2.
+They then grow at one relative rate while they fly straight and bounce elastically off each other, the border of the
+region, planes, and bodies placed before (Lubachevsky & Stillinger 1990, J. Stat. Phys. 60, 561). The more often they
+bounce, the more slowly they grow: at 1 radius/s they would jam below 0.6. Equal spheres never reach a random close
+packing, 0.64.
 
-With the sum of radii D (1 + k s), the time s of impact of two spheres follows from that of spheres of constant size,
+With the sum of radii D (1 + k s), the time s of impact of two spheres follows from that of spheres of constant size:
 
     |x + v s| = D (1 + k s)   ⟺   |x + (v - k x) σ| = D,   s = σ / (1 - k σ)
 
-A sphere with space E - g s for its centre, inside of a ball or a cylinder about the origin, meets its wall at
+A sphere whose centre has space E - g s inside a ball or a cylinder about the origin meets its wall at
 
     |x + v s| = E - g s   ⟺   (v² - g²) s² + 2 (x·v + g E) s + x² - E² = 0
 
-Surfaces rebound at the speed at which they closed.
+Surfaces rebound at their closing speed.
 """
 
 from __future__ import annotations
@@ -38,27 +39,27 @@ from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
 
-DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64, and just below, growth takes very long
-BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # see `densest`
+DENSEST = 0.62  # equal spheres jam at 0.634 to 0.64; just below that, growth takes very long
+BY_SPREAD, BY_SKEWNESS = 0.0658, 0.0857  # coefficients, see `densest`
 LOOSE = 0.2  # packing of the random start
-INFLATED = 1e-6  # of the radius: spheres grow a little too large, so that rounding leaves no overlap
-SKIN = 0.3  # of the radius, that a sphere may move until neighbours are searched again
-PASS = 0.1  # s, at most, until speeds are reset; they are 1 radius/s per axis
+INFLATED = 1e-6  # of the radius: spheres grow slightly too large, so that rounding leaves no overlap
+SKIN = 0.3  # of the radius, distance that a sphere may move until neighbours are searched again
+PASS = 0.1  # s, longest time until speeds are reset to 1 radius/s per axis
 FASTEST, SLOWEST = 1.0, 1e-3  # 1/s, rates of growth
 EASE = 10.0  # 1/s², the rate of growth times the impacts of a sphere per second
-MOST_IMPACTS = 5000  # of a sphere, on the average; more is a jam
-MOST_AT_ONCE = 30  # of a sphere, on the average, in a pass
+MOST_IMPACTS = 5000  # of a sphere, on average; more is a jam
+MOST_AT_ONCE = 30  # of a sphere in a pass, on average
 
 
 def densest(radius: FloatArray) -> float:
-    """Return the packing up to which spheres of these radii, (n,), are compressed.
+    """Return the packing up to which spheres of these radii, (n,), can be compressed.
 
-    The random close packing of spheres of several sizes is, by simulation,
+    The random close packing of spheres of several sizes is, from simulations,
 
         0.634 + 0.0658 δ + 0.0857 S δ²
 
     with the standard deviation δ of the radii over their mean, and their skewness S (Desmond & Weeks 2014, Phys. Rev. E
-    90, 022204). It is `DENSEST` for equal spheres here.
+    90, 022204). For equal spheres, `DENSEST` is used instead of 0.634.
     """
     mean = float(radius.mean())
     apart = radius / mean - 1.0
@@ -68,7 +69,7 @@ def densest(radius: FloatArray) -> float:
 
 
 def shrunken(radius: FloatArray, packing: float) -> FloatArray:
-    """Return radii (n,) with which spheres are placed at first, given the packing at their full size."""
+    """Return radii (n,) with which spheres are placed first, given the packing at their full size."""
     return np.asarray(radius * _first_size(packing))
 
 
@@ -85,7 +86,7 @@ def grown(
     around: Surroundings,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return centres, (n, 3) m, at which spheres of their full size do not overlap.
+    """Return centres, (n, 3) m, at which spheres of full size do not overlap.
 
     Parameters
     ----------
@@ -94,12 +95,12 @@ def grown(
     radius
         Full size, (n,) m.
     packing
-        At full size.
+        The packing at full size.
 
     Raises
     ------
     SceneError
-        If the spheres jam before they reach their size.
+        If the spheres jam before they reach their full size.
     """
     n, centre = len(radius), np.array(region.centre)
     box = np.zeros(3) if around.box is None else around.box
@@ -110,7 +111,7 @@ def grown(
         sphere[f"v{axis}"][:n] = radius * (2.0 * rng.random(n) - 1.0)
     sphere["radius"][n:] = fixed_radius
     sphere["skin"][:n] = SKIN * radius
-    sphere["inverse_mass"][:n] = radius * radius  # speeds are then alike in radii per second
+    sphere["inverse_mass"][:n] = radius * radius  # speeds are then equal in radii per second
     border, queue = _borders(region, around), np.empty(n, dtype=np.int64)
     full, widest = 1.0 + INFLATED, float(max(radius.max(), fixed_radius.max(initial=0.0)))
     images = 1 if around.box is not None and box.min() < 4.0 * widest + 8.0 * SKIN * radius.max() else 0
@@ -136,7 +137,7 @@ def grown(
 
 
 def _in_reach(region: Region, around: Surroundings) -> tuple[FloatArray, FloatArray]:
-    """Return the centres and radii of the spheres placed before that are near a region."""
+    """Return the centres and radii of the already placed spheres near a region."""
     centres = np.concatenate([np.empty((0, 3)), *(centres for centres, _ in around.spheres)])
     radii = np.concatenate([np.empty(0), *(radii for _, radii in around.spheres)])
     apart = centres - np.array(region.centre)
@@ -167,7 +168,7 @@ def _borders(region: Region, around: Surroundings) -> Records:
 
 
 def _reset_speeds(sphere: RecordArray[GrowingSphereRecord], radius: FloatArray) -> None:
-    """Scale velocities to 1 radius/s per axis, in the root mean square."""
+    """Scale velocities to a root mean square of 1 radius/s per axis."""
     square = sum((sphere[f"v{axis}"] / radius) ** 2 for axis in "xyz")
     scale = math.sqrt(3.0 * len(sphere) / float(np.sum(square)))
     for axis in "xyz":
@@ -177,7 +178,7 @@ def _reset_speeds(sphere: RecordArray[GrowingSphereRecord], radius: FloatArray) 
 def _neighbours(
     sphere: RecordArray[GrowingSphereRecord], movers: int, span: float, box: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """List the neighbours of each sphere, i's at ``others[ends[i]:ends[i + 1]]``."""
+    """List the neighbours of each sphere; those of i are ``others[ends[i]:ends[i + 1]]``."""
     reach = sphere["radius"] + span * sphere["growth"] + sphere["skin"]
     pairs = HierarchicalGrid(reach, box).pairs(np.stack([sphere[axis] for axis in "xyz"], axis=1))
     pairs = pairs[pairs[:, 0] < movers]
@@ -196,14 +197,14 @@ class GrowingSphereRecord(Protocol):
     vy: float
     vz: float
     radius: float  # m, at the beginning of the flight
-    growth: float  # m/s; 0 of fixed spheres
-    inverse_mass: float  # of any unit; 0 of fixed spheres
+    growth: float  # m/s; 0 for fixed spheres
+    inverse_mass: float  # in any unit; 0 for fixed spheres
     skin: float  # m that it may move until neighbours are searched again
     start_x: float  # m, at the beginning of the flight
     start_y: float
     start_z: float
     now: float  # s from the beginning of the flight
-    impacts: int  # so far in this flight
+    impacts: int  # impacts so far in this flight
     impact_time: float  # s, of its next impact; infinite if there is none
     partner: int  # the other end of that impact: sphere j, or the number of spheres + k for border k
     partner_impacts: int  # impacts of the partner when this impact was predicted
@@ -221,9 +222,9 @@ class BorderRecord(Protocol):
     ny: float
     nz: float
     offset: float  # m
-    radius: float  # m, of a round one about the origin
-    around: bool  # whether spheres are inside of it, else outside
-    upright: bool  # a cylinder along z, else a ball
+    radius: float  # m, radius of a round border about the origin
+    around: bool  # whether spheres are inside it; otherwise they are outside
+    upright: bool  # a cylinder along z; otherwise a ball
 
 
 BORDER = dtype_of(BorderRecord)
@@ -242,12 +243,12 @@ def fly(
     span: float,
     most: int,
 ) -> tuple[float, int]:
-    """Fly until a sphere has left its skin, for a span in s or so many impacts at most.
+    """Fly until a sphere has left its skin, for at most a time span (s) or number of impacts.
 
     Parameters
     ----------
     sphere
-        (n,) `SPHERE`; those from ``movers`` on are fixed.
+        (n,) `SPHERE`; spheres from ``movers`` on are fixed.
     border
         (b,) `BORDER`.
     queue
@@ -257,14 +258,14 @@ def fly(
     box
         (3,) m; zeros in open space.
     images
-        Number of images on either side of the nearest one that can be met, too, in a box of a few radii.
+        Number of images on either side of the nearest one that can also be met, in a box of a few radii.
 
     Returns
     -------
     time
-        s that it took.
+        Duration of the flight in s.
     impacts
-        Their number.
+        Number of impacts.
     """
     size, impacts = 0, 0
     for i in range(len(sphere)):
@@ -312,7 +313,7 @@ def _advance(a: GrowingSphereRecord, now: float) -> None:
 
 @inner
 def _time_in_skin(a: GrowingSphereRecord) -> float:
-    """Return in how many s a sphere leaves its skin."""
+    """Return the time (s) in which a sphere leaves its skin."""
     ox, oy, oz = a.x - a.start_x, a.y - a.start_y, a.z - a.start_z
     v2 = a.vx * a.vx + a.vy * a.vy + a.vz * a.vz
     ov = ox * a.vx + oy * a.vy + oz * a.vz
@@ -322,7 +323,7 @@ def _time_in_skin(a: GrowingSphereRecord) -> float:
 
 @inner
 def _bounce(a: GrowingSphereRecord, b: GrowingSphereRecord, box: FloatArray) -> None:
-    """Let two spheres rebound; a fixed one has no inverse mass."""
+    """Let two spheres rebound; a fixed one has inverse mass 0."""
     nx, ny, nz = b.x - a.x, b.y - a.y, b.z - a.z
     nx, ny, nz = nearest_image(nx, ny, nz, box)
     d2 = nx * nx + ny * ny + nz * nz
@@ -399,7 +400,7 @@ def _time_to_sphere(
     growth: float,
     left: float,
 ) -> float:
-    """Return in how many s two spheres meet; infinite if not within the time left."""
+    """Return the time (s) in which two spheres meet; infinite if not within the time left."""
     k = growth / D
     wx, wy, wz = vx - k * dx, vy - k * dy, vz - k * dz
     sigma = time_of_impact(dx, dy, dz, wx, wy, wz, 0.0, 0.0, 0.0, D, left / (1.0 + k * left), 0.0, 0.0)
@@ -410,7 +411,7 @@ def _time_to_sphere(
 def _time_to_border(
     x: float, y: float, z: float, r: float, a: GrowingSphereRecord, wall: BorderRecord, left: float
 ) -> float:
-    """Return in how many s a sphere of radius r at (x, y, z) meets a border; infinite if never."""
+    """Return the time (s) in which a sphere of radius r at (x, y, z) meets a border; infinite if never."""
     g = a.growth
     if wall.flat:
         closing = g - (a.vx * wall.nx + a.vy * wall.ny + a.vz * wall.nz)
@@ -440,7 +441,7 @@ def _arrange(
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Satisfy `Arrange`."""
+    """Implement `Arrange`."""
     index = next(iter(mixture))
     refuse_too_large(index, region, radius, units)
     packing = sum(map(packing_fraction, mixture.values()))
@@ -448,4 +449,4 @@ def _arrange(
     return grown(index, region, loose, radius, packing, around, rng)
 
 
-COMPRESSED = Arrangement(_arrange, densest, "compression of these radii goes up to")
+COMPRESSED = Arrangement(_arrange, densest, "these radii can be compressed to")

@@ -34,13 +34,13 @@ MOST_FILLED = 0.7404  # packing of the densest lattices, π/√18
 
 
 def place(scene: Scene) -> InitialBodies:
-    """Place all bodies of a scene. The same scene gives the same start.
+    """Place all bodies of a scene. The same scene gives the same initial state.
 
     Raises
     ------
     SceneError
-        If bodies of given positions overlap each other or a plane, which the scene does not allow, or a group does not
-        fit.
+        If bodies with given positions overlap each other or a plane and the scene does not allow it, or a group does
+        not fit.
     """
     with naming_places(scene):
         return _place(scene)
@@ -90,11 +90,11 @@ def _inside(position: FloatArray, box: FloatArray) -> FloatArray:
     """Return the images of positions inside a periodic box; positions inside keep their bits."""
     half = 0.5 * box
     images = np.where(np.abs(position) > half, np.floor(position / box + 0.5), 0.0)
-    return np.clip(position - box * images, -half, half)  # rounding may leave an image an ulp outside
+    return np.clip(position - box * images, -half, half)  # rounding may put an image an ulp outside
 
 
 def _given(scene: Scene) -> InitialBodies:
-    """Return the bodies whose positions are given, in the order of the scene."""
+    """Return the bodies with given positions, in the order of the scene."""
     parts = [_explicit([made_of(scene, body) for body in scene.body])] if scene.body else []
     for index, columns in enumerate(scene.data):
         first = sum(len(part.mass) for part in parts)
@@ -103,7 +103,7 @@ def _given(scene: Scene) -> InitialBodies:
 
 
 def _from_data(group: int, name: str, columns: BodyColumns, first: int) -> InitialBodies:
-    """Return the bodies of a [[bodies]]; ``first`` is the number of the first in the scene."""
+    """Return the bodies of a [[bodies]] table; ``first`` is the number of the first one in the scene."""
     n = len(columns)
     numbered = NumberedNames(name, n) if name else NumberedNames("body", n, first)
     return InitialBodies(
@@ -137,10 +137,10 @@ def _explicit(bodies: Sequence[Body]) -> InitialBodies:
 
 
 def _mixture(scene: Scene, index: int) -> dict[int, BodyGroup]:
-    """Return the groups that are placed together with a group, which is the first of them, by their indices.
+    """Return the indices of the groups that are placed together with a group, which is the first of them.
 
-    Groups that are compressed into one region grow together. If groups were compressed in turn, the first would leave
-    no space for the next.
+    Groups compressed into the same region grow together. If they were compressed one after another, the first would
+    leave no space for the next.
     """
     first = scene.group[index]
     if first.arrangement != "compressed" or first.region is None:
@@ -179,8 +179,8 @@ def _group(
     if group.velocity.virial is not None:
         if constant == 0.0:
             raise SceneError(
-                f"group.{index}.velocity.virial without gravity between the bodies; set gravity.constant, or remove "
-                "the key",
+                f"group.{index}.velocity.virial needs gravity between the bodies; set gravity.constant, or remove the "
+                "key",
                 ("group", index, "velocity", "virial"),
             )
         model, (scale, cut) = plummer(), plummer_lengths(region)
@@ -225,7 +225,7 @@ def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, Fl
 
 
 def _refuse_full_box(scene: Scene) -> None:
-    """Refuse groups that do not fit into a periodic box or between walls, however large their regions are."""
+    """Refuse groups that do not fit into a periodic box or between walls, whatever the size of their regions."""
     if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
         return
     filled = sum(mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
@@ -241,14 +241,14 @@ def _refuse_full_box(scene: Scene) -> None:
         )
 
 
-# checks of a start: overlaps, and numbers out of range
-MOST_PAIRS = 3  # that a message names
+# checks of initial states: overlaps, and numbers out of range
+MOST_PAIRS = 3  # pairs that a message names
 WRITTEN = 5e-7  # half a unit in the last of seven digits, the fewest that files and people write
-MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is no rounding of a file
+MOST_WRITTEN = 1e-3  # of a radius; a larger overlap is not due to the rounding of a file
 
 
 def key_of(scene: Scene, number: int) -> KeyPath:
-    """Return the key of a body with a given position, or of the data that contains it."""
+    """Return the key of a body with a given position, or of the data that contain it."""
     row = number - len(scene.body)
     if row < 0:
         return "body", number
@@ -257,7 +257,7 @@ def key_of(scene: Scene, number: int) -> KeyPath:
 
 
 def written_name(scene: Scene, number: int, names: Sequence[str]) -> str:
-    """Return the name in messages of a body with a given position: its key in the scene, or its row in the data."""
+    """Return the name, for messages, of a body with a given position: its key in the scene, or its row in the data."""
     return "".join(_place_of(scene, number, names))
 
 
@@ -307,7 +307,7 @@ def refuse_overflow(start: InitialBodies) -> None:
 
 
 def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) -> None:
-    """Refuse overlapping bodies; overlaps by the rounding of positions with seven digits count as touching."""
+    """Refuse overlapping bodies; overlaps due to positions rounded to seven digits count as touching."""
     pairs = overlapping_pairs(start.position, start.radius, box)
     if len(pairs) == 0:
         return
@@ -338,21 +338,21 @@ def refuse_overlaps(scene: Scene, start: InitialBodies, box: FloatArray | None) 
 
 
 def refuse_immersion(scene: Scene, start: InitialBodies, solids: HalfSpaces) -> None:
-    """Refuse bodies that reach into a plane or a wall."""
+    """Refuse bodies that overlap a plane or a wall."""
     depth = solids.depth(start.position, start.radius)
     rounding = (_rounding(start, start.radius) + np.minimum(_written(start), MOST_WRITTEN * start.radius))[:, None]
     if len(solids) and np.max(depth - rounding) > 0.0:
         body, plane = np.unravel_index(np.argmax(depth - rounding), depth.shape)
         deep = scene.unit_system.text(depth[body, plane], LENGTH)
         raise SceneError(
-            f"{written_name(scene, int(body), start.name)} reaches {deep} into {solids.name[plane]} "
-            "at the start; move it out, or set contact.allow_overlap = true",
+            f"{written_name(scene, int(body), start.name)} overlaps {solids.name[plane]} by {deep} at the start; move "
+            "it out, or set contact.allow_overlap = true",
             key_of(scene, int(body)),
         )
 
 
 def _rounding(start: InitialBodies, length: FloatArray) -> FloatArray:
-    """Return bounds of the rounding errors of lengths, in m; each is less than the length itself."""
+    """Return bounds of the rounding errors of lengths (m); each is less than the length itself."""
     return np.asarray(np.minimum(1e-9 * length + 4 * np.spacing(np.abs(start.position).max()), 0.5 * length))
 
 

@@ -1,7 +1,7 @@
 """Bodies on the points of a lattice: simple cubic, face-centred cubic or hexagonal close-packed.
 
-The lattice begins at the lower corner of the region. Points are used from below upwards, except where a
-body would reach out of the region or touch a plane or a body placed before.
+The lattice starts at the lower corner of the region. Points are used from the bottom up, except where a body would
+leave the region or touch a plane or a body placed before.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import SI, UnitSystem
 
-# Edges of the orthogonal cell in multiples of the distance of neighbours, and its points in fractions of these edges.
+# Edges of the orthogonal cell in multiples of the neighbours' distance, and its points in fractions of these edges.
 CELLS = {
     "cubic": ((1.0, 1.0, 1.0), ((0.0, 0.0, 0.0),)),
     "fcc": ((math.sqrt(2.0),) * 3, ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 0.0, 0.5), (0.0, 0.5, 0.5))),
@@ -29,9 +29,9 @@ CELLS = {
         ((0.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.5, 5.0 / 6.0, 0.5), (0.0, 1.0 / 3.0, 0.5)),
     ),
 }
-WIDEST = 1.2  # times the spacing at which a region without a border would hold exactly so many points
-NARROWER = 0.995  # factor on the spacing, each time that the region holds too few points
-TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding lets no two neighbours overlap
+WIDEST = 1.2  # times the spacing at which a region without a border would hold exactly that many points
+NARROWER = 0.995  # factor on the spacing whenever the region holds too few points
+TOUCHING = 1.0 + 1e-9  # of the sum of radii, so that rounding makes no two neighbours overlap
 MOST_POINTS = 50_000_000
 
 
@@ -43,7 +43,7 @@ def _arrange(
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Satisfy `Arrange`; nothing is random."""
+    """Implement `Arrange`; nothing is random."""
     index, group = next(iter(mixture.items()))
 
     def is_clear(points: FloatArray) -> BoolArray:
@@ -90,8 +90,8 @@ def lattice(
         centres = centres[is_clear(centres)]
         if len(centres) < n:
             raise SceneError(
-                f"group.{index}.region has room for {len(centres)} of {n} bodies at spacing = {given}; "
-                "enlarge the region or lower spacing or count",
+                f"group.{index}.region has space for {len(centres)} of {n} bodies at spacing = {given}; enlarge the "
+                "region or lower spacing or count",
                 ("group", index, "region"),
             )
         return centres[:n]
@@ -105,7 +105,7 @@ def lattice(
             return centres[:n]
         if spacing <= least:
             raise SceneError(
-                f"group.{index}.region has room for {len(centres)} of {n} bodies on a lattice; enlarge the region or "
+                f"group.{index}.region has space for {len(centres)} of {n} bodies on a lattice; enlarge the region or "
                 "lower count or radius",
                 ("group", index, "region"),
             )
@@ -113,7 +113,7 @@ def lattice(
 
 
 def _points(index: int, group: BodyGroup, region: Region, spacing: float, radius: float) -> FloatArray:
-    """Return all points of a lattice at which a sphere is inside the region, from below upwards."""
+    """Return all points of a lattice at which a sphere is inside the region, from the bottom up."""
     edges, fractions = CELLS[group.arrangement]
     cell = spacing * np.array(edges)
     low, high = bounds(region)

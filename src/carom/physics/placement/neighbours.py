@@ -1,4 +1,4 @@
-"""Overlapping spheres, and the surroundings of a group: a broad phase by k-d trees, then the exact test, vectorised.
+"""Overlapping spheres, and the surroundings of a group: a broad phase with k-d trees, then the vectorised exact test.
 
 A k-d tree queried at twice the largest radius returns n² candidates as soon as one body is huge. Bodies are
 therefore sorted into size classes, each spanning a factor of two in radius, with a tree for each class; a pair of
@@ -24,8 +24,9 @@ if TYPE_CHECKING:
 
 
 ALL_PAIRS_UP_TO = 64  # bodies; importing SciPy takes longer than a short run
-MOST_CANDIDATES = 50_000_000  # pairs, 16 bytes each and some copies of them
-QUERY_MARGIN = 1.0 + 1e-9  # the tree compares rounded distances: query a little more, then test exactly
+MOST_CANDIDATES = 50_000_000  # pairs, of 16 bytes each, and some copies of them
+# the tree compares rounded distances, so it is queried slightly beyond, and the exact test follows
+QUERY_MARGIN = 1.0 + 1e-9
 
 
 def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray | None = None) -> IntArray:
@@ -43,7 +44,7 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
     Returns
     -------
     pairs
-        (m, 2) indices with i < j, sorted by (i, j), so independent of the order of the search.
+        (m, 2) indices with i < j, sorted by (i, j), so that they do not depend on the order of the search.
 
     Raises
     ------
@@ -53,7 +54,7 @@ def overlapping_pairs(position: FloatArray, radius: FloatArray, box: FloatArray 
     candidates = np.concatenate([_EMPTY, *_candidates(position, radius, box)])
     candidates.sort(axis=1)
     i, j = candidates[:, 0], candidates[:, 1]
-    with np.errstate(over="ignore"):  # the squared distance of bodies that are far apart may be infinite
+    with np.errstate(over="ignore"):  # the squared distance of very distant bodies may be infinite
         touching = squared_distance(position[i], position[j], box) <= (radius[i] + radius[j]) ** 2
     pairs = candidates[touching]
     return np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))])
@@ -110,7 +111,7 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
 
 
 def _refuse_crowds(trees: list[cKDTree], reach: list[float]) -> None:
-    """Refuse too many candidates; counts them without listing them."""
+    """Refuse too many candidates, which are counted without listing them."""
     count = 0
     for k, other in itertools.combinations_with_replacement(range(len(trees)), 2):
         near = int(trees[k].count_neighbors(trees[other], (reach[k] + reach[other]) * QUERY_MARGIN))
@@ -151,7 +152,7 @@ class Surroundings:
 
     @cached_property
     def _trees(self) -> list[tuple[cKDTree, FloatArray, FloatArray]]:
-        """A tree of each size class of spheres, with its centres and radii."""
+        """A tree for each size class of spheres, with their centres and radii."""
         from scipy.spatial import cKDTree  # noqa: PLC0415 - slow to import, and not always needed
 
         return [

@@ -2,7 +2,7 @@
 
     M(<r) = M r³ / (r² + a²)^(3/2),    ψ(r) = G M / √(r² + a²)
 
-Velocities have the distribution of the model, f(E) ∝ (-E)^(7/2): with the escape speed v_e = √(2 ψ) and v = q v_e,
+Velocities have the distribution of the model, f(E) ∝ (-E)^(7/2). With the escape speed v_e = √(2 ψ) and v = q v_e,
 
     g(q) = q² (1 - q²)^(7/2)
 
@@ -22,7 +22,7 @@ HIGHEST = 0.1  # more than the largest value of g(q), 0.092
 
 
 def mass_within(distance: float, scale: float) -> float:
-    """Return the fraction of the mass within a distance of the centre, both in m."""
+    """Return the fraction of the mass within a distance (m) of the centre, for the scale a (m)."""
     square = 1.0 + (scale / distance) * (scale / distance)
     return float(1.0 / (square * np.sqrt(square)))
 

@@ -1,12 +1,12 @@
 """Spheres at random places without overlaps.
 
-Candidates are generated, 1.2 a body, and filtered: a broad phase by grids or k-d trees, then the exact test. Colliding
-candidates are replaced by new ones until each body has one.
+Candidates are generated, 1.2 per body, and filtered: a broad phase with grids or k-d trees, then the exact test.
+Colliding candidates are replaced by new ones until each body has one.
 
 Two grids cover the region of accepted spheres (`Occupancy`). A coarse cell holds at most one centre, since accepted
 spheres do not overlap. A fine cell is marked if every centre in it would overlap an accepted sphere; this rejects most
-candidates. The others are tested exactly against the centres in the cells around them, so the result has the bits of a
-search through all spheres.
+candidates. The others are tested exactly against the centres in nearby cells, so the result has the bits of a search
+through all spheres.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ from carom.scene.units.system import UnitSystem
 FULLEST = 0.38  # random sequential addition of equal spheres jams at 0.384 (Torquato & Stillinger, RMP 82, 2633)
 FINE_CELL = 0.34  # of the smallest radius
 MOST_CELLS = 100_000_000  # of the fine grid, one byte each
-MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a search is fast
-MARGIN = 1.0 + 1e-9  # for the rounding of positions of cells
-AT_ONCE = 4096  # spheres that are accepted together, some 10 MB of cells
+MOST_CELLS_PER_BODY = 4000  # a region with more is nearly empty: few candidates collide, and a plain search is fast
+MARGIN = 1.0 + 1e-9  # allowance for the rounding of the positions of cells
+AT_ONCE = 4096  # spheres accepted together, for some 10 MB of cells
 CELLS_AT_ONCE = 16  # cells examined at a time; most candidates touch something in the first of them
 
 
 class _Grid:
-    """Cells of one edge length around a region, with enough of them around it for all offsets."""
+    """Cells of one edge length that cover a region, with a margin for all offsets."""
 
     def __init__(self, low: FloatArray, high: FloatArray, cell: float, reach: float) -> None:
         self.cell = cell
@@ -58,14 +58,14 @@ class _Grid:
         return np.asarray((at[:, 0] * self.shape[1] + at[:, 1]) * self.shape[2] + at[:, 2])
 
     def offsets(self, nearest: float, farthest: float) -> IntArray:
-        """Return offsets to cells around one whose points have distances to its points in a range, the nearest first.
+        """Return the offsets to cells whose distances from a cell are within a range, the nearest first.
 
         Parameters
         ----------
         nearest
-            m; two points of both cells may be as close as this.
+            m; some points of both cells may be this close.
         farthest
-            m; no two points of both cells are farther apart.
+            m; no two points of both cells are farther apart than this.
         """
         steps = math.ceil(nearest / self.cell) + 1
         line = np.arange(-steps, steps + 1)
@@ -87,7 +87,7 @@ class Occupancy:
     low, high
         (3,) m, corners of the region.
     radius
-        (n,) m, of all spheres of the class.
+        (n,) m, radii of all spheres of the class.
     """
 
     def __init__(self, low: FloatArray, high: FloatArray, radius: FloatArray) -> None:
@@ -103,12 +103,12 @@ class Occupancy:
 
     @staticmethod
     def pays(low: FloatArray, high: FloatArray, radius: FloatArray) -> bool:
-        """Return whether the grids are small enough for the memory and for the number of spheres."""
+        """Return whether the grids are small enough for the memory and the number of spheres."""
         cells = math.prod(((high - low) / (FINE_CELL * radius.min()) + 12.0).tolist())
         return bool(cells < min(MOST_CELLS, MOST_CELLS_PER_BODY * len(radius)))
 
     def add(self, position: FloatArray, radius: FloatArray) -> None:
-        """Accept spheres that touch none of those before."""
+        """Accept spheres that touch no accepted ones."""
         first = len(self._position)
         self._owner[self._coarse.cells(position)] = np.arange(first, first + len(position))
         cells = self._fine.cells(position)
@@ -148,7 +148,7 @@ def positions(
 ) -> FloatArray:
     """Place spheres of given radii, the largest size class first, so that small ones fill the gaps.
 
-    ``dense``: the spheres will grow, so messages do not propose dense packing.
+    ``dense``: the spheres will grow, so messages do not suggest dense packing.
     """
     packing = float(np.sum((4.0 / 3.0) * math.pi * radius * radius * radius)) / volume(region)
     position = np.empty((len(radius), 3))
@@ -169,7 +169,7 @@ def _place_class(
 ) -> FloatArray:
     """Generate and filter one size class.
 
-    The pool keeps the order of arrival; the newer one of two colliding candidates is removed. No round therefore loses
+    The pool keeps the order of arrival; of two colliding candidates, the newer one is removed. No round therefore loses
     an accepted candidate. Each round tops the pool up to 1.2 n. ``owner`` is the body whose radius a candidate has;
     only the first accepted candidate of each body is kept.
     """
@@ -206,7 +206,7 @@ def _place_class(
     if len(in_the_way):
         names = " and ".join(around.solids.name[plane] for plane in in_the_way)
         raise SceneError(
-            f"group.{index}.region: no room for the bodies outside {names}; move or enlarge the region",
+            f"group.{index}.region: no space for the bodies outside {names}; move or enlarge the region",
             ("group", index, "region"),
         )
     denser = "" if region.shape == "plummer" else f', or set group.{index}.arrangement = "compressed"'
@@ -272,7 +272,7 @@ def _arrange(
     rng: np.random.Generator,
     units: UnitSystem,
 ) -> FloatArray:
-    """Satisfy `Arrange`."""
+    """Implement `Arrange`."""
     index = next(iter(mixture))
     refuse_too_large(index, region, radius, units)
     return positions(index, region, radius, around, rng)

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from carom.physics.placement.neighbours import Surroundings
 
 DEFAULT_PACKING = 0.1  # of a group without a region
-FARTHEST = 10.0  # times the scale of a plummer region, its farthest centre by default; 98.5 % of the mass is nearer
+FARTHEST = 10.0  # times the scale of a plummer region: its default radius, which contains 98.5 % of the mass
 ROUNDING = 1e-12  # of the size of a region
 
 
@@ -47,11 +47,11 @@ class Arrange(Protocol):
 
 
 class Arrangement(NamedTuple):
-    """An arrangement of groups; `carom.registry` has it by its name in scenes."""
+    """An arrangement of groups, listed in `carom.registry` under its name in scenes."""
 
     arrange: Arrange
     fullest: Callable[[FloatArray], float]  # largest packing of spheres of some radii, (n,); inf if unknown
-    limit: str = ""  # begins the sentence that names this packing
+    limit: str = ""  # beginning of the message that names this packing
 
 
 class PlummerModel(NamedTuple):
@@ -102,7 +102,7 @@ def _cube(x: float) -> float:
 
 
 def plummer_lengths(region: Region) -> tuple[float, float]:
-    """Return the scale of a plummer region and the farthest distance of a centre, in m."""
+    """Return the scale of a plummer region and the largest distance of a centre, in m."""
     scale = region.scale or 0.0
     return scale, FARTHEST * scale if region.radius is None else region.radius
 

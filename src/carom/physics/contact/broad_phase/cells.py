@@ -1,16 +1,16 @@
 """Bodies sorted into the cells of grids, one grid for each octave of radius.
 
 The cells of an octave are as wide as its largest body, so its bodies touch only bodies in neighbouring cells. An octave
-whose bodies would hardly ever share a cell joins the grid of the next larger one. If a grid has few more cells than
+whose bodies would hardly ever share a cell uses the grid of the next larger one. If a grid has few more cells than
 bodies, its cells are numbered row by row, and neighbours in space are neighbours in memory. If it would have many more,
-its cells are wider or hashed. The cost of a small cluster in a huge empty space then depends on its bodies, not its
-extent.
+its cells are widened or hashed. The cost of a small cluster in a huge empty space then depends on its bodies, not on
+its extent.
 
-Visiting a row of cells costs as much as testing some bodies. Where most cells are empty they are therefore broader
-across the rows and shorter along them, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms).
-Crowds take a tenth longer with such cells.
+Visiting a row of cells costs as much as testing some bodies. Where most cells are empty, they are therefore broader
+across the rows and shorter along them, which makes fewer rows (10⁵ radii from 1 to 100: 10.7 instead of 13.2 ms). In
+dense regions such cells cost a tenth more.
 
-Bodies hardly change cells from step to step. Sorted in the order of the previous step, they are read and written nearly
+Bodies rarely change cells from step to step. Sorted in the order of the previous step, they are read and written nearly
 in order. Renumbering the bodies along a space-filling curve would gain nothing more.
 
 Rejected: always hashing (neighbours in space are then anywhere in memory); one cell width for all radii (n² candidates
@@ -31,14 +31,14 @@ from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
-MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would approach that margin
+MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would exceed that margin
 MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
 SPARSE = 2.5  # cells per body; above this, cells are broader across rows
 BROAD = 1.75  # factor of the width across rows; along rows, cells are shorter by its square
-WIDE = 2.0  # factor of the cell width if there would otherwise be more than `MAX_CELLS_PER_BODY`
+WIDE = 2.0  # factor of the cell width if a grid would otherwise exceed `MAX_CELLS_PER_BODY`
 MAX_SHARED_BODIES = 0.5  # per cell; above this, octaves do not share a grid
 MAX_PAIRS_PER_BODY = 1.0  # within cells; above this, an octave gets its own cells of the smallest width
-STRIP = 64  # cells of a row that are adjacent in a hashed table
+STRIP = 64  # adjacent cells of a row that are adjacent in a hashed table, too
 MAX_ROWS_PER_BODY = 8.0  # mean number of rows that a small body searches in the grid of much larger ones
 MIN_BODIES_PER_TASK = 1000
 
@@ -46,16 +46,16 @@ MIN_BODIES_PER_TASK = 1000
 class OctaveRecord(Protocol):
     """The bodies of an octave of diameters."""
 
-    diameter: float  # m, of its largest body, and a little more
+    diameter: float  # m, of its largest body, slightly enlarged
     begin: int  # its bodies in the order of the table
     end: int
-    crowded: bool  # whether it has had more than `MAX_PAIRS_PER_BODY`
+    crowded: bool  # whether it has exceeded `MAX_PAIRS_PER_BODY`
 
 
 class GridRecord(Protocol):
     """The cells of one width."""
 
-    diameter: float  # m, of its largest body, and a little more
+    diameter: float  # m, of its largest body, slightly enlarged
     begin: int  # its bodies in the order of the table
     end: int
     first_bucket: int
@@ -66,8 +66,8 @@ class GridRecord(Protocol):
     nx: int  # cells along each axis
     ny: int
     nz: int
-    mask: int  # of the hash, if cells are hashed
-    hashed: bool  # otherwise numbered row by row
+    mask: int  # mask of the hash, if cells are hashed
+    hashed: bool  # False: cells are numbered row by row
     crowded: bool  # whether its largest octave is crowded
 
 
@@ -90,7 +90,7 @@ class Layout(NamedTuple):
 
     grids: IntArray  # (1,) g
     grid: RecordArray[GridRecord]  # (k,)
-    into: BoolArray  # (k, k) whether the bodies of a grid search another
+    into: BoolArray  # (k, k) whether the bodies of a grid search another grid
     origin: FloatArray  # (3,) m, the corner where cells begin
     box: FloatArray  # (3,) m, zeros in open space
 
@@ -176,14 +176,14 @@ def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -
 def _define_grids(
     extent: tuple[float, float, float], scale: float, skin: float, octaves: RecordArray[OctaveRecord], layout: Layout
 ) -> bool:
-    """Define the grids, and which of them search which others.
+    """Define the grids, and which grids search which others.
 
     Returns
     -------
     has_changed
-        Whether octaves share grids differently than before; bodies then have to be sorted anew.
+        Whether octaves share grids differently than before; bodies must then be sorted anew.
     """
-    # each octave has a grid of its own, or shares that of the next larger one
+    # each octave gets its own grid, or shares that of the next larger one
     count, cells, has_changed = 0, 0.0, False
     for L in range(len(octaves)):
         octave = octaves[L]
@@ -196,7 +196,7 @@ def _define_grids(
         layout.grid[count - 1].end = octave.end
     has_changed = has_changed or layout.grids[0] != count
     layout.grids[0] = count
-    # cut the grids into cells; a grid has a bucket for each cell, or those of a hash
+    # divide the grids into cells; a grid has one bucket per cell, or those of a hash
     bucket = 0
     for L in range(count):
         grid = layout.grid[L]
@@ -218,7 +218,7 @@ def _define_grids(
         else:
             bucket += int(cells)
         grid.end_bucket = bucket
-    # of each two grids, the bodies of one search the other
+    # for each two grids, the bodies of one search the other
     for large in range(count):
         layout.into[large, large] = True
         upper = layout.grid[large]
@@ -233,7 +233,7 @@ def _define_grids(
 
 @kernel
 def _cut(width: float, broader: float, extent: tuple[float, float, float], box: FloatArray, grid: GridRecord) -> float:
-    """Cut a grid into cells of a width or a little more, broader across the rows and shorter along them.
+    """Divide a grid into cells of at least a width, broader across the rows and shorter along them.
 
     Returns
     -------
@@ -269,7 +269,7 @@ def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -
 
 @inline
 def bucket_of(ix: int, iy: int, iz: int, grid: GridRecord) -> int:
-    """Return the bucket of a cell; those of the next cells of its strip follow."""
+    """Return the bucket of a cell; the next cells of its strip have the next buckets."""
     if grid.hashed:
         hashed: int = grid.first_bucket + (strip_of(ix, iy, iz) & grid.mask) + ix % STRIP
         return hashed
@@ -293,7 +293,7 @@ def _assign(
     bucket: Int32Array,
     rank: Int32Array,
 ) -> None:
-    """Find the bucket of each body, and its number in it, which depends on the order of the threads."""
+    """Find the bucket of each body, and its number in the bucket, which depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
     periodic = is_periodic(layout.box)

@@ -1,9 +1,8 @@
-"""Hierarchical grid: each body searches the cells within its reach, in the grid of its own octave and in others.
+"""Hierarchical grid: each body searches the nearby cells in the grid of its own octave and in others.
 
-Within an octave a pair is found from the cell that comes first. A pair of two octaves is found from one of them. Either
-the smaller bodies search the few cells of the larger ones that they meet, or the larger bodies search the many cells
-that they cover, whichever are fewer cells in all. For gravel on a planet it is the former, for power-law radii the
-latter.
+A pair within an octave is found from the earlier cell. A pair of two octaves is found from one of the two. Either the
+smaller bodies search the few cells of the larger ones near them, or the larger bodies search the many cells that they
+cover, whichever is fewer cells in all. Gravel on a planet is the first case, power-law radii are the second.
 
 Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
 10⁵ radii from 1 to 100).
@@ -36,8 +35,8 @@ from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
-ALL_PAIRS_UP_TO = 100  # bodies; testing every pair of so few is faster than sorting them into cells
-NARROW = 4  # cells; if more are within reach, each row is cut to its chord of the sphere
+ALL_PAIRS_UP_TO = 100  # bodies up to which testing every pair is faster than sorting into cells
+NARROW = 4  # cells within the search distance; with more, each row is shortened to its chord of the sphere
 MIN_BODIES_PER_TASK = 200
 
 
@@ -70,7 +69,7 @@ class HierarchicalGrid:
         Parameters
         ----------
         position
-            (n, 3) m, finite; in a periodic box anywhere, not only inside.
+            (n, 3) m, finite; in a periodic box, not necessarily inside it.
         scale
             1 + the relative margin, at least 1.
         skin
@@ -87,7 +86,7 @@ class HierarchicalGrid:
         return self._buffer[0, :m].copy()
 
     def _list_pairs(self, table: Table, layout: Layout, scale: float, skin: float) -> int:
-        """Fill the first half of the buffer; return the number of pairs, if they fitted."""
+        """Fill the first half of the buffer; return the number of pairs, if they fit."""
         claimed, buffer = self._claimed, self._buffer
         claimed[0] = 0
         self._team.divide(len(table.body), MIN_BODIES_PER_TASK, search, table, layout, scale, skin, claimed, buffer)
@@ -96,19 +95,18 @@ class HierarchicalGrid:
 
 
 def _buffer_for(pairs: int) -> IntArray:
-    """Return a buffer for so many pairs and half as many again. PhysicsError if there is no memory for it."""
+    """Return a buffer for half as many pairs again. PhysicsError if there is no memory for it."""
     try:
         return np.empty((2, 3 * pairs // 2, 2), dtype=np.int64)
     except MemoryError as error:
         raise PhysicsError(
-            f"{pairs:.3g} pairs of bodies may touch within one step, and the list of pairs needs {48e-9 * pairs:.3g} "
-            "GB; "
-            "lower time.max_dt or time.fixed_dt, or move the bodies apart"
+            f"{pairs:.3g} pairs of bodies may touch within one step, and the list of them needs {48e-9 * pairs:.3g} "
+            "GB; lower time.max_dt or time.fixed_dt, or move the bodies apart"
         ) from error
 
 
 class Scope(NamedTuple):
-    """What is searched, and where pairs are stored."""
+    """Input of a search, and the buffer of its pairs."""
 
     table: Table
     layout: Layout
@@ -119,7 +117,7 @@ class Scope(NamedTuple):
 
 
 class Row(NamedTuple):
-    """Cells of a grid that follow each other along x."""
+    """A run of cells along x in a grid."""
 
     first: int
     end: int
@@ -140,7 +138,7 @@ def search(
 ) -> None:
     """Store the pairs of the bodies [lo, hi) of the table.
 
-    The functions called below return the next row of the buffer, and the end of the rows that are claimed.
+    The functions called below return the next row of the buffer and the end of the claimed rows.
     """
     scope = Scope(table, layout, scale, skin, claimed, buffer)
     m, end, K = 0, 0, 0
@@ -155,7 +153,7 @@ def search(
 
 @inline
 def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tuple[int, int]:
-    """Store the pairs of a body, of grid K, with those of grid L."""
+    """Store the pairs of a body of grid K with bodies of grid L."""
     sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
     periodic = is_periodic(scope.layout.box)
     ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
@@ -163,7 +161,7 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
     fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, periodic)
     fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, periodic)
     fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, periodic)
-    # within an octave half of the neighbours; if a cell is a neighbour on both sides, later bodies of all
+    # within an octave, half of the neighbours; if a cell is a neighbour on both sides, the later bodies of all
     half = K == L and not (periodic and _meets_itself(grid, scope.scale, scope.skin))
     later = K == L and not half
     cx, cy, cz = 0, 0, 0
@@ -184,7 +182,7 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
 
 @inline
 def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid: GridRecord) -> Row:
-    """Return the cells of a row within reach of a point, in m from the corner of the grid; none if it is too far."""
+    """Return the cells of a row near a point, in m from the corner of the grid; none if it is too far."""
     gy, gz = _gap_to_cell(oy, row.y, grid.ky), _gap_to_cell(oz, row.z, grid.kz)
     squared = search_radius * search_radius - gy * gy - gz * gz
     if squared < 0.0:
@@ -198,9 +196,9 @@ def _chord(row: Row, ox: float, oy: float, oz: float, search_radius: float, grid
 def _search_row(
     a: int, row: Row, after: int, half: bool, grid: GridRecord, scope: Scope, m: int, end: int
 ) -> tuple[int, int]:
-    """Store the pairs of a body with those in a row of cells, from a place of the table on.
+    """Store the pairs of a body with those in a row of cells, starting at an index of the table.
 
-    If only half of the neighbours are searched, that place counts for the first cells of the row only.
+    If only half of the neighbours are searched, that index applies to the first cells of the row only.
     """
     periodic = is_periodic(scope.layout.box)
     y, z = (row.y % grid.ny, row.z % grid.nz) if periodic else (row.y, row.z)
@@ -219,7 +217,7 @@ def _search_row(
 
 @inline
 def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, m: int, end: int) -> tuple[int, int]:
-    """Store the pairs of a body with those in cells whose buckets follow each other, from a place of the table on."""
+    """Store the pairs of a body with those in consecutive buckets, starting at an index of the table."""
     (ends, body, sphere), box, buffer = scope.table, sizes(scope.layout.box), scope.buffer
     own, bucket = sphere[a], bucket_of(row.first, row.y, row.z, grid)
     for b in range(max(after, ends[bucket]), ends[bucket + row.end - row.first]):
@@ -238,7 +236,7 @@ def _search_cells(a: int, row: Row, after: int, grid: GridRecord, scope: Scope, 
 
 @inline
 def _is_in(sphere: SphereRecord, row: Row, grid: GridRecord, layout: Layout) -> bool:
-    """Return whether a body is in a row of cells; other cells may have the same hash."""
+    """Return whether a body is in a row of cells; other cells may share the hash."""
     origin = layout.origin
     x, y, z = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
     bx, by, bz = cell_of(x, y, z, grid, is_periodic(layout.box))
@@ -247,7 +245,7 @@ def _is_in(sphere: SphereRecord, row: Row, grid: GridRecord, layout: Layout) -> 
 
 @inline
 def _cells_along(o: float, search_radius: float, density: float, cells: int, periodic: bool) -> tuple[int, int, bool]:
-    """Return the first cell within reach along an axis, the one after the last, and whether no cell comes twice."""
+    """Return the first nearby cell along an axis, the end of the range, and whether no cell occurs twice."""
     first, end = math.floor((o - search_radius) * density), math.floor((o + search_radius) * density) + 1
     if periodic:
         return first, min(end, first + cells), end - first <= cells
@@ -285,14 +283,14 @@ def _all_pairs(
 
 @kernel
 def _mark_unused(buffer: IntArray, m: int, end: int) -> None:
-    """Mark the rows that were claimed but not needed."""
+    """Mark the rows that were claimed but not used."""
     for row in range(m, min(end, buffer.shape[1])):
         buffer[0, row, 1] = -1
 
 
 @kernel
 def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
-    """Sort the pairs by (i, j), if all fitted: by j into the second half of the buffer, then by i back.
+    """Sort the pairs by (i, j), if all fit: by j into the second half of the buffer, then by i back.
 
     Returns
     -------
@@ -307,7 +305,7 @@ def sort_pairs(rows: int, buffer: IntArray, counts: IntArray) -> int:
 
 @kernel
 def _sort_by(end: int, rows: int, pairs: IntArray, ordered: IntArray, counts: IntArray) -> int:
-    """Sort by one of the ends, stably, without unused rows; return the number of pairs."""
+    """Sort stably by one of the ends, without unused rows; return the number of pairs."""
     for i in range(len(counts)):
         counts[i] = 0
     for c in range(rows):

@@ -1,13 +1,13 @@
-"""Searches for touching pairs, and a list of pairs that spares most of them (Verlet 1967).
+"""Searches for touching pairs, and a list of pairs that avoids most searches (Verlet 1967).
 
-The list is made again only when bodies have moved far enough to need it. It has all pairs within reach, and those that
-are farther apart by no more than a margin. Two bodies that have each moved by at most d since then have come closer by
-at most 2d. As long as 2d is within the margin, all pairs within reach are in the list. They get the exact test of the
-search, in the order of the list, so the result is that of a search.
+The list is rebuilt only when bodies have moved far enough. It holds all pairs within the search distance, and those
+farther apart by at most a margin. Two bodies that have each moved by at most d since then have come closer by at most
+2d. As long as 2d is within the margin, the list holds all pairs within the search distance. The listed pairs pass the
+same exact test, in the same order, so the result equals that of a search.
 
-The margin follows the pace of the bodies: it lasts for `CALLS` calls, within limits. A wider list costs more to test,
-and is made less often. 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their radius a step then take 0.45
-of the time of a step that searches; with 4 and 12 calls 0.54 and 0.43.
+The margin is chosen by the speed of the bodies so that a list lasts for `CALLS` calls, within limits. A wider list
+costs more to test but is rebuilt less often. For 10⁴ spheres that fill 0.3 of a box and move by up to 0.05 of their
+radius a step, a step takes 0.45 of the time of one that searches; with lists for 4 and 12 calls, 0.54 and 0.43.
 """
 
 from __future__ import annotations
@@ -26,27 +26,27 @@ from carom.physics.jit.team import SOLO, Team
 from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.vector import between, is_periodic, minimum_image, sizes
 
-LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; 1.3 and 3 times as many pairs in a heap
-CALLS = 10  # for which a list is made
-LEAST_CALLS = 4  # that a list must last for at the present pace; a list costs as much as one and a half searches
-ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by some 1e-16
+LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; in a heap they give 1.3 and 3 times as many pairs
+CALLS = 10  # calls that a list is made for
+LEAST_CALLS = 4  # calls that a list must last at the present speed; making one costs as much as one and a half searches
+ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by about 1e-16
 BODIES_PER_BLOCK = 2048
 PAIRS_PER_BLOCK = 4096
 MIN_BLOCKS_PER_TASK = 2
 
 
 class BlockRecord(Protocol):
-    """The pairs of a block."""
+    """The listed pairs of a block."""
 
-    begin: int  # the first
+    begin: int  # the first pair
     count: int  # their number
 
 
 class FarthestRecord(Protocol):
     """The largest values of the bodies of a block."""
 
-    move: float  # m², squared
-    size: float  # m
+    move: float  # m², largest squared displacement
+    size: float  # m, largest coordinate
 
 
 BLOCK = dtype_of(BlockRecord)
@@ -75,7 +75,7 @@ class KdTree:
 def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> Search:
     """Return the search of a scene's ``contact.search``; a team searches the grids.
 
-    Few bodies are tested pair by pair, which takes no longer than a list.
+    Few bodies are tested pair by pair, which is as fast as a list.
     """
     if method == "k-d-tree":
         return KdTree(radius, box)
@@ -84,12 +84,12 @@ def search_by(method: str, radius: FloatArray, box: FloatArray, team: Team = SOL
 
 
 class PairList:
-    """Finds the pairs of n spheres that touch; see `Search`.
+    """Finds the touching pairs of n spheres; see `Search`.
 
     Parameters
     ----------
     grid
-        Searches for the list.
+        Makes the list.
     radius
         (n,) m
     box
@@ -103,10 +103,10 @@ class PairList:
         self._smallest, self._largest = float(radius.min()), float(radius.max())
         self._widest = 0.5 * float(box.min()) if box[0] > 0.0 else np.inf  # m, beyond which another image may be nearer
         self._listed = np.empty((0, 2), dtype=np.int64)
-        self._start = np.full((len(radius), 3), np.inf)  # m, positions for which the list was made, or of the last call
+        self._start = np.full((len(radius), 3), np.inf)  # m, positions when the list was made, or at the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)
-        self._scale, self._skin = 0.0, -np.inf  # within which the list has all pairs
-        self._calls = 1  # since the list was made
+        self._scale, self._skin = 0.0, -np.inf  # distance within which the list holds all pairs
+        self._calls = 1  # calls since the list was made
         self._within_reach(self._start, 1.0, 0.0)  # loads the kernels
         self._farthest_move(self._start)
 
@@ -128,20 +128,20 @@ class PairList:
         return self._within_reach(position, scale, skin)
 
     def _margin(self, pace: float, scale: float, skin: float) -> float:
-        """Return the margin of a list for bodies that come closer by ``pace`` a call, in m; 0 if none pays."""
+        """Return the margin of a list (m) for bodies that approach by ``pace`` a call; 0 if no list pays."""
         most = min(MOST_MARGIN * self._smallest, 0.9 * self._widest - 2.0 * self._largest * scale - skin)
         if not pace * LEAST_CALLS <= most:
             return 0.0
         return min(most, max(LEAST_MARGIN * self._smallest, pace * CALLS))
 
     def _farthest_move(self, position: FloatArray) -> tuple[float, float]:
-        """Return the farthest distance of a body from its start, and the largest coordinate by magnitude, in m."""
+        """Return the largest displacement of a body from its start, and the largest absolute coordinate, in m."""
         moves = self._moves
         self._team.divide(len(moves), MIN_BLOCKS_PER_TASK, _measure_moves, position, self._start, self._box, moves)
         return _farthest(moves)
 
     def _within_reach(self, position: FloatArray, scale: float, skin: float) -> IntArray:
-        """Return the listed pairs that are within reach."""
+        """Return the listed pairs within the search distance."""
         listed, team = self._listed, self._team
         blocks, near = np.empty(-(-len(listed) // PAIRS_PER_BLOCK), BLOCK), np.empty_like(listed)
         reach = scale, skin, near, blocks
@@ -153,7 +153,7 @@ class PairList:
 def _measure_moves(
     lo: int, hi: int, position: FloatArray, start: FloatArray, box: FloatArray, moves: RecordArray[FarthestRecord]
 ) -> None:
-    """Find the farthest move and the largest coordinate in the blocks [lo, hi) of bodies."""
+    """Find the largest displacement and the largest coordinate in the blocks [lo, hi) of bodies."""
     periodic = is_periodic(box)
     for block in range(lo, hi):
         farthest, size = 0.0, 0.0
@@ -190,10 +190,10 @@ def _test(
     near: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
-    """Copy the pairs of the blocks [lo, hi) that are within reach.
+    """Copy the pairs of the blocks [lo, hi) that are within the search distance.
 
-    If this counted references to arrays, it would do so at each pair, and a step of 10⁴ spheres would take 1.8 times as
-    long on one thread, 2.7 times on two.
+    Counting references to arrays at each pair would make a step of 10⁴ spheres 1.8 times as long on one thread, 2.7
+    times on two.
     """
     size = sizes(box)
     for block in range(lo, hi):

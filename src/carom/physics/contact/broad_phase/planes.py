@@ -1,12 +1,13 @@
-"""Planes in the broad phase: which bodies touch them, and a guard that lets no body pass through one within a step.
+"""Planes in the broad phase: the bodies that touch them, and a guard that lets no body pass through one within a step.
 
 Planes are tested at the positions at the end of a drift. A body that drifts farther than its radius may end behind a
-plane. So may a body with more impacts than a drift resolves, or one that a position correction moves off a much larger
-body. If the centre of a body is behind a plane and was in front of it when the step began, the body is put back on the
-straight line between both positions, to where it first touches a plane. The region in front of all planes is convex, so
-this position is in front of each of them, also in a corner. The impact follows at the end of the step, like any other.
+plane. The same holds for a body with more impacts than a drift resolves, or one that a position correction moves off a
+much larger body. If the centre of a body was in front of a plane when the step began and is now behind it, the body is
+moved back along the straight line between both positions, to where it first touches a plane. The region in front of all
+planes is convex, so this position is in front of each of them, also in a corner. The impact follows at the end of the
+step, like any other.
 
-The potential of the body changes by -m a·Δx, which is booked as stabilisation, like that of a position correction.
+The potential of the body changes by -m a·Δx, which is booked as stabilisation, as for a position correction.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ from carom.scene.start import HalfSpaces
 
 BODIES_PER_BLOCK = 1024
 MIN_BLOCKS_PER_TASK = 1
-MIN_BODIES_PER_TASK = 5000  # of the guard
-DEPTH = 1e-6  # of the radius, overlap of a stopped body: enough to be detected, too small to be visible
-ROUNDING = 8  # units in the last place of the coordinates, which add to that overlap
-DEEPEST = 0.5  # of the radius, however coarse the coordinates are
+MIN_BODIES_PER_TASK = 5000  # bodies per task of the guard
+DEPTH = 1e-6  # of the radius: overlap of a body put back on a plane; enough to be detected, too small to be visible
+ROUNDING = 8  # units in the last place of the coordinates, added to that overlap
+DEEPEST = 0.5  # of the radius: upper limit of that overlap where coordinates are coarse
 
 
 class PlaneSearch:
@@ -76,7 +77,7 @@ def _merge(
     merged: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
-    """Merge the pairs of the blocks [lo, hi) of bodies; each block has room for all its possible pairs."""
+    """Merge the pairs of the blocks [lo, hi) of bodies; each block has space for all its possible pairs."""
     c = from_front(first_of(lo * BODIES_PER_BLOCK, pairs))
     for block in range(from_front(lo), hi):
         begin = c + block * BODIES_PER_BLOCK * len(offset)
@@ -98,7 +99,7 @@ def _merge(
 
 
 class PlaneGuard:
-    """Keeps bodies from passing through planes within a step.
+    """Prevents bodies from passing through planes within a step.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ class PlaneGuard:
     def __init__(self, bodies: Bodies, planes: HalfSpaces, team: Team) -> None:
         self._bodies, self._planes, self._team = bodies, planes, team
         self._start = bodies.position.copy()  # m, at the beginning of the step
-        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and by how much they were put back, m
+        self._stopped: list[tuple[NDArray[np.intp], FloatArray]] = []  # bodies, and their displacements in m
 
     def remember(self) -> None:
         """Begin a step at the present positions."""
@@ -128,7 +129,7 @@ class PlaneGuard:
             return False
         crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
-        if len(stopped) == 0:  # bodies behind a plane began there
+        if len(stopped) == 0:  # bodies already behind a plane were behind it at the start
             return False
         places = self._first_touch(stopped, crossed[stopped])
         self._stopped.append((stopped, places - position[stopped]))
@@ -155,11 +156,11 @@ class PlaneGuard:
         before, after = self._heights(start), self._heights(end)
         largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
         depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))
-        with np.errstate(invalid="ignore", divide="ignore"):  # of planes that were not crossed
+        with np.errstate(invalid="ignore", divide="ignore"):  # for planes that were not crossed
             fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
         places: FloatArray = start + np.clip(fraction.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
         lost = ((self._heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
-        places[lost] = start[lost]  # by rounding, if a radius is a few units in the last place
+        places[lost] = start[lost]  # rounding, if a radius is a few units in the last place
         return places
 
     def _heights(self, position: FloatArray) -> FloatArray:

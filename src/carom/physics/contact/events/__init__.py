@@ -1,1 +1,1 @@
-"""Continuous collision detection: impacts resolved at their own times within a drift."""
+"""Continuous collision detection: impacts resolved at their exact times within a drift."""

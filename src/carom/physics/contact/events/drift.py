@@ -1,9 +1,9 @@
-"""The drift of a step in which impacts happen at their own times.
+"""The drift of a step whose impacts are resolved at their exact times.
 
-Neighbours are searched once per drift, within a search radius around the start of each body. A body that an impact
-throws beyond it is a stray: from then on its impacts are predicted with every other body.
+Neighbours are searched once per drift, within a search radius around the initial position of each body. A body that
+leaves its search radius after an impact is a stray: from then on, its impacts with all other bodies are predicted.
 
-Rejected: search radii that no impact can exceed, which make all bodies neighbours as soon as one is fast.
+Rejected: search radii that no impact can exceed. One fast body would make all bodies neighbours.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ from carom.scene.start import HalfSpaces
 LOG_ROWS = 4096  # largest number of impacts in one call
 MOST_TOUCHING = 16  # contacts per body at one moment, on average
 GAP_ROUNDING = 16 * 2.0**-53  # of the coordinates and of the sum of radii
-WIDEST = 2.0  # times the radii; up to this width the contact grids also find neighbours
+WIDEST = 2.0  # times the radii; up to this width, the contact grids also find neighbours
 
 
 class _Kernels(NamedTuple):
@@ -98,9 +98,9 @@ class EventDrivenDrift:
     bending
         (3,) m/s², the uniform field if it accelerates bodies towards something fixed; otherwise zeros.
     friction, anchored, forces
-        Whether impulses change spins, something is fixed, and a force presses contacts together.
+        Whether impulses change spins, whether something is fixed, and whether a force presses contacts together.
     search, team
-        The broad phase, and the threads that work.
+        The broad phase, and the threads that share the work.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class EventDrivenDrift:
         self._compile()
 
     def _compile(self) -> None:
-        """Run every kernel without impacts, so that the first real one does not wait for a compiler."""
+        """Run every kernel without impacts, so that the first impact does not wait for a compiler."""
         T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
         self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
@@ -177,7 +177,7 @@ class EventDrivenDrift:
         damping: float = 0.0,
         strength: float = 1.0,
     ) -> Impacts:
-        """Move all bodies by their velocities for dt, after a kick, both in s, and resolve their impacts.
+        """Move all bodies for dt after a kick, both in s, and resolve their impacts.
 
         Parameters
         ----------
@@ -220,7 +220,7 @@ class EventDrivenDrift:
         return impacts
 
     def resolve_meeting(self, pair: tuple[int, int] | None, dt: float) -> Impacts:
-        """Resolve the impacts of a pair at the end of a step of dt s, and of all that touch there.
+        """Resolve the impacts of a pair that meets at the end of a step of dt s, and of all pairs that touch there.
 
         Without a pair, only the kernels are loaded.
         """
@@ -235,13 +235,13 @@ class EventDrivenDrift:
         return Impacts.of(self._log[:count].copy())
 
     def step_by_impacts(self, span: float) -> float:
-        """Return the longest step in s by the next impact; infinite if there is none within a span in s."""
+        """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
         T, bodies = self._trajectories, self._bodies
         moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
         return step_by_impacts(*moving, T.surface, T.offset, span)
 
     def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
-        """Make the paths of held bodies and of sleepers straight, and mark held bodies as not free."""
+        """Make the paths of held bodies and sleepers straight, and mark held bodies as not free."""
         body = self._trajectories.body
         straighten(held.pairs, held.place, held.contacts, body)
         if asleep is not None:
@@ -265,7 +265,7 @@ class EventDrivenDrift:
         )
 
     def _neighbours(self, largest: float, scale: float, skin: float) -> IntArray:
-        """Return the pairs whose search radii meet, given the largest in radii; if that is small, all get it."""
+        """Return the pairs whose search radii overlap. If the largest, in body radii, is small, all bodies get it."""
         T, radius = self._trajectories, self._bodies.radius
         if largest <= WIDEST - 1.0:
             T.body["search_radius"] = largest * radius
@@ -301,17 +301,16 @@ def _fill_queue(T: Trajectories) -> int:
 def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRecord]) -> int:
     """Resolve the impacts of all pairs that touch at one moment; return their number.
 
-    An integrator that ends its steps at impacts calls this there. The pairs are resolved one by one, in their order as
-    in the event loop, until none closes; rigid bodies have no unique answer where several pairs meet at once. If that
-    does not end, contacts are held (`held_group`).
+    An integrator that ends its steps at impacts calls this at each of them. The pairs are resolved one by one, in the
+    same order as in the event loop, until none closes. Rigid bodies have no unique solution where several pairs meet at
+    once. If that does not end, the contacts are held (`held_group`).
 
     Parameters
     ----------
     T
-        The bodies at the impact; `DRIFT` has the same time for clock and kick, and ``exhausted`` and ``strays`` 0.
-    pairs
-        (m, 2) buffer for the pairs that touch; the first row is one that does, whatever its gap. If it is empty,
-        nothing is done.
+        The bodies at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0.
+    (m, 2) buffer for the pairs that touch; the first row is a pair that does, whatever its gap.
+        If the buffer is empty, nothing is done. If it is empty, nothing is done.
     log
         (k,) `IMPACT`, buffer for their log.
     """
@@ -351,7 +350,7 @@ def _exhaust(i: int, T: Trajectories) -> None:
 
 @inline
 def _touching_pairs(T: Trajectories, pairs: IntArray) -> int:
-    """Write the other pairs that touch behind the first one; return the number of all."""
+    """Write the other touching pairs behind the first one; return the number of all."""
     x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
     count = min(1, len(pairs))
     for i in range(n if count > 0 else 0):

@@ -1,14 +1,14 @@
-"""The event loop: impacts at their own times within a drift, in the order of time.
+"""The event loop: impacts within a drift at their exact times, in the order of time.
 
-Each body stores its next impact. The earliest impact is resolved with the velocities at its time, the next impacts of
-both bodies are predicted along their new paths, and the loop continues. If the partner of a body has had an impact in
-the meantime, the body's own impact is predicted again.
+Each body stores its next impact. The earliest impact is resolved with the velocities at its time. The next impacts of
+both bodies are predicted along their new paths, and the loop continues. If the partner of a body has had another impact
+in the meantime, the body's impact is predicted again.
 
-Velocities at the time τ are v + a (τ - h), with h the kick before the drift. The energies that follow are exact: the
-kicks before and after the drift do gravity's work on the actual path, with its bend, if the impulse J takes out
--J·(v(τ) + J/2m). With a constant acceleration a rebound keeps its energy to the last bits. Where that acceleration is
-the uniform field, bodies meet where their parabolas do, so the time and the outcome of the impact are exact. The same
-holds under drag, with the velocities and times of `trajectories`.
+The velocity at a time τ is v + a (τ - h), where h is the kick before the drift. With these velocities energies are
+exact: the kicks before and after the drift do gravity's work on the actual path with its bend if the impulse J takes
+out -J·(v(τ) + J/2m). With a constant acceleration, a rebound conserves its energy to the last bits. Where that
+acceleration is the uniform field, the bodies meet where their parabolas meet, so the time and the outcome of the impact
+are exact. The same holds under drag, with the velocities and times in `trajectories`.
 """
 
 from __future__ import annotations
@@ -55,14 +55,15 @@ from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.rotation import rotate_one
 from carom.physics.vector import Vector, add, along, between, vector
 
-SLOW = 0.25  # of the rest speed; faster contacts are resolved where they touch, and rebound above the rest speed.
-# With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, marbles-in-a-box by 5 mm instead of 1 mm.
+# of the rest speed; faster contacts are resolved where they touch, and rebound if faster than the rest speed.
+SLOW = 0.25
+# With 1, dropped stacks of 500 balls overlap by 0.18 r instead of 0.06 r, and marbles-in-a-box by 5 mm instead of 1 mm.
 SLOW_IN_SPACE = 1.0  # the same where nothing is fixed. With 0.25, rubble-collision has 2.7 times as many impacts and
 # takes 1.3 times as long; the deepest overlap is 5 × 10⁻⁴ r instead of 1.4 × 10⁻³ r.
 
-# Impacts of a body in a drift; then its contacts are held. A collapse (e < 1) has infinitely many in a finite time.
-# Where a force presses, a light ball stops one of 300 times its mass by itself. Without dissipation, there are always
-# finitely many; a light ball reverses one of 10⁷ times its mass.
+# Impacts of a body in a drift after which its contacts are held. A collapse (e < 1) has infinitely many impacts in a
+# finite time. Where a force presses, a light ball can stop one of 300 times its mass within this number. Without
+# dissipation there are always finitely many; a light ball can reverse one of 10⁷ times its mass.
 MAX_IMPACTS = 1000
 MAX_IN_COLLAPSE = 100  # with e < 1, where no force presses
 MAX_ELASTIC = 10_000
@@ -106,9 +107,9 @@ def resolve(neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactReco
 
 @inner
 def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
-    """Move the two bodies of the next impact to it; return the body that predicted it, -1 if there is none.
+    """Move the bodies of the next impact to it; return the body that predicted it, or -1 if there is none.
 
-    An impact is stale if its partner has had another one since it was predicted.
+    A prediction is stale if the partner has had another impact since.
     """
     n, drift = len(T.x), T.drift[0]
     while drift.queued > 0:
@@ -127,7 +128,7 @@ def _go_to_next(neighbours: Neighbours, T: Trajectories) -> int:
 
 @inner
 def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
-    """Count an impact of a body; note if the body is exhausted now, and if its new path leaves its search radius."""
+    """Count an impact of a body; note whether it is exhausted now, and if its new path leaves its search radius."""
     if T.inverse_mass[i] == 0.0:
         return
     body, drift = T.body[i], T.drift[0]
@@ -138,7 +139,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
     collapses = lossy and T.rest_speed[i] == 0.0
     most = MAX_IN_COLLAPSE if collapses else (MAX_IMPACTS if lossy else MAX_ELASTIC)
     if body.impacts >= most and not body.exhausted:
-        body.exhausted = body.is_straight = True  # `hold_group` knows straight paths only
+        body.exhausted = body.is_straight = True  # `hold_group` requires straight paths
         drift.exhausted += 0 if collapses else 1
     if not body.strays and leaves_search_radius(i, T):
         body.strays = True
@@ -149,7 +150,7 @@ def _count_impact(i: int, lossy: bool, T: Trajectories) -> None:
 
 @inner
 def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
-    """Predict a body's next impact on the rest of its path, and update the event queue."""
+    """Predict a body's next impact on its remaining path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
     body.impact_time = np.inf
     _predict_with_planes(i, i + 1, T)
@@ -164,7 +165,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with its neighbours, if it comes before the stored one."""
+    """Predict each body's next impact with its neighbours, for [lo, hi), and keep it if it is before the stored one."""
     Lx, Ly, Lz = T.box[0], T.box[1], T.box[2]
     drift = T.drift[0]
     clock = drift.clock
@@ -200,7 +201,7 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
 
 @inner
 def _acceleration(i: int, j: int, vx: float, vy: float, vz: float, T: Trajectories) -> Vector:
-    """Return the acceleration of j relative to i, drag included, in m/s²; v is their relative velocity in the drift."""
+    """Return the acceleration of j relative to i, with drag, in m/s²; v is their relative velocity in the drift."""
     ax, ay, az = between(T.a, i, j)
     damping = T.drift[0].damping
     return ax - damping * vx, ay - damping * vy, az - damping * vz
@@ -210,7 +211,7 @@ def _acceleration(i: int, j: int, vx: float, vy: float, vz: float, T: Trajectori
 def _time_on_parabola(
     i: int, j: int, dx: float, dy: float, dz: float, vx: float, vy: float, vz: float, slow: float, T: Trajectories
 ) -> float:
-    """Return the time in s to an impact of two bodies of which one follows the field, from where they are; or infinity.
+    """Return the time (s) until two bodies meet, if the field bends the path of one; infinite if they do not.
 
     Parameters
     ----------
@@ -243,7 +244,7 @@ def _time_on_parabola(
 
 @inner
 def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
-    """Predict the next impact of each body in [lo, hi) with a plane, if it comes before the stored one."""
+    """Predict the next impact of each body in [lo, hi) with a plane, and keep it if it is before the stored one."""
     x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
     if len(offset) == 0:
         return
@@ -283,7 +284,7 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
 
 @inner
 def _time_to_plane(gap: float, rate: float, bend: float) -> float:
-    """Return the first time in s at which gap + rate t + ½ bend t² closes to 0; 0 if it is closed and closes."""
+    """Return the first time (s) at which gap + rate t + ½ bend t² reaches 0 from above; 0 if closed and closing."""
     if rate < 0.0 and gap <= 0.0:
         return 0.0
     if bend == 0.0:
@@ -358,10 +359,10 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
 
 @inner
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
-    """Return the normal velocity at which two bodies must separate to touch again at the end of the drift.
+    """Return the normal velocity at which two bodies must separate to touch again only at the end of the drift.
 
     In m/s, for a relative acceleration an in m/s² that presses them together; -infinity if it does not. Bodies that
-    separate more slowly would overlap at the end, since the force acts on, and nothing holds them until then.
+    separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
     """
     if not an < 0.0:
         return -np.inf
@@ -378,10 +379,10 @@ def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float
 
 @inner
 def _spin_up(i: int, arm: float, tx: float, ty: float, tz: float, T: Trajectories) -> None:
-    """Change a body's spin by an impulse times a lever arm, and its orientation at the end of the drift accordingly.
+    """Change a body's spin by the torque of an impulse, and its orientation at the end of the drift accordingly.
 
-    All orientations have already been rotated for the whole step, so the remaining rotation is undone and made again
-    with the new spin.
+    All orientations have already been rotated for the whole step, so the remaining rotation is undone and repeated with
+    the new spin.
     """
     s = arm * T.inverse_inertia[i]
     if s == 0.0:

@@ -1,23 +1,23 @@
-"""Contacts that are held for the remaining drift, where impacts have no end.
+"""Contacts that are held for the rest of a drift, where impacts do not end.
 
-A light ball between a heavy one and a floor rattles: it needs about as many impacts as the ratio of the masses to stop
-the heavy ball, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither close
-nor rebound. A body that has had its largest number of impacts in a drift is exhausted, and its contacts go to the limit
-at once. Each further impact is that of a group: the pair, all bodies that touch an exhausted body of the pair, those
-that touch an exhausted one of these, and so on. For each contact of the group,
+A light ball between a heavy one and a floor rattles: to stop the heavy ball, it needs about as many impacts as the
+ratio of the masses, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither
+close nor rebound. A body that has had its largest number of impacts in a drift is exhausted, and its contacts go
+straight to this limit. From then on, each impact is that of a group: the pair, all bodies that touch an exhausted body
+of the pair, all that touch an exhausted one of these, and so on. For each contact of the group,
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
-so that gaps do not become negative, and overlaps do not grow, in this drift. Of all velocities that satisfy this, those
-after the impulses differ least from those before, by kinetic energy. The dual method of Goldfarb & Idnani (1983) finds
-them in finitely many steps. It works with orthogonal directions of the velocities √m v. The matrix of the contacts
-would lose a light body between heavy ones to rounding, from ratios of 10¹² on.
+so that in this drift gaps do not become negative and overlaps do not grow. Of all velocities that satisfy this, the
+solution differs least from the velocities before, in kinetic energy. The dual method of Goldfarb & Idnani (1983) finds
+it in finitely many steps. It works with orthogonal directions of the scaled velocities √m v. The matrix of the contacts
+would lose a light body between heavy ones to rounding at mass ratios above 10¹².
 
-Bodies that separate and meet again could be held without end as well. Each time, the gap up to which their contacts are
-held doubles, until it covers the whole drift.
+Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
+are held doubles, until it covers the whole drift.
 
-Rejected: impulses with e = 0 one by one, which would be as many as the impacts; and leaving an exhausted body out of
-the drift, so that others pass through it.
+Rejected: impulses with e = 0 one by one, as numerous as the impacts; leaving an exhausted body out of the drift, so
+that others pass through it.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ from carom.physics.contact.rolling import set_angular_impulse
 from carom.physics.jit.decorators import inline, inner, kernel
 from carom.physics.vector import along, between, nearest_image, vector
 
-MOST_BODIES = 48  # in a group; others are held in groups of their own
+MOST_BODIES = 48  # in a group; further bodies are held in groups of their own
 MOST_CONTACTS = 3 * MOST_BODIES
-DEPENDENT = 1e-29  # of the square of a direction; a smaller part that is orthogonal to the others is rounding
+DEPENDENT = 1e-29  # of the square of a direction; a smaller orthogonal component is rounding
 SPEED_ROUNDING = 10.0 * ROUNDING  # of the fastest body; slower closing needs no impulse
 
 
@@ -67,16 +67,16 @@ class Group(NamedTuple):
 def hold_group(
     i: int, j: int, neighbours: Neighbours, T: Trajectories, log: RecordArray[ImpactRecord], row: int
 ) -> tuple[IntArray, int]:
-    """Hold the contacts of a pair that meets, and those of its group.
+    """Hold the contacts of a meeting pair, and those of its group.
 
     Parameters
     ----------
     i, j
         Body, and body or plane; one of the bodies is exhausted.
     neighbours
-        The possible partners of each body that is no stray.
+        The possible partners of each body that is not a stray.
     log, row
-        (k,) `IMPACT`, and its first free row. At least `MOST_CONTACTS` rows are free.
+        (k,) `IMPACT`, and the first free row of it. At least `MOST_CONTACTS` rows are free.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def hold_group(
 
 @inner
 def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Group) -> tuple[int, int]:
-    """Collect the group of a pair that meets; return the numbers of its bodies and contacts."""
+    """Collect the group of a meeting pair; return the numbers of its bodies and contacts."""
     n, drift = len(T.x), T.drift[0]
     bodies = _join(i, 0, T, group)
     if j < n:
@@ -156,7 +156,7 @@ def _gather(i: int, j: int, neighbours: Neighbours, T: Trajectories, group: Grou
                     continue
                 place = _place(other, bodies, group)
                 if 0 <= place < k and T.body[other].exhausted:
-                    continue  # it has added this contact
+                    continue  # this contact is already in the group
                 if contacts == MOST_CONTACTS or not _is_near(b, other, T):
                     continue
                 if place < 0 and T.inverse_mass[other] > 0.0:
@@ -266,7 +266,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                 if weight[k] > 0.0 and load[k] < partial * weight[k]:
                     partial, opened = load[k] / weight[k], k
             step = min(full, partial)
-            if step == np.inf:  # it depends on contacts that no impulse opens
+            if step == np.inf:  # it depends on contacts that no impulse can open
                 ignored[c] = True
                 break
             if full < np.inf:
@@ -284,7 +284,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
             for k in range(opened, count - 1):
                 active[k], load[k] = active[k + 1], load[k + 1]
             count -= 1
-            for k in range(count):  # from the first: a group is small, and contacts seldom open
+            for k in range(count):  # computed anew: a group is small, and contacts seldom open
                 _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, weight, z), Q, R, weight, z)
     for k in range(count):
         group.impulse[active[k]] = load[k] / scale[active[k]]
@@ -306,10 +306,10 @@ def _normal_velocity(c: int, group: Group) -> float:
 def _project(
     c: int, count: int, scale: float, group: Group, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray
 ) -> float:
-    """Write the part of a contact's direction that is orthogonal to those of the first ``count`` held to ``z``.
+    """Write the component of a contact's direction orthogonal to those of the first ``count`` held contacts to ``z``.
 
     Return its square. The column ``count`` of ``R`` gets the components along the others, and ``weight`` the rates at
-    which their loads fall as that of the contact rises.
+    which their impulses fall as that of the contact rises.
     """
     z[:] = 0.0
     for end in range(2):
@@ -342,7 +342,7 @@ def _project(
 
 @inline
 def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray) -> None:
-    """Add the direction that `_project` has written."""
+    """Add the direction that `_project` has written to the held ones."""
     length = np.sqrt(square)
     R[count, count] = length
     for d in range(len(z)):
@@ -351,9 +351,9 @@ def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: Flo
 
 @inner
 def _log(contacts: int, T: Trajectories, group: Group, log: RecordArray[ImpactRecord], row: int) -> int:
-    """Log the contacts that had an impulse, with half the sum of the speeds before and after it; return the next row.
+    """Log the contacts that had an impulse, with the mean of the speeds before and after it; return the next row.
 
-    Summed over the group, -λ (v_n + v_n')/2 is the energy that is lost.
+    Summed over the group, -λ (v_n + v_n')/2 is the energy lost.
     """
     clock, f = T.drift[0].clock, slowing(T)
     s = clock - T.drift[0].kick

@@ -1,25 +1,26 @@
 """Time of impact of two bodies on straight paths.
 
 Let d and v be the separation and the velocity of j relative to i, and R = r_i + r_j. Bodies that close, d·v < 0, are
-nearest at t_c = -d·v/v², at the separation p = d + v t_c. They touch before that if |p| < R:
+nearest at t_c = -d·v/v², where their separation is p = d + v t_c. They touch before that if |p| < R:
 
     τ = t_c - √((R² - p²)/v²)
 
-p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small sphere that
-comes from far away. Bodies that already overlap and close meet at once.
+p is computed as a vector, because the discriminant (d·v)² - v² (d² - R²) would lose the radii of a small, distant
+sphere to rounding. Bodies that already overlap and close meet at once.
 
-Where a uniform field bends the path of one of two bodies only, their separation is d + w t + ½ b t². The gap between
-their surfaces has a second derivative of at least -|b|. A gap g that closes at the speed c therefore stays open for
+Where a uniform field bends the path of only one of two bodies, their separation is d + w t + ½ b t². The second
+derivative of the gap between their surfaces is at least -|b|. A gap g that closes at the speed c therefore stays open
+for
 
     2 g / (c + √(c² + 2 |b| g))
 
-These steps lead to the first root from below, at the rate of Newton's method. Under drag with the rate λ the
-separation is d + w t φ₁ + b t² φ₂, with φ₁ and φ₂ of λ t (`carom.physics.exponential`), and its second derivative
+Steps of this length converge to the first root from below, at the rate of Newton's method. Under drag with the rate λ
+the separation is d + w t φ₁ + b t² φ₂, with φ₁ and φ₂ of λ t (`carom.physics.exponential`), and its second derivative
 (b - λ w) e^{-λt}, which only shrinks.
 
-A drift uses the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick before the
-drift; under drag a - λ v takes the place of a. A meeting is an impact if the bodies then close faster than a given
-speed.
+A drift moves bodies with the velocities of the middle of the step. At τ the velocity is v + a (τ - h), with h the kick
+before the drift; under drag a - λ v takes the place of a. A meeting is an impact only if the bodies then close faster
+than a given speed.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
 
 # of `step_by_impacts`
-PASSES = 3  # each uses the mean velocity until the impact of the pass before
-SLOW_CONTACT = 2.0  # times the speed that a contact at rest may gain in the time; slower contacts are no impacts
+PASSES = 3  # each uses the mean velocity up to the impact found by the previous pass
+SLOW_CONTACT = 2.0  # times the speed that a contact at rest may gain in the time; slower closing is no impact
 APPROACH = 0.9  # of the time until the impact
-SHORT = 1e-4  # of the span; a step passes an impact that is nearer by as much
+SHORT = 1e-4  # of the span; a nearer impact is passed by a step of this length
 
 
 @kernel
@@ -58,7 +59,7 @@ def time_of_impact(
     since_kick: float,
     slow: float,
 ) -> float:
-    """Return the time in s until two bodies meet in an impact; infinite if they do not within a span.
+    """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span.
 
     Parameters
     ----------
@@ -71,7 +72,7 @@ def time_of_impact(
     since_kick
         s, present time minus the time of the velocities.
     slow
-        m/s, largest closing speed that is not an impact.
+        m/s, largest closing speed that is no impact.
     """
     b = dx * vx + dy * vy + dz * vz
     if not b < 0.0:
@@ -82,7 +83,7 @@ def time_of_impact(
         tau = -b / v2
         px, py, pz = dx + vx * tau, dy + vy * tau, dz + vz * tau
         half_chord2 = R * R - (px * px + py * py + pz * pz)
-        if not half_chord2 > 0.0:  # a graze does not close
+        if not half_chord2 > 0.0:  # a grazing pass does not close
             return np.inf
         tau = max(0.0, tau - np.sqrt(half_chord2 / v2))
         if tau > span:
@@ -107,7 +108,7 @@ def time_of_impact_on_parabola(
     R: float,
     span: float,
 ) -> float:
-    """Return the time in s until two bodies touch and close; infinite if they do not within a span.
+    """Return the time (s) until two bodies touch and close; infinite if they do not within a span.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def time_of_impact_on_parabola(
 
 @kernel
 def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float, R: float, span: float) -> float:
-    """Return the time in s until a body touches a plane and closes; infinite if it does not within a span.
+    """Return the time (s) until a body touches a plane and closes; infinite if it does not within a span.
 
     Parameters
     ----------
@@ -186,7 +187,7 @@ def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float
 
 @inline
 def _open_for(gap: float, closing: float, b: float) -> float:
-    """Return a lower bound in s for the time until a gap closes, whose closing speed grows by b m/s² at most."""
+    """Return a lower bound (s) of the time until a gap closes, if its closing speed grows by at most b (m/s²)."""
     gap = max(0.0, gap)
     root = np.sqrt(closing * closing + 2.0 * b * gap)
     return float(2.0 * gap / (closing + root) if closing > 0.0 else (root - closing) / b)
@@ -213,8 +214,8 @@ def time_of_impact_in_box(
 ) -> float:
     """Return `time_of_impact` in a periodic box of (Lx, Ly, Lz) m, for any number of passes through the box.
 
-    The path is cut into legs of at most half a box. On a leg a body can meet the nearest image of another or, in each
-    direction, the image that approaches.
+    The path is cut into legs of at most half a box. On a leg, a body can meet the nearest image of another or, along
+    each axis, the approaching image.
     """
     passed = 0.0
     while True:
@@ -258,12 +259,12 @@ def step_by_impacts(
     offset: FloatArray,
     span: float,
 ) -> float:
-    """Return the longest step in s by the next impact of bodies and planes; infinite if there is none in a span.
+    """Return the longest step (s) that the next impact of bodies and planes allows; infinite without one in a span.
 
-    A held contact pushes its bodies with one impulse for the whole step. An impact in the middle of the step meets
-    velocities that lack a part of it, and bodies that separate there keep too much of it: errors of first order in the
-    step. Each step therefore covers nine tenths of the time to the impact, until a very short one passes it. The
-    forecast ignores held contacts, an error of second order.
+    A held contact acts on its bodies with one impulse for the whole step. An impact in the middle of the step meets
+    velocities that lack part of this impulse, and bodies that separate there keep too much of it: errors of first order
+    in the step. Each step therefore covers nine tenths of the time to the impact, until a very short step passes it.
+    The prediction ignores held contacts, an error of second order.
 
     Parameters
     ----------
@@ -304,7 +305,7 @@ def _time_to_impact(
     R: float,
     span: float,
 ) -> float:
-    """Return the time in s until two meet in an impact, on their parabolas without contacts."""
+    """Return the time (s) until two bodies meet in an impact, on parabolas without held contacts."""
     tau = span
     for _ in range(PASSES):
         h = 0.5 * tau

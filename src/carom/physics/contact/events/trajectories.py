@@ -1,24 +1,24 @@
-"""Trajectories of the bodies through a drift: straight lines that change their direction at impacts.
+"""Trajectories of the bodies through a drift: straight lines whose direction changes at impacts.
 
-Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt it lags behind the
-straight line by ½ g s (dt - s), whatever impacts happened before. Positions are stored on the straight lines, and
-`lag` is added where bodies meet, so that a body in a uniform field meets a plane at the exact time. Contacts at rest
-hold their bodies with one impulse for the whole drift; the path of a held body is straight.
+Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt, the parabola lags
+behind the straight line by ½ g s (dt - s), whatever impacts happened before. Stored positions are on the straight
+lines, and `lag` is added where bodies meet, so that the time of a meeting in a uniform field is exact. Contacts at rest
+hold their bodies with one impulse for the whole drift, so the path of a held body is straight.
 
 Under linear drag with the relaxation time τ, paths are straight in a time σ that slows down with the bodies
-(`carom.physics.forces.drag`): σ = τ (1 - e^{-s/τ})/φ₁, so that σ = s at both ends of the drift. All times here are σ;
+(`carom.physics.forces.drag`): σ = τ (1 - e^{-s/τ})/φ₁. At both ends of the drift, σ = s. All times here are σ;
 `elapsed` returns s. With the mean velocity w of the drift and the length k of the kick before it,
 
     dσ/ds = f = 1 - (σ - k)/τ,    v = f w + (σ - k) a,    lag = σ (k φ₁ - φ₁² σ M(φ₁ σ/τ)),    φ₁ = 1/(1 + k/τ)
 
 An impulse J changes w by J/(m f). Without drag, 1/τ is 0, and σ = s.
 
-The record of each body has its own time, its next impact, and its search radius: how far it may move before it can meet
-bodies that are not in its list of neighbours.
+The record of each body holds its own time, its next impact, and its search radius: the displacement within which it can
+meet only bodies in its list of neighbours.
 
-The event queue is a binary heap of the bodies with a predicted impact, the earliest first. Each body is in it at most
-once, with its own next impact. For an impact of two bodies it is enough that one of them is in the queue: the one whose
-impact was predicted last. Impacts at the same time come in the order of their pairs.
+The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in it at most
+once, with its own next impact. For an impact of two bodies, one entry is enough: that of the body whose impact was
+predicted last. Simultaneous impacts are in the order of their pairs.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
 from carom.scene.schema import Coefficients
 
-FIRST_STANDOFF = 1e-9  # of the radius, of an exhausted body
-MOST_HOLDS = 100  # of an exhausted body in a drift; then only others meet it. Its standoff is beyond any gap by then.
+FIRST_STANDOFF = 1e-9  # of the radius: the standoff of a body that is exhausted for the first time
+MOST_HOLDS = 100  # of an exhausted body in a drift; then only others can meet it, since its standoff exceeds every gap
 MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 
 class QueuedRecord(Protocol):
-    """A body that can be in the event queue, as `TrajectoryRecord` states it."""
+    """The entry of a body in the event queue, a part of `TrajectoryRecord`."""
 
     impact_time: float
     partner: int
@@ -54,21 +54,21 @@ class TrajectoryRecord(Protocol):
     """The path of a body in a drift."""
 
     now: float  # s from the beginning of the drift, the time of the body's position
-    impacts: int  # so far in this drift
+    impacts: int  # impacts so far in this drift
     negligible_speed: float  # m/s; slower closing is rounding, not an impact
     impact_time: float  # s, of its next impact; infinite if there is none
     partner: int  # the other end of that impact: body j, or n + p for plane p
     partner_impacts: int  # impacts of the partner when that impact was predicted
     queue_place: int  # in the event queue; -1 outside
-    search_radius: float  # m, from its start, relative to the bulk: neighbours are known up to there
-    start_x: float  # m, where it was at the beginning of the drift
+    search_radius: float  # m, displacement relative to the bulk up to which its neighbours are known
+    start_x: float  # m, its position at the beginning of the drift
     start_y: float
     start_z: float
     standoff: float  # m, gap up to which its contacts are held once it is exhausted, see `held_group`
     holds: int  # how often its contacts were held in this drift
-    strays: bool  # whether its path leaves that radius
-    is_straight: bool  # whether its path does not bend with the field: it is held or does not move
-    is_free: bool  # whether it has touched nothing since the last step: it bounces at any speed
+    strays: bool  # whether its path leaves the search radius
+    is_straight: bool  # whether its path does not bend with the field, because it is held or fixed
+    is_free: bool  # whether it has touched nothing since the last step, so that it bounces at any speed
     exhausted: bool  # whether it has had its largest number of impacts
 
 
@@ -76,7 +76,7 @@ TRAJECTORY = dtype_of(TrajectoryRecord)
 
 
 class DriftRecord(Protocol):
-    """A drift."""
+    """The drift of a step."""
 
     dt: float  # s, length of the drift
     kick: float  # s, the kick before it: velocities are those of this time
@@ -118,7 +118,7 @@ class Trajectories(NamedTuple):
     inverse_mass: FloatArray  # (n + p,) 1/kg
     inverse_inertia: FloatArray  # (n + p,) 1/(kg m²)
     radius: FloatArray  # (n + p,) m
-    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which its contacts are at rest
+    rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which the body's contacts are at rest
     box: FloatArray  # (3,) m; zeros in open space
     surface: FloatArray  # (p, 3) normals
     offset: FloatArray  # (p,) m
@@ -139,10 +139,11 @@ def write_search_radii(
     body: RecordArray[TrajectoryRecord],
     drift: RecordArray[DriftRecord],
 ) -> float:
-    """Write the search radii of all bodies in dt, and the velocity they are relative to; return the largest in radii.
+    """Write the search radius of each body in dt, and the velocity it is relative to; return the largest in body radii.
 
-    A search radius is the distance that a body covers at its own speed plus the mean speed of all, relative to the
-    centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the others'.
+    A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
+    the centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the radii
+    of others.
     """
     ux, uy, uz = (0.0, 0.0, 0.0) if anchored else centre_velocity(v, mass)
     drift[0].bulk_x, drift[0].bulk_y, drift[0].bulk_z = ux, uy, uz
@@ -192,7 +193,7 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
 
 @inner
 def arrive(i: int, T: Trajectories) -> None:
-    """Begin the path of a body at the present time; it has had no impacts."""
+    """Begin the path of a body at the present time, with no impacts so far."""
     body = T.body[i]
     body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
     body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS
@@ -202,7 +203,7 @@ def arrive(i: int, T: Trajectories) -> None:
 def straighten(
     pairs: IntArray, place: IntArray, contacts: RecordArray[ContactRecord], body: RecordArray[TrajectoryRecord]
 ) -> None:
-    """Make the paths of held bodies straight, those with an impulse in ``contacts[place]``; they are not free."""
+    """Make the paths of held bodies, with an impulse in ``contacts[place]``, straight, and mark them as not free."""
     for c in range(len(place)):
         if contacts[place[c]].normal_impulse > 0.0:
             for end in range(2):
@@ -232,7 +233,7 @@ def elapsed(T: Trajectories) -> float:
 
 @inner
 def slowing(T: Trajectories) -> float:
-    """Return the ratio of velocities at the present time to those of the straight paths; 1 without drag."""
+    """Return the ratio of velocities at the present time to those of the straight path; 1 without drag."""
     drift = T.drift[0]
     return float(1.0 - drift.damping * (drift.clock - drift.kick))
 
@@ -258,7 +259,7 @@ def lag(T: Trajectories) -> float:
 
 @inner
 def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
-    """Return the position of a body at the present time, in m: on its parabola."""
+    """Return the position (m) of a body on its parabola at the present time."""
     x, y, z = vector(T.x, i)
     if T.body[i].is_straight:
         return x, y, z
@@ -268,7 +269,7 @@ def centre(i: int, T: Trajectories) -> tuple[float, float, float]:
 
 @inner
 def rest_speed(i: int, T: Trajectories) -> float:
-    """Return the closing speed up to which contacts of a body are at rest, in m/s: 0 if it has touched nothing."""
+    """Return the closing speed (m/s) up to which contacts of a body are at rest: 0 if it has touched nothing."""
     return 0.0 if T.body[i].is_free else T.rest_speed[i]
 
 
@@ -276,7 +277,7 @@ def rest_speed(i: int, T: Trajectories) -> float:
 def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, float, float, float]:
     """Return the normal from i to j, and both lever arms in m; see `geometry.update_geometry`.
 
-    The arm at a plane is the height, which is the radius when a body meets it.
+    The arm at a plane is the height of the centre, which equals the radius when the body meets it.
     """
     n = len(T.x)
     if j >= n:
@@ -317,7 +318,7 @@ def finish(lo: int, hi: int, T: Trajectories) -> None:
 
 @kernel
 def both_ways(pairs: IntArray, ends: IntArray, others: IntArray) -> None:
-    """List the neighbours of each body, i's at ``others[ends[i]:ends[i + 1]]``."""
+    """List the neighbours of each body; those of i are ``others[ends[i]:ends[i + 1]]``."""
     for c in range(len(pairs)):
         ends[pairs[c, 0]] += 1
         ends[pairs[c, 1]] += 1

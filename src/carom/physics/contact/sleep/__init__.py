@@ -1,1 +1,1 @@
-"""Sleep of bodies at rest: an optional part, which a scene switches on by `contact.sleep`."""
+"""Sleep of bodies at rest: an optional part, switched on by `contact.sleep`."""

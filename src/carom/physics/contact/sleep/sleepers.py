@@ -2,17 +2,18 @@
 
 A body is slow while |v| ≤ s and |ω| r ≤ 10 s, with s = `contact.sleep.speed`. An island whose bodies have all been slow
 for `contact.sleep.after` falls asleep if a contact presses it against something fixed. Its velocities become 0, and its
-contacts keep the forces of the last kick. Forces do not move sleepers; pairs of sleepers are left out of the contacts.
+contacts keep the forces of the last kick. Forces do not move sleepers, and pairs of sleepers are not contacts of the
+solver.
 
 An island wakes as a whole when
 
 - an impact in the drift has moved one of its bodies,
-- a body that is awake comes near it, or
+- an awake body comes near it, or
 - the acceleration of one of its bodies has changed by more than s / after.
 
-Its contacts then start from the forces that they had.
+Its contacts then start with their stored forces.
 
-Rejected: sleep of single bodies (the bodies above them would wake them in the next step).
+Rejected: single bodies that sleep (bodies resting on them would wake them in the next step).
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces
 
-SPIN = 10.0  # times the speed: nothing brakes a spin about a contact's normal, which moves no neighbour
-ASLEEP = -1.0  # in place of the time for which a body has been slow
+SPIN = 10.0  # times the speed: nothing brakes a spin about the normal of a contact, and it moves no neighbour
+ASLEEP = -1.0  # stored instead of the time for which a body has been slow
 NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
 
 
@@ -64,7 +65,7 @@ class SleepingContacts:
 
     @property
     def place(self) -> IntArray:
-        """(k,) index of each one's record."""
+        """(k,) index of each contact's record."""
         return np.arange(len(self))
 
     def graph(self) -> CollisionGraph:
@@ -112,7 +113,7 @@ class Sleepers:
         self.forget()
 
     def _compile(self) -> None:
-        """Call every kernel without sleepers, so that the first one does not wait for a compiler."""
+        """Run every kernel without sleepers, so that the first one does not wait for a compiler."""
         self.forget()
         ends, nobody = self._bodies.ends, np.zeros(len(self._bodies), dtype=np.bool_)
         pairs, shape = empty_graph().pairs, (ends.velocity, ends.angular_velocity, ends.inverse_mass)
@@ -129,10 +130,10 @@ class Sleepers:
     def forget(self) -> None:
         """Wake all bodies, as before the first step."""
         n = len(self._bodies)
-        self._calm = np.zeros(n)  # s, for which each body has been slow, or `ASLEEP`
+        self._calm = np.zeros(n)  # s, how long each body has been slow, or `ASLEEP`
         self._still = self._fixed.copy()  # (n + p,) fixed ends and sleepers
         self._reference = np.zeros((n, 3))  # m/s², accelerations of the sleepers when they fell asleep
-        self._count = 0  # of the sleepers
+        self._count = 0  # number of sleepers
         self.contacts = NO_SLEEPERS
 
     @property
@@ -156,7 +157,7 @@ class Sleepers:
         return SleepCheckpoint(self._calm.copy(), self._reference.copy(), self.contacts.pairs, self.contacts.force)
 
     def recall(self, memory: SleepCheckpoint | None) -> None:
-        """Restore the state of `memory`; the bodies must already be in their positions of that step."""
+        """Restore the state of `memory`; positions must already be those of that step."""
         self.forget()
         if memory is not None:
             self._calm, self._reference = memory.calm.copy(), memory.reference.copy()
@@ -170,7 +171,7 @@ class Sleepers:
             _stop(self._calm, ends.velocity, ends.angular_velocity)
 
     def awake(self, pairs: IntArray) -> IntArray:
-        """Return the pairs with an end that is awake; the contacts of the others are not computed."""
+        """Return the pairs with an awake end; the contacts of the others are not computed."""
         return pairs[self.have_awake_end(pairs)] if self._count else pairs
 
     def have_awake_end(self, pairs: IntArray) -> BoolArray:
@@ -178,28 +179,28 @@ class Sleepers:
         return _has_awake_end(pairs, self._still)
 
     def is_disturbed(self) -> bool:
-        """Return whether a sleeper moves, or its acceleration differs from when it fell asleep."""
+        """Return whether a sleeper moves, or its acceleration has changed since it fell asleep."""
         return self._count > 0 and bool(self._disturbed(empty_graph().pairs).any())
 
     def wake(self, pairs: IntArray, cache: ImpulseCache, kick: float, dt: float) -> tuple[ImpulseCache, FloatArray]:
-        """Wake the islands that are disturbed or near bodies that are awake.
+        """Wake the islands that are disturbed, or near awake bodies.
 
         Parameters
         ----------
         pairs
-            All pairs that are near.
+            All near pairs.
         cache
-            The impulses of the contacts that are awake.
+            The impulses of the awake contacts.
         kick, dt
-            s, lengths of the first kick of the step, and of the step.
+            s, lengths of the first kick and of the step.
 
         Returns
         -------
         cache
-            The impulses from which the next kick starts: those given, and those of the woken contacts.
+            The impulses with which the next kick starts: the given ones and those of the woken contacts.
         lost
-            (k, 3) J, energy that contacts removed after the first kick, by term: -½ m (a h)². The energy audit books
-            the same for bodies that lie still, and the opposite after the last kick.
+            (k, 3) J, energy -½ m (a h)² that contacts removed after the first kick, by term. The energy audit books the
+            same for bodies at rest, and the opposite after the last kick.
         """
         disturbed = self._disturbed(pairs) if self._count else np.zeros(0, dtype=np.bool_)
         if not disturbed.any():
@@ -214,7 +215,7 @@ class Sleepers:
         length = cache.kick if cache.kick > 0.0 else dt
         joined = np.concatenate((cache.pairs, slept.pairs[awake]))
         given = cache.impulse
-        impulse = np.zeros((len(joined), given.shape[1]))  # what resists rolling begins at 0
+        impulse = np.zeros((len(joined), given.shape[1]))  # rolling resistance starts at 0
         impulse[: len(given)], impulse[len(given) :, : len(IMPULSES)] = given, length * slept.force[awake]
         order = np.lexsort((joined[:, 1], joined[:, 0]))
         lost = np.zeros((1, len(TERMS)))
@@ -222,14 +223,14 @@ class Sleepers:
         return ImpulseCache.of(joined[order], impulse[order], length), lost
 
     def fall_asleep(self, pairs: IntArray, cache: ImpulseCache, dt: float) -> FloatArray:
-        """Let islands fall asleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
+        """Put islands to sleep after a step of dt s; return the energy that they lose, (k, 3) J, by term.
 
         Parameters
         ----------
         pairs
-            (m, 2), the contacts of the step, near ones included.
+            (m, 2), the contacts of the step, including near ones.
         cache
-            The impulses of the last kick; nothing falls asleep unless they are those of ``pairs``.
+            The impulses of the last kick. Nothing falls asleep unless they belong to ``pairs``.
         """
         bodies, ends = self._bodies, self._bodies.ends
         motion = (ends.velocity, ends.angular_velocity, bodies.radius, ends.inverse_mass)
@@ -340,7 +341,7 @@ def _mark_disturbed(
 
 @kernel
 def _wake_islands(pairs: IntArray, inverse_mass: FloatArray, disturbed: BoolArray, woken: BoolArray) -> None:
-    """Mark all bodies of the islands in which one is disturbed."""
+    """Mark all bodies of the islands in which a body is disturbed."""
     n = len(disturbed)
     parent = np.arange(n)
     join_islands(pairs, inverse_mass, parent)
@@ -373,7 +374,7 @@ def _count_calm(
     after: float,
     calm: FloatArray,
 ) -> bool:
-    """Add dt to the times for which bodies have been slow; return whether one may fall asleep."""
+    """Add dt to the times for which bodies have been slow; return whether a body may fall asleep."""
     is_due = False
     for i in range(len(calm)):
         if calm[i] < 0.0 or inverse_mass[i] == 0.0:

@@ -1,26 +1,26 @@
-"""The energy audit of resting contacts, and the bound of the energy that their impulses may put in.
+"""The energy audit of resting contacts, and a bound on the energy that their impulses may add.
 
 An impulse J takes out -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
-is a second term. The forces do their work in the drift on velocities that include J, but half of that work has already
-been booked with the first kick, without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
+is a second term. In the drift, the forces do work on velocities that include J, but half of that work was already
+booked with the first kick, without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
 
     lost_n = -λ_n ((v_n + v_n')/2 - Δv_n),    lost_t = -λ_t·((u + u')/2 - Δu)        Δv = 0 after the last kick
 
-The entries of the two kicks then cancel for a body that lies still.
+For a body at rest, the entries of the two kicks then cancel.
 
 Impulses that are still too large after the iterations are scaled down (`scale_back`). Impulses λ change the velocities
 at the contacts from v to v' = v + A λ. The solution minimises
 
     f(λ) = λ·(v + c) + ½ λ·A λ,
 
-which is 0 for λ = 0 and negative for impulses that take out energy. Iterations lower f, but they start from the
-impulses of the previous kick, which may be far too large. Along θ λ the minimum is at θ = -λ·(v + c) / λ·(v' - v). If θ
-< 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, whose
-second kick starts from the impulses of the first. An island is a connected component of the collision graph without
+which is 0 for λ = 0, and negative for impulses that take out energy. Iterations lower f, but they start from the
+impulses of the previous kick, which may be far too large. Along θ λ, the minimum is at θ = -λ·(v + c) / λ·(v' - v). If
+θ < 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, since
+its second kick starts from the impulses of the first. An island is a connected component of the collision graph without
 fixed bodies and planes.
 
-θ < 1 is rare, so the audit measures both sums on its way (`measures`), and is repeated if impulses were scaled. In
-a falling heap of 1000 spheres, one `hold` in twenty is; a pass of its own took 5 % of each step.
+θ < 1 is rare, so the audit computes both sums in passing (`measures`), and is repeated if impulses were scaled. In a
+falling heap of 1000 spheres, that is one `hold` in twenty; a separate pass took 5 % of each step.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from carom.physics.jit.decorators import inline, unowned
 
 @unowned
 def audit(first: int, end: int, system: ConstraintSystem) -> None:
-    """Book the energies of the impulses of some pieces, by contact and in sum."""
+    """Book the energies of the impulses of some pieces, for each contact and in total."""
     for piece in range(first, end):
         _audit(piece, system)
 
@@ -64,7 +64,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
         vn, ux, uy, uz = relative_velocity(contact, body_i, body_j)
         kx, ky, kz = (a[j, 0] - a[i, 0]) * booked, (a[j, 1] - a[i, 1]) * booked, (a[j, 2] - a[i, 2]) * booked
         kn = kx * nx + ky * ny + kz * nz
-        if state.biased:  # without the bias v_n' would be 0; the bias put in the rest
+        if state.biased:  # without the bias v_n' would be 0; the difference is the work of the bias
             lost = -Jn * (0.5 * state.normal_before - kn)
             state.stabilisation_gain += 0.5 * Jn * vn
             stabilisation += 0.5 * Jn * vn
@@ -88,7 +88,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
             slope, curvature = friction_energies(contact, state, ux, uy, uz)
             measured.slope += slope
             measured.curvature += curvature
-        if exerts_torque(system.materials[0]):  # forces do no work on spins, so there is no second term
+        if exerts_torque(system.materials[0]):  # forces do no work on spins, so the second term is missing
             lx, ly, lz = angular_impulse(contact)
             before_x, before_y, before_z = spin_before(contact)
             wx, wy, wz = relative_spin(body_i, body_j)
@@ -106,7 +106,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
 
 @unowned
 def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
-    """Scale the impulses of each island by θ where θ < 1, and take back the audit; note whether there were any."""
+    """Scale the impulses of each island with θ < 1, and undo the audit; note whether there were any."""
     settings = system.settings[0]
     if not settings.islands_known:
         _find_islands(system)
@@ -138,18 +138,18 @@ def friction_energies(
 
 @inline
 def _find_islands(system: ConstraintSystem) -> None:
-    """Write the island of each body: the lowest body of those that contacts join."""
+    """Write the island of each body: the lowest body that contacts connect it with."""
     active, island = system.active, system.island
     for k in range(len(active)):
         island[active[k]] = active[k]
     join_islands(system.pairs, system.inverse_mass, island)
-    for k in range(len(active)):  # rising: the parent is lower, so its root is known
+    for k in range(len(active)):  # in ascending order: the parent is lower, so its root is known
         island[active[k]] = island[island[active[k]]]
 
 
 @inline
 def _island_of(c: int, system: ConstraintSystem) -> int:
-    """Return the island of a contact: that of an end that moves."""
+    """Return the island of a contact: that of an end that is not fixed."""
     i, j = ends_of(system.pairs, c)
     island: int = system.island[i if system.bodies[i].inverse_mass > 0.0 else j]
     return island
@@ -170,11 +170,11 @@ def _sum_up_islands(system: ConstraintSystem) -> None:
 
 @inline
 def _find_scales(system: ConstraintSystem) -> bool:
-    """Find θ of each island, 1 where the minimum is beyond; return whether one is less than 1."""
+    """Find θ of each island, 1 where the minimum is at more than 1; return whether one is less than 1."""
     any_less = False
     for k in range(len(system.active)):
         whole = system.islands[system.active[k]]
-        if -whole.slope < whole.curvature:  # both are 0 where a body is not the lowest of its island
+        if -whole.slope < whole.curvature:  # both are 0 for a body that is not the root of its island
             whole.scale = max(0.0, -whole.slope / whole.curvature)
             any_less = True
     return any_less
@@ -201,7 +201,7 @@ def _scale_impulses(system: ConstraintSystem) -> None:
 
 @inline
 def _scale_velocities(system: ConstraintSystem) -> None:
-    """Scale the changes of the velocities alike; the arrays still have the velocities before the impulses."""
+    """Scale the changes of the velocities by the same factors; the arrays hold the velocities before the impulses."""
     v, omega = system.velocity, system.spin
     for k in range(len(system.active)):
         b = system.active[k]

@@ -1,7 +1,6 @@
 """Eight contacts of a colour that share no moving body: a block, for code generators of phases.
 
-The code computes with lanes, one for each contact, what the phase's loop computes for one contact at a time, with the
-same bits.
+The code computes in lanes, one per contact, what the phase's loop computes contact by contact, with the same bits.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from carom.physics.jit.vectors import (
     spread,
 )
 
-VELOCITY, CHANGE = range(2)  # lines of a body
+VELOCITY, CHANGE = range(2)  # lines of a body's record
 
 
 @inline
@@ -44,9 +43,9 @@ class Block:
     Parameters
     ----------
     code
-        Of an instruction, with the argument ``system``.
+        The instruction, whose argument is ``system``.
     first
-        Place of the first contact, a value of the code.
+        Index of the first contact, a value in the code.
     """
 
     def __init__(self, code: Code, first: Any) -> None:
@@ -70,7 +69,7 @@ class Block:
 
     @property
     def body_count(self) -> Any:
-        """The number of bodies; ends from it on are planes."""
+        """The number of bodies; ends from this number on are planes."""
         return self.builder.sub(self.count("bodies"), self.count("surface"))
 
     def address(self, name: str, *indices: Any) -> Any:
@@ -96,7 +95,7 @@ class Block:
 
     @property
     def between_bodies(self) -> Mask:
-        """The contacts of which neither end is a plane."""
+        """The contacts with no plane as an end."""
         return ~at_least(self.builder, self.ends[1], self.body_count)
 
     @property
@@ -105,16 +104,16 @@ class Block:
         return read_flags(self.builder, self.address("held", self.places[0]))
 
     def records(self, name: str, kind: np.dtype[np.void], lines: Sequence[int]) -> RecordLanes:
-        """Return the records of the contacts in an array, and read some of their lines."""
+        """Return the records of the contacts in an array, with some of their lines read."""
         return RecordLanes(self.builder, kind, [self.address(name, place) for place in self.places], lines)
 
     def bodies(self, name: str, kind: np.dtype[np.void], lines: Sequence[int]) -> list[RecordLanes]:
-        """Return the records of the bodies i and j in an array, and read some of their lines."""
+        """Return the records of the bodies i and j in an array, with some of their lines read."""
         addresses = [[self.address(name, body) for body in end] for end in self.ends]
         return [RecordLanes(self.builder, kind, end, lines) for end in addresses]
 
     def fetch_bodies_ahead(self, name: str, lines: Sequence[int]) -> None:
-        """Fetch lines of the records of the bodies of a later block."""
+        """Prefetch lines of the records of the bodies of a later block."""
         last = self.builder.sub(self.count("pairs"), WORD(WIDTH))
         ahead = self.builder.add(self.places[0], WORD(AHEAD))
         for end in self._ends_from(self.builder.select(self.builder.icmp_signed("<", ahead, last), ahead, last)):
@@ -150,14 +149,14 @@ class Block:
         J: Sequence[Lanes],
         torque: Sequence[Lanes] | None,
     ) -> None:
-        """Add the effect of an impulse J on j, and of -J on i, to lines of the bodies; see `body_state.push`.
+        """Add the effect of an impulse J on j and -J on i to lines of the bodies' records; see `body_state.push`.
 
         Parameters
         ----------
         mask
             The contacts that exert an impulse; fixed bodies are not written.
         torque
-            N s, λ_t × n; both bodies turn by it times their levers. None without spin.
+            N s, λ_t × n, whose product with its lever arm is the torque impulse on each body. None without spin.
         """
         for body, arm, push in zip(bodies, (contact.arm_i, contact.arm_j), ([-a for a in J], J), strict=True):
             by = [along * body.inverse_mass for along in push]
@@ -174,6 +173,6 @@ class Block:
         return self.builder.bitcast(self.builder.gep(settings, [WORD(SETTINGS.fields[name][1])]), kind.as_pointer())
 
     def _ends_from(self, first: Any) -> list[list[Any]]:
-        """Return the indices i, then j, of eight contacts."""
+        """Return the indices i and then j of eight contacts."""
         places = [self.builder.add(first, WORD(k)) for k in range(WIDTH)]
         return [[self.builder.load(self.address("pairs", at, WORD(end))) for at in places] for end in range(2)]

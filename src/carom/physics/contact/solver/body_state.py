@@ -1,8 +1,8 @@
 """Velocities of the bodies in contact, as records of two cache lines each.
 
-Only bodies that touch something are gathered. Of 10⁶ bodies in flight they are few.
+Only bodies that touch something are copied. Of 10⁶ bodies in flight, these are few.
 
-Velocities at a contact are those of body j relative to body i:
+Velocities at a contact are relative: body j minus body i.
 
     v = v_j - v_i,    v_n = v·n,    v_t = v - v_n n,    u = v_t - (ρ_i ω_i + ρ_j ω_j) × n     (slip)
 """
@@ -21,7 +21,7 @@ from carom.physics.jit.vectors import where
 
 
 class Moving(Protocol):
-    """A record with a velocity in m/s."""
+    """A record with a velocity (m/s)."""
 
     vx: float
     vy: float
@@ -29,7 +29,7 @@ class Moving(Protocol):
 
 
 def active_bodies(pairs: IntArray, count: int) -> IntArray:
-    """Return the indices, among ``count`` bodies and planes, that occur in a pair, in rising order."""
+    """Return the indices, among ``count`` bodies and planes, that occur in a pair, in ascending order."""
     touches = np.zeros(count, dtype=np.bool_)
     _mark(pairs, touches)
     return np.flatnonzero(touches)
@@ -53,7 +53,7 @@ def gather(
     inverse_inertia: FloatArray,
     bodies: RecordArray[BodyStateRecord],
 ) -> None:
-    """Copy the velocities of the active bodies [lo, hi) into their records; without spin ``omega`` has no rows."""
+    """Copy the velocities of the active bodies [lo, hi) into their records; without spins, ``omega`` has no rows."""
     for k in range(lo, hi):
         b = from_front(active[k])
         body = bodies[b]
@@ -83,7 +83,7 @@ def scatter(
 
 @inline
 def prefetch_ends(bodies: RecordArray[object], pairs: IntArray, c: int) -> None:
-    """Fetch the first lines of the two bodies of the contact that comes `AHEAD` places after c."""
+    """Prefetch the first lines of the two bodies of the contact `AHEAD` places after c."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, j, 0)
@@ -91,7 +91,7 @@ def prefetch_ends(bodies: RecordArray[object], pairs: IntArray, c: int) -> None:
 
 @inline
 def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: int) -> None:
-    """Fetch the same lines, and those with their changes in the iteration."""
+    """Prefetch the same lines, and those with the changes in the iteration."""
     i, j = ends_of(pairs, from_front(min(len(pairs) - 1, c + AHEAD)))
     prefetch_record(bodies, i, 0)
     prefetch_record(bodies, i, 1)
@@ -100,7 +100,7 @@ def prefetch_records(bodies: RecordArray[BodyStateRecord], pairs: IntArray, c: i
 
 
 # The impulse J = λ_n n + λ_t acts on j, and -J on i: Δv = J/m, Δω = I⁻¹ (r × J). The lever arms ρ n of i and j point in
-# opposite directions, and so do the impulses, so r × J is ρ λ_t × n for both. Fixed bodies are not written to: several
+# opposite directions, and so do the impulses, so r × J is ρ λ_t × n for both. Fixed bodies are not written: several
 # contacts of a colour may share one, and its cache line would move from core to core.
 
 
@@ -115,7 +115,7 @@ def apply_impulse(
     ty: float,
     tz: float,
 ) -> None:
-    """Change the velocities of two bodies by an impulse λ_n and λ_t, in N s."""
+    """Change the velocities of two bodies by impulses λ_n and λ_t, in N s."""
     push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
         turn(contact, a, b, tx, ty, tz)
@@ -132,7 +132,7 @@ def accumulate_impulse(
     ty: float,
     tz: float,
 ) -> None:
-    """Add the change of velocities by an impulse, in N s, to that of the iteration."""
+    """Add the changes of velocities by impulses (N s) to those of the iteration."""
     accumulate_push(a, b, normal * contact.nx + tx, normal * contact.ny + ty, normal * contact.nz + tz)
     if turns:
         accumulate_turn(contact, a, b, tx, ty, tz)
@@ -140,7 +140,7 @@ def accumulate_impulse(
 
 @inline
 def push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
-    """Change the velocities by an impulse J, in N s."""
+    """Change the velocities of two bodies by an impulse J, in N s."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
         a.vx -= Jx * mi
@@ -176,7 +176,7 @@ def turn(contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: flo
 
 @inline
 def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float, Jz: float) -> None:
-    """Add the changes by `push` to those of the iteration."""
+    """Add the changes of `push` to those of the iteration."""
     mi, mj = a.inverse_mass, b.inverse_mass
     if mi > 0.0:
         a.dvx -= Jx * mi
@@ -192,7 +192,7 @@ def accumulate_push(a: BodyStateRecord, b: BodyStateRecord, Jx: float, Jy: float
 def accumulate_turn(
     contact: ContactRecord, a: BodyStateRecord, b: BodyStateRecord, tx: float, ty: float, tz: float
 ) -> None:
-    """Add the changes by `turn` to those of the iteration."""
+    """Add the changes of `turn` to those of the iteration."""
     lx, ly, lz = torque_of(contact, tx, ty, tz)
     si, sj = contact.arm_i * a.inverse_inertia, contact.arm_j * b.inverse_inertia
     if si > 0.0:
@@ -215,7 +215,7 @@ def relative_velocity(
 
 @inline
 def velocity_along(nx: float, ny: float, nz: float, a: Moving, b: Moving) -> tuple[float, float, float, float]:
-    """Return v_n and v_t of two bodies, in m/s, for a normal from a to b."""
+    """Return v_n and v_t of two bodies in m/s, for a normal from a to b."""
     ux, uy, uz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
     vn = ux * nx + uy * ny + uz * nz
     return vn, ux - vn * nx, uy - vn * ny, uz - vn * nz
@@ -230,7 +230,7 @@ def slip_velocity(
     Parameters
     ----------
     tx, ty, tz
-        m/s, v_t, the tangential part of the centres' relative velocity.
+        m/s, v_t, the tangential relative velocity of the centres.
     nx, ny, nz
         The normal, from i to j.
     wx, wy, wz
@@ -264,7 +264,7 @@ def change_of_velocity(
 
 @inline
 def bias_of(contact: ContactRecord, between_bodies: bool, tx: float, ty: float, tz: float, drift: float) -> float:
-    """Return the bias c of a contact at these velocities, in m/s: after a drift of two bodies `bias_along_arc`."""
+    """Return the bias c (m/s) of a contact at these velocities: `bias_along_arc` if two bodies drift."""
     bias: float = contact.velocity_bias
     if drift > 0.0 and between_bodies:
         bias = bias_along_arc(bias, contact.arm_i + contact.arm_j, tx, ty, tz, drift)
@@ -273,10 +273,10 @@ def bias_of(contact: ContactRecord, between_bodies: bool, tx: float, ty: float, 
 
 @inline
 def bias_along_arc(bias: float, distance: float, tx: float, ty: float, tz: float, drift: float) -> float:
-    """Return the speed c at which a contact may close so that it just touches after a drift, in m/s.
+    """Return the closing speed c (m/s) with which a contact just touches after a drift.
 
     Spheres that roll about each other separate along the tangent by R - √(R² - v_t² dt²) in a drift of dt, where R is
-    the distance of their centres after it. ``bias`` is c for a drift along the normal.
+    their distance after it. ``bias`` is c for a drift along the normal.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The contact solver: it runs the phases on the contacts of each step."""
+"""The contact solver, which runs the phases on the contacts of each step."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ from carom.physics.jit.team import ALONE, Team
 from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces
 
-REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # conjugate gradients follow these sweeps
-AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # small changes end these
+REFINED: tuple[Sweeps, ...] = ("auto", "as-needed")  # values of `contact.sweeps` after which conjugate gradients follow
+AS_NEEDED: tuple[Sweeps, ...] = ("as-needed", "quick")  # values with which small changes end the iterations
 
 
 class ContactSolver:
@@ -71,7 +71,7 @@ class ContactSolver:
     box
         Size of the periodic box, (3,) m; zeros in open space.
     friction
-        Whether impulses turn bodies.
+        Whether impulses exert torques.
     team
         Threads that share the work.
     records
@@ -101,26 +101,26 @@ class ContactSolver:
         self._islands = Islands(len(bodies.ends.velocity), team)
         self.order = solve_order_of(np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64))
         self._active = np.zeros(0, dtype=np.int64)  # bodies and planes with a contact
-        self._counts: IntArray | None = None  # (n + p,) contacts of each body and plane, once they are needed
+        self._counts: IntArray | None = None  # (n + p,) number of contacts of each end, once needed
         self._settings = np.zeros(1, SETTINGS)
         self._settings["spins"] = friction
         self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["keeps_iterating"] = sweeps == "auto" or alternates
         self._code = PhaseCode(friction)
-        self._run: Callable[..., int] | None = None  # `work` for systems of this solver
+        self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 
     def lay(self, order: SolveOrder, keep: RecordArray[ContactRecord] | None = None, rounding: float = 0.0) -> None:
-        """Begin a step: lay out the records of its contacts, and find their geometry.
+        """Begin a step: lay out the records of its contacts, and compute their geometry.
 
         Parameters
         ----------
         order
-            The contacts, in the order in which they are solved.
+            The contacts in the order of solving.
         keep
-            `contacts` of an earlier step that must not be overwritten.
+            `contacts` of an earlier step, not to be overwritten.
         rounding
-            m, of the coordinates; a gap up to this counts as contact.
+            m, rounding of the coordinates; a gap up to this counts as a contact.
         """
         if order is not self.order:
             self._active = active_bodies(order.pairs, len(self._bodies.ends.velocity))
@@ -134,7 +134,7 @@ class ContactSolver:
 
     @property
     def contacts(self) -> RecordArray[ContactRecord]:
-        """(m,) `CONTACT`, in the order in which the contacts are solved, as in all properties below."""
+        """(m,) `CONTACT`, in the order of solving, as in all properties below."""
         return self._system.contacts
 
     @property
@@ -169,28 +169,28 @@ class ContactSolver:
 
     @property
     def rest_speed(self) -> FloatArray:
-        """(m,) m/s; an approach up to this speed is a contact at rest and does not bounce."""
+        """(m,) m/s; a contact that closes no faster is at rest and does not bounce."""
         return self._system.states["rest_speed"]
 
     def rest_speeds_by_pair(self) -> FloatArray:
-        """Return `rest_speed` in the order of the pairs, (m,) m/s, a copy."""
+        """Return a copy of `rest_speed` in the order of the pairs, (m,) m/s."""
         speeds = np.empty(len(self.order.place))
         _gather_rest_speeds(self.order.place, self._system.states, speeds)
         return speeds
 
     @property
     def approach(self) -> FloatArray:
-        """(m,) m/s, the fastest approach of each contact in the iterations of this step."""
+        """(m,) m/s, the fastest closing of each contact in the iterations of this step."""
         return self._system.states["approach_speed"]
 
     @property
     def ledger(self) -> FloatArray:
-        """(m, 3) J: losses by restitution and by friction, gain by stabilisation."""
+        """(m, 3) J: losses by restitution and friction, gain by stabilisation."""
         return terms_of(self._system.states)
 
     @property
     def audited(self) -> FloatArray:
-        """(k, 3) J: the same of the last `hold`, summed over each piece."""
+        """(k, 3) J: the same for the last `hold`, summed over each piece."""
         return terms_of(self._system.piece_results)
 
     def statistics(self) -> ContactStatistics:
@@ -208,7 +208,7 @@ class ContactSolver:
         self._team.divide(len(self._system.pairs), MIN_PER_TASK, update_geometry, *self._geometry())
 
     def find_rest_speeds(self, field: FloatArray, dt: float) -> bool:
-        """Find the rest speed of each contact (see `Islands`); return whether one is not 0."""
+        """Compute the rest speed of each contact (see `Islands`); return whether one is not 0."""
         ends, system = self._bodies.ends, self._system
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
         return self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
@@ -234,7 +234,7 @@ class ContactSolver:
         self._team.divide(len(system.pairs), MIN_PER_TASK, audit_corrections, *pushed)
 
     def resolve_impacts(self, bias_rate: float, max_iterations: int, impacts_only: bool) -> int:
-        """Resolve the contacts that approach; return the number of iterations.
+        """Resolve the contacts that close; return the number of iterations.
 
         Parameters
         ----------
@@ -251,7 +251,7 @@ class ContactSolver:
 
     @property
     def pressed(self) -> BoolArray:
-        """(n + p,) whether contacts have pressed each body since the last step; others meet in impacts."""
+        """(n + p,) whether contacts have pressed each body since the last step; other bodies meet in impacts."""
         return self._workspace.pressed
 
     def mark_pressed(self, cache: ImpulseCache) -> None:
@@ -277,14 +277,14 @@ class ContactSolver:
     ) -> int:
         """Find the impulses of resting contacts after a kick; return the number of iterations.
 
-        They start from the impulses in `contacts`.
+        The iterations start from the impulses in `contacts`.
 
         Parameters
         ----------
         dt
-            s, the step for which the rest speeds were found; before a drift, the previous one.
+            s, the step for which the rest speeds were computed; before a drift, the previous step.
         booked
-            s, part of the drift for which the work of the forces is already booked: the length of the kick, unless
+            s, the part of the drift for which the work of the forces is already booked: the length of the kick, unless
             there is drag.
         drift
             s, length of the drift that follows; 0 after the last kick.
@@ -293,7 +293,7 @@ class ContactSolver:
         max_iterations
             Limit of the iterations if they do not converge before.
         against
-            (n + p, 3) m/s², accelerations against which the contacts hold (default: those of the bodies).
+            (n + p, 3) m/s², accelerations against which contacts hold (default: those of the bodies).
         """
         settings = self._settings
         settings["dt"], settings["booked"], settings["drift"] = dt, booked, drift
@@ -304,7 +304,7 @@ class ContactSolver:
         return self._lead(RESTING, system, max_iterations)
 
     def is_closing(self, dt: float) -> bool:
-        """Return whether a contact still approaches too fast after the iterations of a step of dt s."""
+        """Return whether a contact still closes too fast after the iterations of a step of dt s."""
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * float(self._settings["fastest"][0])
@@ -343,7 +343,7 @@ def _gather_rest_speeds(place: IntArray, states: RecordArray[ContactStateRecord]
 
 
 class Workspace:
-    """Makes the constraint system of each step from arrays that it keeps.
+    """Makes the constraint system of each step from arrays that it reuses.
 
     Parameters
     ----------
@@ -394,16 +394,16 @@ class Workspace:
         settings: RecordArray[SettingsRecord],
         keep: RecordArray[ContactRecord] | None = None,
     ) -> ConstraintSystem:
-        """Return the system of a step; the one before becomes invalid.
+        """Return the system of a step; the previous system becomes invalid.
 
         Parameters
         ----------
         order
-            The contacts, in the order in which they are solved.
+            The contacts in the order of solving.
         active, settings
             As in `ConstraintSystem`.
         keep
-            ``contacts`` of an earlier system that must not be overwritten.
+            ``contacts`` of an earlier system, not to be overwritten.
         """
         m, ends = len(order.pairs), self._ends
         contacts = self._contacts[1] if keep is not None and self._contacts[0].holds(keep) else self._contacts[0]

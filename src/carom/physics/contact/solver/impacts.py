@@ -1,4 +1,4 @@
-"""The restitution pass: contacts that approach are resolved colour by colour, until none approaches any more.
+"""The restitution pass: closing contacts are resolved colour by colour, until none closes any more.
 
 `carom.physics.reference_api` has the equations, and `contact.law` the impulses. Each impulse changes the energy by
 
@@ -7,13 +7,13 @@
 
 Each contact sums its loss by restitution, its loss by friction, and the gain by the bias.
 
-An impact is found at the end of a step, at a depth δ. Until then gravity has made the approach faster than at the
-surface, and it will make the rebound slower. The pair leaves the surface with e times its speed of approach there if
-the coefficient at depth δ is
+A late impact is detected at the end of a step, at a depth δ. Gravity has made the approach faster than it was at the
+surface, and will make the rebound slower. The pair leaves the surface with e times its closing speed there if the
+coefficient at the depth δ is
 
     e_δ² = e² + (1 - e²) · 2 a_n δ / v_n²,    a_n = (a_i - a_j)·n, if gravity presses the pair together
 
-With plain e, the energy of each rebound is wrong by the change of the potential over δ, of first order in the step.
+With e itself, the energy of each rebound is wrong by the change of the potential over δ, of first order in the step.
 """
 
 from __future__ import annotations
@@ -53,15 +53,15 @@ from carom.physics.contact.solver.refine import INTOLERABLE, tolerated
 from carom.physics.jit.decorators import inline, long_kernel, unowned
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # of the first iteration's largest change of a velocity; iterations end when the change is smaller
+CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; iterations end at smaller changes
 
 
 @unowned
 def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
     """Resolve the impacts of some pieces once; note the largest change of a velocity.
 
-    The first iteration also notes each approach speed, the fastest one, and whether a contact is at rest. A later
-    iteration raises the approach speed if an impulse from a neighbour has made the contact close faster.
+    The first iteration also notes each closing speed, the fastest one, and whether a contact is at rest. A later
+    iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.
     """
     for piece in range(first, end):
         _resolve(piece, system)
@@ -88,7 +88,7 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
             state.approach_speed = max(0.0, -vn)
             fastest, any_rests = max(fastest, -vn), any_rests or rests
         if impacts_only and (rests or (state.overlap < 0.0 and state.apart)):
-            continue  # `hold` takes resting contacts; an open gap may close in the next step
+            continue  # `hold` resolves resting contacts; an open gap may close in the next step
         material = system.materials[material_index(i, j, count, places)]
         e = restitution(material, -vn, state.rest_speed)
         overlap = state.detected_overlap
@@ -166,14 +166,14 @@ def check_closing(
     dt: float,
     closing: BoolArray,
 ) -> None:
-    """Set ``closing`` if one of the contacts [lo, hi) approaches faster than its rest speed and its tolerance.
+    """Set ``closing`` if one of the contacts [lo, hi) closes faster than its rest speed and its tolerance.
 
-    Open gaps do not count: they may close in the next step.
+    Open gaps are not counted: they may close in the next step.
 
     Parameters
     ----------
     negligible
-        m/s, slower approaches do not count.
+        m/s, slower closing does not count.
     dt
         s, the step.
     """

@@ -1,9 +1,9 @@
 """The machine code of the solver's phases, by address.
 
-Each phase is a kernel ``(first, end, system)``, which does the pieces [first, end). The kernels that lead a job call
-phases by address, which saves compilation. Called by name, all phases would be compiled into the caller, and passing
-the arrays of a `ConstraintSystem` takes a second to compile in each. By address, each phase is compiled separately, by
-whichever process comes first, and only if a scene needs it.
+Each phase is a kernel ``(first, end, system)``, which processes the pieces [first, end). The kernels that lead a job
+call phases by address, which shortens compilation. Called by name, all phases would be compiled into the caller, and
+each would take a second to compile the passing of the arrays of a `ConstraintSystem`. Called by address, each phase is
+compiled separately, by whichever process is first, and only if a scene needs it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ from carom.physics.jit.task import CODE, code_for, kind_for
 Phase = Callable[[int, int, ConstraintSystem], None]
 
 POSITIONS, IMPACTS, RESTING = range(3)  # jobs
-PHASES: dict[int, dict[int, Phase]] = {  # of each job
+PHASES: dict[int, dict[int, Phase]] = {  # phases of each job
     POSITIONS: {CORRECT_POSITIONS: correct_positions},
     IMPACTS: {RESOLVE_IMPACTS: resolve_impacts},
     RESTING: {
@@ -77,18 +77,18 @@ class PhaseCode:
     """
 
     def __init__(self, spins: bool) -> None:
-        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=CODE)  # by phase
+        self.addresses = np.zeros(sum(map(len, PHASES.values())), dtype=CODE)  # of the code, by phase
         self.kind = 0  # of the systems, see `kind_of`
         self._spins = spins
         self._ready: set[int] = set()
 
     def require(self, job: int, system: ConstraintSystem) -> None:
-        """Compile or load the phases of a job, unless that is done."""
+        """Compile or load the phases of a job, unless they are ready."""
         if job not in self._ready:
             self._compile(job, PHASES[job], system)
 
     def compile_ahead(self, job: int, system: ConstraintSystem) -> None:
-        """Compile the phases of a job in reverse order; another process may begin with the first."""
+        """Compile the phases of a job in reverse order, so that another process may begin with the first."""
         self._compile(job, reversed(PHASES[job]), system)
 
     def _compile(self, job: int, phases: Iterable[int], system: ConstraintSystem) -> None:
@@ -104,7 +104,7 @@ _kinds: dict[tuple[Any, ...], int] = {}
 
 
 def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> Any:
-    """Return the address of a kernel's code, asking Numba once: that takes milliseconds, as long as a short run."""
+    """Return the address of a kernel's code. Numba is asked once: it takes milliseconds, as long as a short run."""
     if (kernel, kind) not in _addresses:
         _addresses[kernel, kind] = code_for(kernel, system)
     return _addresses[kernel, kind]

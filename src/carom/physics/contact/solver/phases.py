@@ -1,12 +1,12 @@
-"""The order of the solver's phases, and how threads share them.
+"""The order of the solver's phases, and how threads share the work.
 
-A phase is cut into pieces of contacts. The pieces of one colour are independent, so a team of threads shares them; the
-colours follow each other. Each piece writes its findings into its own record, and the leader combines them in the order
-of the pieces. The bits therefore do not depend on the number of threads. The leader alone does phases of one piece, and
-the last colour, in which contacts share bodies.
+The contacts of a phase are divided into pieces. The pieces of one colour are independent, so a team of threads shares
+them; colours are processed one after another. Each piece writes its results into its own record, and the leader
+combines them in the order of the pieces. The bits therefore do not depend on the number of threads. The leader alone
+processes phases of one piece, and the last colour, in which contacts share bodies.
 
-A thread that works alone does all pieces of a phase in one call. Each call hands over 200 words, which takes 30 ns. A
-call for each piece cost 4 % of a step of `cloud-collapse`, which has seven pieces.
+A single thread processes all pieces of a phase in one call. A call passes 200 words, which takes 30 ns. One call per
+piece cost 4 % of a step of `cloud-collapse`, which has seven pieces.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ from carom.physics.jit.team import lead_phase
 MAX_ROUNDS = 20  # of conjugate gradients
 MAX_ITERATIONS = 100  # in a round
 MAX_FURTHER_ITERATIONS = 256  # Gauss-Seidel iterations after the last round
-GROWN = 1e6  # times the largest impulse before the search; impulses beyond it show that there is no solution
-MOST_LEFT = 0.5  # of the violation before; a round that leaves more is the last
-SOLVED = 1e-3  # of r·z at the start of a round
+GROWN = 1e6  # times the largest impulse before the search; a larger impulse shows that there is no solution
+MOST_LEFT = 0.5  # of the previous violation; a round that leaves more is the last one
+SOLVED = 1e-3  # of r·z at the start of a round, where its iterations end
 
 
 class Phases(NamedTuple):
-    """What the leader needs: the code of the phases, and the arrays that it reads between them."""
+    """What the leader needs: the code of the phases, and the arrays that it uses between them."""
 
-    addresses: IntArray  # of the machine code, by phase
-    doer: int  # address of the function that does a piece of a task
+    addresses: IntArray  # of the code, by phase
+    doer: int  # address of the function that processes a piece of a task
     task: int  # address of the task: a phase's code and the system, see `lay_out`
-    edges: IntArray  # this and the rest as in `ConstraintSystem`
+    edges: IntArray  # these and the following as in `ConstraintSystem`
     piece_results: RecordArray[PieceResultsRecord]
     sums: RecordArray[BlockSumsRecord]
     settings: RecordArray[SettingsRecord]
@@ -67,16 +67,16 @@ class Phases(NamedTuple):
 def work(
     board: IntArray, job: int, addresses: IntArray, kind: int, system: ConstraintSystem, max_iterations: int
 ) -> int:
-    """Do a job; return the number of iterations.
+    """Run a job; return the number of iterations.
 
     Parameters
     ----------
     board
-        Of the team; empty if the leader works alone.
+        The lock words of the team; empty if the leader works alone.
     job
         `POSITIONS`, `IMPACTS` or `RESTING`.
     addresses, kind
-        Of the phases' code and of the systems it is for, see `PhaseCode`.
+        Of the phases' code, and of the systems it is compiled for; see `PhaseCode`.
     """
     if kind != kind_of((system,)):
         raise TypeError("the phases are compiled for systems of another kind")
@@ -129,7 +129,7 @@ def _sum_up_approaches(phases: Phases) -> None:
 
 @leading(inline)
 def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
-    """Find the impulses of resting contacts, starting from those given, and book them."""
+    """Find the impulses of resting contacts, starting from the given ones, and book their energies."""
     pieces, settings = len(phases.piece_results), phases.settings[0]
     _share(board, phases, PREPARE, 0, pieces, True)
     largest = _largest_residual(phases)
@@ -153,7 +153,7 @@ def _hold(board: IntArray, phases: Phases, max_iterations: int) -> int:
 
 @leading(inner)
 def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
-    """Solve each contact once; before, extrapolate the previous iteration if ``again``."""
+    """Solve each contact once; if ``again``, extrapolate the previous iteration first."""
     if again:
         blocks = len(phases.sums)
         _share(board, phases, LINE_SEARCH, 0, blocks, True)
@@ -165,7 +165,7 @@ def _iterate(board: IntArray, phases: Phases, again: bool) -> float:
 
 @leading(inner)
 def _refine(board: IntArray, phases: Phases) -> int:
-    """Solve for all contacts that carry a load together, until each is within its tolerance."""
+    """Solve for all loaded contacts together, until each is within its tolerance."""
     pieces, passes, rounds = len(phases.piece_results), 0, 0
     phases.settings[0].tolerance = INTOLERABLE
     _share(board, phases, MEASURE_VIOLATION, 0, pieces, True)
@@ -184,10 +184,10 @@ def _refine(board: IntArray, phases: Phases) -> int:
 
 @leading(inner)
 def _iterate_on(board: IntArray, phases: Phases) -> int:
-    """Iterate after conjugate gradients that did not converge; return the number of iterations.
+    """Continue to iterate if conjugate gradients did not converge; return the number of iterations.
 
-    If kinetic friction is less than static friction, contacts may stick and slide in alternation without end. Here a
-    contact that has slid once keeps sliding.
+    If kinetic friction is less than static friction, contacts may alternate between sticking and sliding without end.
+    In these iterations, a contact that has slid once keeps sliding.
     """
     pieces, settings, iterations = len(phases.piece_results), phases.settings[0], 0
     settings.keeps_sliding, settings.tolerance = True, INTOLERABLE
@@ -228,7 +228,7 @@ def _conjugate_gradients(board: IntArray, phases: Phases) -> int:
         _forget_changes(board, phases)
         if pull > push or push > GROWN * largest > 0.0:
             break
-    if push > GROWN * largest > 0.0:  # there is no solution: begin again, which drops the change
+    if push > GROWN * largest > 0.0:  # there is no solution: start again, without the change
         settings.iteration = 0
         _share(board, phases, CONJUGATE_STEP, 0, pieces, True)
     _share_colours(board, phases, PROJECT)
@@ -253,7 +253,7 @@ def _forget_changes(board: IntArray, phases: Phases) -> None:
 
 @leading(inner)
 def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
-    """Do a phase colour by colour."""
+    """Run a phase colour by colour."""
     edges, independent = phases.edges, phases.settings[0].independent
     if len(board) == 0:
         _share(board, phases, phase, edges[0], edges[len(edges) - 1], False)
@@ -264,7 +264,7 @@ def _share_colours(board: IntArray, phases: Phases, phase: int) -> None:
 
 @leading(inner)
 def _share(board: IntArray, phases: Phases, phase: int, first: int, end: int, independent: bool) -> None:
-    """Do the pieces of a phase, with the team if they are independent."""
+    """Process the pieces of a phase, with the team if they are independent."""
     assign(phases.task, phases.addresses[phase])
     if end == first:
         return

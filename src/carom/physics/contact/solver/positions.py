@@ -1,25 +1,25 @@
 """Position correction: overlapping bodies at rest are pushed apart, without a velocity along the normal.
 
-A pair is pushed by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays. That
-alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative velocity of the
-centres). Scaling v_t by d/(d + δ) conserves it:
+A pair is pushed by δ along n. Each body moves in proportion to its inverse mass, so the centre of mass stays where it
+is. That alone would change the angular momentum by μ δ n × v_t (μ the reduced mass, v_t the tangential relative
+velocity of the centres). Scaling v_t by d/(d + δ) conserves it:
 
     (d + δ) n × (v_t d/(d + δ)) = d n × v_t
 
-This is `contact.stabilisation = "split"`. With `"baumgarte"` the pipeline asks `impacts` and `prepare` for a velocity
-bias instead, `BAUMGARTE` of the overlap per step.
+This is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeline instead requests a velocity bias from
+`impacts` and `prepare`: `BAUMGARTE` times the overlap per step.
 
-Only contacts at rest are pushed. An impact separates by its rebound, and pushing it would take tangential energy from a
-gas at every collision.
+Only resting contacts are pushed. Bodies in an impact separate by their rebound, and pushing them would take tangential
+energy from a gas at every collision.
 
-The ledger books the change of the energy: the scaling exactly, at the velocities after the first kick, and the
-potential as the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
+The ledger books the change of the energy: exactly for the scaling, at the velocities after the first kick; for the
+potential, as the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
 
-Rejected: the mean of the forces at the start and the end of the step, which is of the next order. In the collapse of
-500 boulders both have errors of 10⁻⁶ of the energy scale.
+Rejected: the mean of the forces at the start and the end of the step, of the next order. In the collapse of 500
+boulders, both have errors of 10⁻⁶ of the energy scale.
 
 Contacts of a colour are corrected eight at a time (`correct_block`), with the same bits. Both forms call the same
-formulas, which take doubles or lanes.
+formulas, which accept doubles or lanes.
 """
 
 from __future__ import annotations
@@ -50,21 +50,21 @@ from carom.scene.schema import Coefficients
 
 BAUMGARTE = 0.2  # fraction of the overlap that the bias removes in a step
 
-# Of the rest speed; contacts that separate faster are not pushed. 1 also pushes slow rebounds (10 times the energy in
-# the worst step); 0 leaves overlaps in a pile (a quarter of a radius while it forms).
+# Of the rest speed; contacts that separate faster are not pushed. With 1, slow rebounds would be pushed (10 times the
+# energy error in the worst step); with 0, a pile would keep overlaps (a quarter of a radius while it forms).
 MAX_SEPARATION = 0.1
-ENOUGH = 1e-9  # of the sum of radii; smaller overlaps need no further iteration
-ENOUGH_AS_NEEDED = 1e-5  # with sweeps as needed or quick; what is left is pushed in the next step
+ENOUGH = 1e-9  # of the sum of radii; a smaller overlap needs no further iteration
+ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed or quick; the remainder is pushed in the next step
 
-NEVER = -2  # of a body that was not pushed; less than any iteration - 1
-AMOUNTS = 1  # line of `CONTACT_STATE` that has the ledger, the pushes and the flags
+NEVER = -2  # iteration of a body that was not pushed; less than any iteration - 1
+AMOUNTS = 1  # line of `CONTACT_STATE` with the ledger, the pushes and the flags
 
 
 @kernel
 def count_contacts(pairs: IntArray, counts: IntArray) -> None:
     """Count the contacts of each body and plane.
 
-    By one thread: of 40 000 contacts it takes 40 µs, and two threads with atomic additions 250.
+    One thread takes 40 µs for 40 000 contacts, two threads with atomic additions 250 µs.
     """
     counts[:] = 0
     for c in range(len(pairs)):
@@ -77,10 +77,10 @@ def count_contacts(pairs: IntArray, counts: IntArray) -> None:
 def find_push_fractions(
     lo: int, hi: int, pairs: IntArray, counts: IntArray, states: RecordArray[ContactStateRecord]
 ) -> None:
-    """Find the part of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
+    """Compute the fraction of each overlap that an iteration removes: 1 / (contacts of the end that has fewer).
 
-    Removing whole overlaps pushes each body into the next. A compressed pile then never comes to rest, and in a falling
-    stack of 500 balls every other contact keeps an overlap of 0.24 r in place of 0.06 r.
+    Removing the whole overlap would push each body into the next one. A compressed pile would then never come to rest,
+    and in a falling stack of 500 balls every other contact would keep an overlap of 0.24 r instead of 0.06 r.
     """
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
@@ -92,8 +92,8 @@ def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
     """Push the resting contacts of some pieces apart once; note whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
-    Later iterations visit only contacts of which the last one pushed an end. The others are as they were when they
-    needed no push: they do not overlap, or are not at rest.
+    Later iterations visit only contacts with an end that the previous iteration pushed. The others have not changed
+    since they needed no push: they do not overlap, or are not at rest.
     """
     for piece in range(first, end):
         system.piece_results[piece].residual = _correct(piece, system)
@@ -159,7 +159,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
 
 @inline
 def _book(c: int, reduced: float, sigma: float, tx: float, ty: float, tz: float, system: ConstraintSystem) -> None:
-    """Book the energy, and if contacts are recorded the momentum, that scaling v_t moves."""
+    """Book the energy and, if contacts are recorded, the momentum that scaling v_t moves."""
     system.states[c].stabilisation_gain += gain_of(reduced, tx, ty, tz, sigma)
     if len(system.recorded) > 0:
         given = system.recorded[c]
@@ -170,7 +170,7 @@ def _book(c: int, reduced: float, sigma: float, tx: float, ty: float, tz: float,
 
 @inline
 def _enough(system: ConstraintSystem) -> float:
-    """Return the overlap that needs no further iteration, over the sum of radii."""
+    """Return the overlap that needs no further iteration, relative to the sum of radii."""
     return ENOUGH_AS_NEEDED if system.settings[0].as_needed else ENOUGH
 
 
@@ -188,7 +188,7 @@ def _accelerate(body: PushedBodyRecord, s: float, tx: float, ty: float, tz: floa
 def _geometry(
     a: PushedBodyRecord, b: PushedBodyRecord, plane: int, system: ConstraintSystem
 ) -> tuple[float, float, float, float, float]:
-    """Return the normal, the distance of the centres or from the plane, and the distance at which they touch, in m.
+    """Return the normal, the distance of the centres or from the plane, and that distance in contact, in m.
 
     ``plane`` is negative between two bodies.
     """
@@ -223,7 +223,7 @@ def audit_corrections(
 
 @inline
 def separates(vn: float, rest_speed: float, e: float) -> bool:
-    """Return whether a contact clears itself, and is not pushed: it separates, or rebounds with e.
+    """Return whether a contact opens without a push, because it separates or rebounds with e.
 
     Parameters
     ----------
@@ -237,7 +237,7 @@ def separates(vn: float, rest_speed: float, e: float) -> bool:
 def push_of(
     fraction: float, overlap: float, a: PushedBodyRecord, b: PushedBodyRecord
 ) -> tuple[float, float, float, float]:
-    """Return δ in m, the parts of it by which the bodies move, and the reduced mass μ in kg."""
+    """Return δ in m, the fractions of it by which the bodies move, and the reduced mass μ in kg."""
     total = a.inverse_mass + b.inverse_mass
     return fraction * overlap, a.inverse_mass / total, b.inverse_mass / total, 1.0 / total
 
@@ -250,7 +250,7 @@ def relative_change_of_vt(d: float, delta: float) -> float:
 
 @inline
 def gain_of(reduced: float, tx: float, ty: float, tz: float, sigma: float) -> float:
-    """Return ½ μ v_t² σ (2 + σ), the energy in J that scaling v_t by 1 + σ puts in."""
+    """Return ½ μ v_t² σ (2 + σ), the energy in J that scaling v_t by 1 + σ adds."""
     return 0.5 * reduced * (tx * tx + ty * ty + tz * tz) * sigma * (2.0 + sigma)
 
 
@@ -266,7 +266,7 @@ def gather_positions(
     bodies: RecordArray[PushedBodyRecord],
     pushed_in: IntArray,
 ) -> None:
-    """Copy the active bodies and planes [lo, hi) into `PUSHED_BODY`; none of them was pushed yet."""
+    """Copy the active bodies and planes [lo, hi) into `PUSHED_BODY`, as not yet pushed."""
     for k in range(lo, hi):
         b = from_front(active[k])
         body = bodies[b]
@@ -287,7 +287,7 @@ def scatter_positions(
     x: FloatArray,
     v: FloatArray,
 ) -> None:
-    """Copy positions and velocities of the active bodies [lo, hi) that were pushed back into the arrays."""
+    """Copy positions and velocities of pushed bodies in the active [lo, hi) back into the arrays."""
     for k in range(lo, hi):
         b = from_front(active[k])
         if pushed_in[b] != NEVER:
@@ -308,7 +308,7 @@ def _correct_in_turn(system: ConstraintSystem, first: int, again: float) -> floa
 def correct_block(code: Code, system: Any, first: Any, again: Any) -> Any:
     """Push the contacts between bodies of a block apart once; return 1 if an overlap needs another iteration.
 
-    Otherwise return ``again``. Contacts with planes are left out.
+    Otherwise return ``again``. Contacts with planes are skipped.
     """
     result = code.variable(again)
     _Correction(Block(code, first)).correct(result)
@@ -322,7 +322,7 @@ class _Correction:
         self._block, self._builder = block, block.builder
 
     def correct(self, result: Any) -> None:
-        """Push apart the contacts that overlap, are at rest, and have an end that the last iteration pushed.
+        """Push apart the contacts that overlap, are at rest, and have an end that the previous iteration pushed.
 
         Store 1 at the address ``result`` if one of them needs another iteration.
         """
@@ -340,7 +340,7 @@ class _Correction:
                     self._builder.store(DOUBLE(1.0), result)
 
     def _visited(self) -> Mask:
-        """Return the contacts between bodies of which the last iteration pushed an end; all of them in the first."""
+        """Return the contacts between bodies with an end that the previous iteration pushed; in the first, all."""
         builder, block = self._builder, self._block
         iteration = block.number("iteration")
         is_first = builder.icmp_signed("==", iteration, WORD(0))
@@ -350,10 +350,10 @@ class _Correction:
         return (i | j) & block.between_bodies
 
     def _push(self, overlap: Lanes, overlaps: Mask) -> Mask:
-        """Push apart the contacts at rest among those that overlap; return them.
+        """Push apart those of the overlapping contacts that are at rest; return them.
 
-        Contacts that are not pushed are written, too, with unchanged bits: a branch for each would often be
-        mispredicted. Fixed bodies are not written, since pieces of other threads may share them.
+        Contacts that are not pushed are written with unchanged bits, since a branch for each would often be
+        mispredicted. Fixed bodies are not written, since other threads' pieces may share them.
         """
         a, b, block, n, d = self._a, self._b, self._block, self._n, self._d
         states = block.records("states", CONTACT_STATE, (AMOUNTS,))
@@ -395,7 +395,7 @@ class _Correction:
         return gathered(self._builder, coefficients)
 
     def _note(self, ends: list[Any], pushed: Mask, moving: Mask) -> None:
-        """Note the iteration in which moving ends were pushed."""
+        """Note the iteration in which free ends were pushed."""
         builder, block = self._builder, self._block
         iteration = block.number("iteration")
         places = [block.address("pushed_in", end) for end in ends]
@@ -404,7 +404,7 @@ class _Correction:
 
     @property
     def _enough(self) -> Lanes:
-        """The overlap that needs no further iteration, over the sum of radii."""
+        """The overlap that needs no further iteration, relative to the sum of radii."""
         builder = self._builder
         as_needed, by_rounding = (DOUBLE(part) for part in (ENOUGH_AS_NEEDED, ENOUGH))
         return spread(builder, builder.select(self._block.flag("as_needed"), as_needed, by_rounding))

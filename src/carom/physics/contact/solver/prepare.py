@@ -1,11 +1,11 @@
-"""Preparation of contacts: their records at the start of a step, and what stays constant while they are solved.
+"""Preparation of contacts: their records at the start of a step, and values that stay constant while they are solved.
 
-`begin_contacts` clears the records and finds the geometry. `prepare` finds effective masses and velocity biases, and
-which contacts are held.
+`begin_contacts` clears the records and computes the geometry. `prepare` computes effective masses and velocity biases,
+and decides which contacts are held.
 
 **Warm start.** The impulses of resting contacts carry over from kick to kick (`ImpulseCache`). A contact that existed
-in the previous kick starts with its impulse of that kick, scaled by the ratio of the lengths of the kicks and projected
-onto its new tangential plane.
+in the previous kick starts with its impulse of that kick, scaled by the ratio of the kicks' lengths and projected onto
+its new tangential plane.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import AHEAD, prefetch_record
 from carom.physics.jit.team import Team
 
-TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as contact, since iterations and rounding leave such gaps
+TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as a contact, since iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
 
-LOADED = 1e-5  # weight of the velocity that a warm-start impulse gives to the pair, in the scale of convergence;
-# rounding is 1e-16 of that velocity
+LOADED = 1e-5  # weight, in the scale of convergence, of the velocity change by the warm-start impulse;
+# rounding is 1e-16 of that velocity change
 
-# A change of a contact's velocities that needs no further iteration. What is left of it stays in the impulses, from
-# which the next kick starts, so a pile at rest converges from step to step.
+# A change of a contact's velocities that needs no further iteration. A smaller change stays in the impulses with which
+# the next kick starts, so a pile at rest converges from step to step.
 SMALL_OF_REST = 1e-4  # of the rest speed
 SMALL_OF_RADIUS = 3e-6  # of the smaller radius, per step
 
@@ -79,7 +79,7 @@ def begin_contacts(
     rounding: float,
     normals: FloatArray,
 ) -> None:
-    """Clear the records of the contacts [lo, hi), find their geometry, and note whether they touch."""
+    """Clear the records of the contacts [lo, hi), compute their geometry, and note whether they touch."""
     for first in range(lo, hi, CACHED_CONTACTS):
         end = min(hi, first + CACHED_CONTACTS)
         for c in range(first, end):
@@ -112,14 +112,14 @@ def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
 
 @unowned
 def prepare(first: int, end: int, system: ConstraintSystem) -> None:
-    """Write what stays constant during the iterations, and v_n and u before them; clear the impulses of impacts."""
+    """Write the constants of the iterations, and v_n and u before them; clear the impulses of impacts."""
     for piece in range(first, end):
         system.piece_results[piece].residual = _prepare(piece, system)
 
 
 @inline
 def _prepare(piece: int, system: ConstraintSystem) -> float:
-    """Prepare the contacts of a piece; return the largest velocity that one of them removes, in m/s."""
+    """Prepare the contacts of a piece; return the largest velocity that a contact removes, in m/s."""
     lo, hi = contacts_of(piece, piece + 1, system)
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
@@ -143,15 +143,16 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         gap, rest_speed = -state.overlap, state.rest_speed
         if drift > 0.0:
             bias = max(0.0, gap) / drift
-            # a resting contact closes no faster than this kick and half the drift's fall can cause
+            # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
             fastest = rest_speed * ((booked + 0.5 * drift) / dt)
             is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
         else:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
             is_open = gap > 0.0 and state.apart
-            fastest = rest_speed if is_open else np.inf  # impacts of touching pairs are resolved
+            fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
         contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
-        meets = is_open and not (system.pressed[i] or system.pressed[j])  # in an impact, if at all
+        # an open contact meets in an impact, if at all
+        meets = is_open and not (system.pressed[i] or system.pressed[j])
         system.held[c] = not (meets or -vn > fastest)
         negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
@@ -172,16 +173,16 @@ def impulses_of(contacts: RecordArray[ContactRecord]) -> FloatArray:
 
 @dataclass(slots=True)
 class ImpulseCache:
-    """The impulses of all contacts in the last kick, from which the next one starts."""
+    """The impulses of all contacts in the last kick, with which the next one starts."""
 
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) index of each one's record
+    place: IntArray  # (m,) index of each contact's record
     contacts: RecordArray[ContactRecord]  # (m,) CONTACT
     kick: float  # s, length of that kick
 
     @classmethod
     def empty(cls) -> ImpulseCache:
-        """Return the cache of a run that begins."""
+        """Return the cache at the start of a run."""
         return cls(np.empty((0, 2), dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0, CONTACT), 0.0)
 
     @classmethod
@@ -202,7 +203,7 @@ class ImpulseCache:
         return np.concatenate((impulses, angular[self.place]), axis=1) if angular.shape[1] else impulses
 
     def impulse_of(self, contacts: RecordArray[ContactRecord]) -> FloatArray:
-        """Return `impulse`, with angular impulses if these contacts have them: 0 where none were found yet."""
+        """Return `impulse`, with angular impulses if these contacts have them: 0 where there are none yet."""
         impulses = self.impulse
         missing = len(IMPULSES) + angular_impulses_of(contacts).shape[1] - impulses.shape[1]
         return np.pad(impulses, ((0, 0), (0, missing))) if missing else impulses
@@ -210,12 +211,12 @@ class ImpulseCache:
     def carry_to(
         self, pairs: IntArray, place: IntArray, kick: float, contacts: RecordArray[ContactRecord], team: Team
     ) -> None:
-        """Write the impulses from which contacts start, scaled to the length of a kick; 0 for new contacts.
+        """Write the impulses with which contacts start, scaled to the length of a kick; 0 for new contacts.
 
         Parameters
         ----------
         pairs, place
-            (m, 2), sorted, and (m,), the index of each one's record.
+            (m, 2), sorted, and (m,), the index of each contact's record.
         kick
             s
         contacts
@@ -226,7 +227,7 @@ class ImpulseCache:
         if not (self.kick > 0.0 and kick > 0.0 and len(self.pairs) > 0):
             impulses_of(contacts)[:] = 0.0
             angular_impulses_of(contacts)[:] = 0.0
-        elif place is self.place:  # the contacts are the same, and so is the order of their records
+        elif place is self.place:  # the contacts are the same, and so is their order
             team.divide(len(pairs), MIN_PER_TASK, _carry_each, self.contacts, kick / self.kick, contacts)
         else:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
@@ -243,7 +244,7 @@ def mark_pressed(
     inverse_mass: FloatArray,
     pressed: BoolArray,
 ) -> None:
-    """Mark the moving ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
+    """Mark the free ends of the contacts [lo, hi) that have an impulse; threads may mark the same end."""
     for c in range(lo, hi):
         if contacts[place[c]].normal_impulse > 0.0:
             for end in range(2):
@@ -264,7 +265,7 @@ def _gather_impulses(place: IntArray, contacts: RecordArray[ContactRecord], impu
 def _carry_each(
     lo: int, hi: int, old_contacts: RecordArray[ContactRecord], ratio: float, contacts: RecordArray[ContactRecord]
 ) -> None:
-    """Carry the impulses of the contacts [lo, hi) over, in the order of their records: no search, half the time."""
+    """Transfer the impulses of the contacts [lo, hi) in the order of their records: no search, half the time."""
     for c in range(lo, hi):
         old = old_contacts[c]
         _set_impulse(contacts[c], ratio, old.normal_impulse, old.friction_x, old.friction_y, old.friction_z)
@@ -284,7 +285,7 @@ def _carry(
     place: IntArray,
     contacts: RecordArray[ContactRecord],
 ) -> None:
-    """Find each pair among the old ones, both sorted, and carry its impulse over."""
+    """Find each pair among the old ones, both sorted, and transfer its impulse."""
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
     last, old_last = len(pairs) - 1, len(old_pairs) - 1
     for c in range(lo, hi):
@@ -307,7 +308,7 @@ def _carry(
 
 @inline
 def _set_impulse(contact: ContactRecord, ratio: float, normal: float, x: float, y: float, z: float) -> None:
-    """Start from an earlier impulse, N s: scale it, and project its tangential part onto the tangential plane."""
+    """Start from an earlier impulse (N s): scale it, and project its tangential component onto the tangential plane."""
     along = x * contact.nx + y * contact.ny + z * contact.nz
     contact.normal_impulse, contact.friction_x = ratio * normal, ratio * (x - along * contact.nx)
     contact.friction_y, contact.friction_z = ratio * (y - along * contact.ny), ratio * (z - along * contact.nz)
@@ -315,7 +316,7 @@ def _set_impulse(contact: ContactRecord, ratio: float, normal: float, x: float, 
 
 @unowned
 def warm_start(first: int, end: int, system: ConstraintSystem) -> None:
-    """Apply the impulses from which the contacts of some pieces start."""
+    """Apply the impulses with which the contacts of some pieces start."""
     lo, hi = contacts_of(first, end, system)
     pairs, bodies, spins = system.pairs, system.bodies, system.settings[0].spins
     for c in range(lo, hi):

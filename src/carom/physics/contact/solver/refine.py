@@ -1,29 +1,29 @@
-"""What follows an iteration: a line search, and conjugate gradients where iterations converge too slowly.
+"""The steps after an iteration: a line search, and conjugate gradients where iterations converge too slowly.
 
-**Line search.** An iteration passes a load from contact to contact, and only a small part of it where a light body lies
-between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the energy
-that the solution minimises, and is limited so that no contact begins to pull (λ_n ≥ 0):
+**Line search.** An iteration passes a load from contact to contact, and only a small part of it through a light body
+between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the same
+energy as the solution, and is limited so that no contact pulls (λ_n ≥ 0):
 
     α = -s·(v + c) / s·(A s),   v = (v_n, u) at the contacts, A s the change of v by the impulses s
 
-In sums over bodies, whose velocities and spins s changes by p and t,
+Written as sums over bodies, whose velocities and spins s changes by p and t:
 
     s·v = Σ m p·v + I t·ω,    s·A s = Σ m p² + I t²
 
-A ball squeezed between two that are 10⁹ times heavier then sinks by less than 10⁻¹¹ of its radius. Without the search
+A ball squeezed between two that are 10⁹ times heavier then sinks by less than 10⁻¹¹ of its radius. Without the search,
 it sinks by 0.1 radii at a mass ratio of 10² (docs/physics.md, section 9).
 
-**Conjugate gradients.** After the iterations it is mostly known which contacts carry a load and which of these stick.
+**Conjugate gradients.** After the iterations it is usually known which contacts carry a load, and which of these stick.
 For these contacts the conditions of `solve` become equations,
 
     v_n + c = 0,    u = 0        or  A s = -(v + c),  A = G M⁻¹ Gᵀ,
 
 where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
-diagonal of A. Contacts that would pull are then released, and further Gauss-Seidel iterations find again which contacts
-carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
+diagonal of A. Contacts that would pull are then released, and further Gauss-Seidel iterations determine again which
+contacts carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
 
-A stack of n spheres takes about n iterations here and about n² of `solve`. The same holds for a load on much lighter
-spheres.
+A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. The same holds for a load on
+much lighter spheres.
 """
 
 from __future__ import annotations
@@ -60,15 +60,16 @@ from carom.physics.jit.decorators import inline, kernel, unowned
 from carom.physics.jit.instructions import Code, from_front, instruction
 from carom.physics.jit.vectors import BIT, DOUBLE, WIDTH, Lanes, line_of, mask_of, spread
 
-MOTION = 6  # fields of each line: v and ω, or p and t; after them come masses and inertias
+MOTION = 6  # fields of each line: v and ω, or p and t; masses and inertias follow
 
-# The closing speed that a contact may keep. Chosen so that the columns of test_convergence.py stand. With a tenth
-# of REST_TOLERANCE cloud-collapse takes twice as long, and none of its errors changes by a tenth.
-INTOLERABLE = 10.0  # times the tolerated speed; the search begins if a contact closes faster
+# The closing speed that the search may leave to a contact. Chosen so that the columns of test_convergence.py stay
+# upright. With a tenth of REST_TOLERANCE, cloud-collapse takes twice as long, and none of its errors changes by a
+# tenth.
+INTOLERABLE = 10.0  # times the tolerated speed; the search starts if a contact closes faster
 REST_TOLERANCE = 0.3  # of the rest speed
-APPROACH_TOLERANCE = 0.03  # of the speed at which an impact closed
+APPROACH_TOLERANCE = 0.03  # of the closing speed of the impact
 RADIUS_TOLERANCE = 3e-5  # of the smaller radius, per step
-DEEP = 5e-3  # of the smaller radius: a resting contact with more overlap has sunk over many steps
+DEEP = 5e-3  # of the smaller radius: a resting contact with more overlap has been sinking over many steps
 DEEP_TOLERANCE = 1e-2  # of the rest speed, for such a contact
 
 
@@ -132,8 +133,8 @@ def _repeat_each(bodies: RecordArray[BodyStateRecord], body: int, alpha: float) 
 def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
     """Add α p to v and α t to ω of a body, and clear p and t (``dvx`` to ``dwz``).
 
-    A vector holds one line of the body's record. Changing its six fields one by one took twice as long, which cost
-    1.4 % of a step of `cloud-collapse`.
+    A vector holds one line of the record. Changing the six fields one by one took twice as long, which cost 1.4 % of a
+    step of `cloud-collapse`.
     """
     builder, record = code.builder, code.element("bodies", body)
     lines = [line_of(builder, record, line) for line in (VELOCITY, CHANGE)]
@@ -146,7 +147,7 @@ def repeat_change(code: Code, bodies: Any, body: Any, alpha: Any) -> None:
 
 @unowned
 def measure_violation(first: int, end: int, system: ConstraintSystem) -> None:
-    """Find by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 if none does."""
+    """Compute by how much the worst contact of each piece exceeds its tolerance, in m/s; 0 if none does."""
     for piece in range(first, end):
         system.piece_results[piece].residual = _violation(piece, system)
 
@@ -169,7 +170,7 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
         if contact.normal_impulse > 0.0:
             missed = abs(missed)
         small = smaller_arm(contact)
-        # Before a drift, approach_speed is from the previous step, and checkpoints do not store it.
+        # before a drift, approach_speed is from the previous step, and checkpoints do not store it
         approach = 0.0 if drift > 0.0 else state.approach_speed
         allowed = tolerated(state.rest_speed, approach, state.overlap / small, small / settings.dt)
         excess = max(excess, missed - (tolerance * allowed + negligible))
@@ -178,14 +179,14 @@ def _violation(piece: int, system: ConstraintSystem) -> float:
 
 @kernel
 def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step: float) -> float:
-    """Return the closing speed that a contact may keep, in m/s.
+    """Return the closing speed (m/s) that the search may leave to a contact.
 
     Parameters
     ----------
     rest_speed, approach
         m/s, of the contact.
     depth
-        Overlap over the smaller radius.
+        Overlap relative to the smaller radius.
     radius_per_step
         m/s, smaller radius over dt.
     """
@@ -196,7 +197,7 @@ def tolerated(rest_speed: float, approach: float, depth: float, radius_per_step:
 
 @unowned
 def conjugate_step(first: int, end: int, system: ConstraintSystem) -> None:
-    """Move by α along the direction; find the residual r = -(v + c) there, and the sum of r z, z = r / diag(A)."""
+    """Move by α along the direction; compute the residual r = -(v + c), and the sum of r z with z = r / diag(A)."""
     if system.settings[0].iteration == 0:
         lo, hi = contacts_of(first, end, system)
         begin_search(lo, hi, system)
@@ -238,7 +239,7 @@ def _step(piece: int, system: ConstraintSystem) -> None:
 
 @unowned
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
-    """Find the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
+    """Determine the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
     count, places = body_count(system), system.places
     for c in range(lo, hi):
@@ -267,7 +268,7 @@ def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
 
 @unowned
 def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
-    """Turn the direction, d = z + β d, and add up by how much it changes the velocities of the bodies, p and t."""
+    """Update the direction, d = z + β d, and sum the changes p and t of the bodies' velocities along it."""
     lo, hi = contacts_of(first, end, system)
     spins, beta = system.settings[0].spins, system.settings[0].beta
     for c in range(lo, hi):
@@ -303,7 +304,7 @@ def _project(piece: int, system: ConstraintSystem) -> None:
         else:
             contact.delta_normal, contact.delta_x = search.step_normal, search.step_x
             contact.delta_y, contact.delta_z = search.step_y, search.step_z
-        set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)  # the search leaves angular impulses as they are
+        set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)  # the search does not change angular impulses
         if system.held[c]:
             normal = contact.delta_normal
             slope += normal * search.velocity_bias

@@ -1,32 +1,33 @@
-"""Projected Gauss-Seidel: the impulses of contacts at rest.
+"""Projected Gauss-Seidel: the impulses of resting contacts.
 
-A resting contact exerts a force, so its impulses belong to both kicks of a step, like those of all forces. After each
-kick of length h, iterations over the contacts find the impulses λ of all contacts such that
+A resting contact exerts a force, so its impulses belong to both kicks of a step, like those of any other force. After
+each kick of length h, iterations over the contacts find the impulses λ of all contacts such that
 
     v_n + c ≥ 0,   λ_n ≥ 0,   λ_n (v_n + c) = 0                                    (Signorini)
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
-(Moreau 1988, Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
-later iterations can take back what earlier ones overdid. The totals start from those of the previous kick, scaled by
-the ratio of the lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
+(Moreau 1988; Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
+later iterations can undo what earlier ones overdid. The totals start from those of the previous kick, scaled by the
+ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
 (`line_search`).
 
-After the last kick, contacts that touch must not close (c = 0; c < 0 with Baumgarte's bias), and an open one may close
-by its gap in the next step (c = gap/dt). After the first kick bodies may close by c dt, so that they touch at the end
-of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of the centres,
+After the last kick, touching contacts must not close (c = 0; c < 0 with Baumgarte's bias), and an open contact may
+close its gap in the next step (c = gap/dt). After the first kick, bodies may close by c dt, so that they touch at the
+end of the drift: |d n + v dt| ≥ r_i + r_j. With v_t the tangential velocity of the centres,
 
     c dt = gap + R - √(R² - v_t² dt²),   R = r_i + r_j
 
-Without the root, two spheres that roll about each other would separate along the tangent, and their contact would be
-lost in every other step. The scheme is RATTLE (Andersen 1983) for contacts.
+Without the square root, two spheres that roll about each other would separate along the tangent, and lose their contact
+in every other step. The scheme is RATTLE (Andersen 1983) for contacts.
 
 Contacts of a colour are solved eight at a time (`solve_block`), with the same bits. Both forms call the same formulas,
-and the law for each contact by itself, so a law needs no second form.
+and call the law for each contact separately, so that a law needs no second form.
 
-Impacts are resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this phase.
+Impacts have been resolved before, one by one, with restitution (`impacts`). A step without resting contacts skips this
+phase.
 
 Rejected: the reference engine's stages with restitution 0 (a pile of 1000 keeps jittering at the rest speed); impulses
-at the end of the step only (a body falls a dt²/2 into the ground in every step and has to be pushed back).
+only at the end of the step (a body falls a dt²/2 into the ground in every step and has to be pushed back).
 """
 
 from __future__ import annotations
@@ -87,7 +88,7 @@ from carom.physics.jit.vectors import (
 )
 from carom.scene.schema import Coefficients
 
-HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; iterations that change less are the last
+HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; an iteration that changes less is the last
 Vector = Sequence[Lanes]
 
 
@@ -107,16 +108,16 @@ def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
 
 @unowned
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
-    """Solve the contacts of a piece once, each at the velocities that those before it left.
+    """Solve the contacts of a piece once, each at the velocities that the contacts before it left.
 
-    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), those left over one by one.
+    Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the remaining ones one by one.
 
     Parameters
     ----------
     turning
-        One element if impulses turn bodies, otherwise empty. Its type makes Numba compile a kernel for each case.
+        One element if impulses exert torques, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
-    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # by `contacts_of`, blocks take 3 % longer
+    lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # with `contacts_of`, blocks would take 3 % longer
     blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
     totals = 0.0, np.inf, 0.0
     for block in range(blocks):
@@ -132,7 +133,7 @@ def _solve_each(
 ) -> tuple[float, float, float]:
     """Solve the contacts [lo, hi) one by one; return the largest change, the limit of the step, and the slope.
 
-    ``totals`` are those of the contacts before.
+    ``totals`` are those of the previous contacts.
     """
     pairs, bodies = system.pairs, system.bodies
     settings = system.settings[0]
@@ -216,9 +217,9 @@ def friction(
 def _resist_rotation(
     contact: ContactRecord, material: Coefficients, a: BodyStateRecord, b: BodyStateRecord, normal: float, alpha: float
 ) -> float:
-    """Change the angular impulse by that which ends Ω, as far as the law allows; return the change of a speed, in m/s.
+    """Change the angular impulse to end Ω, as far as the law allows; return the change of a speed, in m/s.
 
-    The speed is that of a surface, a lever arm away from the centre.
+    It is the speed of a surface at a lever arm's distance from the centre.
     """
     wx, wy, wz = relative_spin(a, b)
     x, y, z = angular_impulse(contact)
@@ -245,7 +246,7 @@ def _solve_in_turn(
 
 @instruction(_solve_in_turn, returns=("float64",) * 3, first="intp")
 def solve_block(code: Code, system: Any, first: Any, totals: Any, turning: Any) -> list[Any]:
-    """Solve the contacts of a block; return the ``totals`` of `solve` with theirs. ``turning`` is as in `solve`."""
+    """Solve the contacts of a block; return ``totals`` including theirs. Arguments as for `solve`."""
     solution = _Solution(Block(code, first))
     solution.solve(turns=len(code.kinds["turning"]) > 0)
     return solution.totals(*(code.builder.extract_value(totals, k) for k in range(3)))
@@ -258,7 +259,7 @@ class _Solution:
         self._block, self._builder, self._held = block, block.builder, block.held
 
     def solve(self, *, turns: bool) -> None:
-        """Change the impulses of the contacts that are held, and the velocities of their bodies."""
+        """Change the impulses of the held contacts, and the velocities of their bodies."""
         block = self._block
         block.fetch_bodies_ahead("bodies", (VELOCITY, CHANGE))
         contact = block.records("contacts", CONTACT, (0, 1))
@@ -282,7 +283,7 @@ class _Solution:
         contact.write(1, self._held)
 
     def totals(self, change: Any, step_limit: Any, slope: Any) -> list[Any]:
-        """Return the largest change, the limit of the step, and the slope, given those before."""
+        """Return the largest change, the limit of the step, and the slope, including those of previous contacts."""
         largest, limit = spread(self._builder, change), spread(self._builder, step_limit)
         small = read_doubles(self._builder, self._block.address("small_change", self._block.places[0]))
         matters = self._held & (self._change > small) & (self._change > largest)
@@ -294,7 +295,7 @@ class _Solution:
         return [largest.largest(), self._builder.fneg((-limit).largest()), slope]
 
     def _bias(self, contact: RecordLanes, u: Vector) -> Lanes:
-        """Return the biases c, see `bias_along_arc`; they are those along the normal at planes, and without a drift."""
+        """Return the biases c, see `bias_along_arc`; at planes, and without a drift, those along the normal."""
         builder, block, bias = self._builder, self._block, contact.velocity_bias
         between = block.between_bodies
 
@@ -305,7 +306,7 @@ class _Solution:
         return either(builder, block.drifts, along_arc, lambda: [bias])[0]
 
     def _rub(self, contact: RecordLanes, u: Vector, alpha: Lanes) -> list[Lanes]:
-        """Change the friction by that which ends the slip u, as far as the law allows; return its change."""
+        """Change the friction towards the impulse that ends the slip u, as far as the law allows; return its change."""
         axes = ("x", "y", "z")
         old = [getattr(contact, f"friction_{axis}") + alpha * getattr(contact, f"delta_{axis}") for axis in axes]
         ending = [before - along * contact.tangent_mass for before, along in zip(old, u, strict=True)]
@@ -316,7 +317,7 @@ class _Solution:
         return d
 
     def _by_law(self, normal: Lanes, ending: Vector) -> list[Lanes]:
-        """Return the friction that the law allows in place of the one that ends the slip, contact by contact."""
+        """Return the friction that the law allows, contact by contact, given the impulse that would end the slip."""
         builder, block = self._builder, self._block
         records = [block.kind_of(name).dtype for name in ("states", "materials")]
         kinds = [*records, "boolean", *["float64"] * 4]

@@ -1,6 +1,7 @@
-"""Gravity of the bodies on each other, by a method of `carom.registry`: direct sum, tree, or fast multipoles.
+"""Gravity between bodies, by a method of `carom.registry`: direct sum, tree, or fast multipoles.
 
-A method is a module with a function ``make(gravity, mass, team)``, of a scene's section and the masses, (n,) kg.
+A method is a module with a function ``make(gravity, mass, team)``, whose arguments are the scene's section, the masses,
+(n,) kg, and the threads.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from carom.scene.schema import Scene
 
 
 class GravityMethod(Protocol):
-    """Gravity of n bodies on each other, with its workspace."""
+    """A method for the gravity between n bodies, with its workspace."""
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
         """Write the acceleration of every body; return the potential energy in joules if requested.
@@ -31,12 +32,12 @@ class GravityMethod(Protocol):
         acceleration
             (n, 3) m/s², overwritten.
         potential
-            Whether to return the energy, too.
+            Whether to return the energy.
         """
 
 
 class MutualGravity:
-    """The gravity of all bodies on each other."""
+    """The gravity between all bodies."""
 
     kind = GRAVITY
     uniform = np.zeros(3)
@@ -51,14 +52,14 @@ class MutualGravity:
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> MutualGravity:
-    """Make the gravity of a scene."""
+    """Return the gravity of a scene."""
     method = gravity_of(scene, bodies.mass, team)
     assert method is not None, "the scene requires gravity"
     return MutualGravity(method)
 
 
 def gravity_of(scene: Scene, mass: FloatArray, team: Team) -> GravityMethod | None:
-    """Return the gravity of bodies of mass (n,) kg by the method of a scene; None if there is none."""
+    """Return the gravity between bodies of mass (n,) kg by the method of a scene; None if there is none."""
     method = gravity_method(scene)
     if method == "none":
         return None

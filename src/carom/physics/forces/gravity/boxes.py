@@ -1,16 +1,16 @@
 """The tree: bodies sorted into nested boxes.
 
-Each box fits tightly around its bodies. It is halved in the middle of its longest side, and each half gets a tight box
-of its own, until a box has at most `LEAF` bodies. Around a cube this is Morton's (1966) order, and the sort is a radix
-sort from the most significant bit on. The bits adapt to the bodies, so they suffice where one body is far away or
-thousands lie close to one point. Bodies at one point form one leaf, of any size.
+Each box tightly encloses its bodies. It is halved in the middle of its longest side, and each half is enclosed in a
+tight box again, until a box has at most `LEAF` bodies. For bodies in a cube this is Morton's (1966) order, and the sort
+is a radix sort from the most significant bit on. The bits adapt to the bodies, so they suffice even if one body is far
+away or thousands lie close to one point. Bodies at one point form one leaf, of any size.
 
-The boxes are in preorder: a box, then all boxes in it. A walk goes on to the next box to open one, and to ``skip[box]``
-to pass over it.
+The boxes are in preorder: a box, then all boxes in it. A walk continues with the next box to open a box, and with
+``skip[box]`` to pass over it.
 
-Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest). They split a box that
-is a little too large into eight, and need a tenth to a third more time for the same error. Keys of 21 bits a
-coordinate: they have to be recomputed for bodies that share one.
+Rejected, at 10⁵ bodies: octrees (halved along every side longer than 0.5 or 0.7 of the longest), which split a box that
+is a little too large into eight, and take a tenth to a third more time for the same error. Rejected, too: keys of 21
+bits per coordinate, which must be recomputed for bodies that share one.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from carom.physics.jit.team import SOLO, Team
 
 LEAF = 12  # largest number of bodies in a leaf, unless they coincide
 GROUP = 128  # largest number of bodies that share a walk; 64 is 8 % slower at equal error
-GRAIN = 2048  # largest number of bodies that one thread sorts alone; of more it queues a half for other threads
-MIN_BODIES_PER_TASK = 20_000  # for copying
+# largest number of bodies that a thread sorts alone; of a larger range, it queues one half for other threads
+GRAIN = 2048
+MIN_BODIES_PER_TASK = 20_000  # bodies per task of copying
 
 UNSORTED, PUT, TAKEN = 0, 8, 16  # words of the queue's counters, each in a cache line of its own
 COUNTERS = 24
@@ -46,7 +47,7 @@ class SortedBodyRecord(Protocol):
     x: float  # m
     y: float
     z: float
-    index: int  # in the scene
+    index: int  # index in the scene
 
 
 RANGE = dtype_of(RangeRecord)
@@ -56,14 +57,14 @@ BODY = dtype_of(SortedBodyRecord)
 class Queue(NamedTuple):
     """A queue of ranges of bodies to be sorted."""
 
-    counters: IntArray  # (COUNTERS,) bodies not sorted yet, ranges put into the queue, ranges taken from it
-    end: IntArray  # (k,) of each range; 0 until the range is written
+    counters: IntArray  # (COUNTERS,) unsorted bodies, ranges put into the queue, ranges taken from it
+    end: IntArray  # (k,) end of each range; 0 until the range is written
     begin: IntArray  # (k,)
-    box: IntArray  # (k,) the place of its first box
+    box: IntArray  # (k,) the index of its first box
 
 
 class Sorting(NamedTuple):
-    """Memory of the sort."""
+    """Workspace of the sort."""
 
     rows: RecordArray[SortedBodyRecord]  # (n,)
     spare: RecordArray[SortedBodyRecord]  # (n,)
@@ -75,7 +76,7 @@ class SortedBodies(NamedTuple):
 
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
-    body: IntArray  # (n,) number of each body in the scene
+    body: IntArray  # (n,) index of each body in the scene
 
 
 class BoxRanges(NamedTuple):
@@ -92,18 +93,18 @@ class Boxes:
     Attributes
     ----------
     position, mass, body
-        Of the sorted bodies: (3, n) m, (n,) kg, and their indices.
+        Data of the sorted bodies: (3, n) m, (n,) kg, and their indices.
     count
         Number of boxes.
     first, last, skip
-        For each box its sorted bodies, from first to last - 1, and the next box that is not in it.
+        For each box, its sorted bodies, from first to last - 1, and the next box outside it.
     groups
-        Where each group of the sorted bodies begins, and the end of the last one.
+        Where each group of the sorted bodies begins, and the end of the last group.
     """
 
     def __init__(self, mass: FloatArray, team: Team = SOLO) -> None:
         n = len(mass)
-        self.most = 2 * n  # each halving leaves bodies on both sides; untouched pages take no memory
+        self.most = 2 * n  # each halving leaves bodies on both sides; unused pages take no memory
         self.position = np.empty((3, n))
         self.mass = np.empty(n)
         self.body = np.empty(n, np.int64)
@@ -125,7 +126,7 @@ class Boxes:
         n = len(position)
         self._team.divide(
             n, MIN_BODIES_PER_TASK, _lay_out, position, self._sorting.rows
-        )  # in the same order in every step
+        )  # the same order in every step
         _begin(self._queue, n)
         arrays = self._queue, self._mass, self._sorting, self._sorted, self._ranges
         self._team.divide(self._team.size, 1, _sort, *arrays)
@@ -153,10 +154,10 @@ def _begin(queue: Queue, n: int) -> None:
 
 @kernel
 def _put(queue: Queue, lo: int, hi: int, box: int) -> None:
-    """Put a range of bodies on the queue, with the place of its box."""
+    """Put a range of bodies on the queue, with the index of its box."""
     k = atomic_add(queue.counters, PUT, 1)
     queue.begin[k], queue.box[k] = lo, box
-    atomic_store(queue.end, k, hi)  # written last: a thread that sees it sees the others, too
+    atomic_store(queue.end, k, hi)  # written last: a thread that reads it finds the others written
 
 
 @long_kernel
@@ -171,12 +172,12 @@ def _sort(
 ) -> None:
     """Sort the bodies: each of the threads from lo to hi takes ranges from the queue until all bodies are sorted.
 
-    A range of k bodies has 2 k - 1 places for its boxes, the largest possible number. It can thus be sorted before the
-    number of boxes before its own is known. At the place of the first box, ``skip`` is their number for now, or 0 if a
-    box was halved and its halves were queued separately.
+    A range of k bodies has space for 2 k - 1 boxes, the largest possible number. It can therefore be sorted before the
+    number of boxes in the ranges before it is known. At the first box, ``skip`` temporarily holds their number, or 0 if
+    a box was halved and its halves were queued separately.
 
-    The function is written in one piece, because each call with arrays as arguments counts references in memory that
-    all threads write to. With calls it took half as long again.
+    The function is not divided, because each call with arrays as arguments counts references in memory that all threads
+    write to. With calls, it took half as long again.
     """
     rows, spare, stack, counters = sorting.rows, sorting.spare, sorting.stacks[lo], queue.counters
     x, m, body = bodies.x, bodies.m, bodies.body
@@ -202,7 +203,7 @@ def _sort(
                     az, bz = min(az, row.z), max(bz, row.z)
                 axis, middle = _longest_side(ax, bx, ay, by, az, bz)
                 half = over = i0
-                for i in range(i0, i1):  # without a branch: both halves are written to, and one of them advances
+                for i in range(i0, i1):  # without a branch: both halves are written, and one of them advances
                     row = rows[i]
                     x0, y0, z0, index = row.x, row.y, row.z, row.index
                     along = x0 if axis == 0 else (y0 if axis == 1 else z0)
@@ -215,7 +216,7 @@ def _sort(
                 for k in range(over - i0):
                     lower, upper = rows[half + k], spare[i0 + k]
                     lower.x, lower.y, lower.z, lower.index = upper.x, upper.y, upper.z, upper.index
-            if i0 < half < i1:  # otherwise they are few, at one point, or not finite
+            if i0 < half < i1:  # otherwise the bodies are few, at one point, or not finite
                 if i1 - i0 > np.uint64(GRAIN):
                     boxes[box] = 0
                     _put(queue, int(half), int(i1), box + 2 * int(half - i0))
@@ -239,7 +240,7 @@ def _sort(
 
 @kernel
 def _longest_side(ax: float, bx: float, ay: float, by: float, az: float, bz: float) -> tuple[int, float]:
-    """Return the longest side of the box from a to b, and the middle of it."""
+    """Return the axis of the longest side of the box from a to b, and its middle."""
     axis, low, high = 0, ax, bx
     if by - ay > high - low:
         axis, low, high = 1, ay, by
@@ -274,7 +275,7 @@ def _close_up(n: int, first: IntArray, last: IntArray, boxes: IntArray) -> int:
 
 @kernel
 def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: IntArray) -> None:
-    """Write for each box the next one outside it: the largest box that begins where this one ends."""
+    """Write for each box the next one outside it: the largest box that begins at this one's end."""
     begins[len(begins) - 1] = boxes
     for box in range(boxes - 1, -1, -1):
         skip[box] = begins[last[box]]
@@ -283,7 +284,7 @@ def _link(boxes: int, first: IntArray, last: IntArray, skip: IntArray, begins: I
 
 @kernel
 def _group(boxes: int, first: IntArray, last: IntArray, skip: IntArray, edges: IntArray) -> int:
-    """Cut the sorted bodies into groups, each the bodies of one box; return the number of groups."""
+    """Divide the sorted bodies into groups, each the bodies of one box; return the number of groups."""
     groups, box = 0, 0
     while box < boxes:
         if last[box] - first[box] <= GROUP or skip[box] == box + 1:

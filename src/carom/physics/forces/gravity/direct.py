@@ -2,21 +2,20 @@
 
     a_i = Σ_j a_ij      φ_i = Σ_j φ_ij,  j ≠ i      U = ½ Σ_i m_i φ_i        (`pair` has a_ij and φ_ij)
 
-Bodies are processed in blocks of 32. A block of targets lies in the
-SIMD lanes, and the bodies of a later block are taken in turn as sources. Accelerations of the targets are summed lane
-by lane, and so are the reactions on each source. The lanes of a source are summed in a fixed order at the end of its
-block. The number of bodies thus fixes the order of every sum: the same bits on any SIMD width and any number of
-threads.
+Bodies are processed in blocks of 32. The targets of a block are in the SIMD lanes, and the bodies of a later block are
+the sources, one after another. Accelerations of the targets are summed lane by lane, and so are the reactions on each
+source. The lanes of a source are summed in a fixed order at the end of its block. The number of bodies therefore fixes
+the order of every sum: the bits are the same at any SIMD width and any number of threads.
 
-Up to 32 bodies are one block, without lanes: `sum_few` computes each pair once and adds in the same order, with the
-same bits. Three bodies take 20 ns in place of 2 µs, 32 bodies 2.8 in place of 5 µs.
+Up to 32 bodies form one block, without lanes: `sum_few` computes each pair once and adds in the same order, with the
+same bits. Three bodies take 20 ns instead of 2 µs, 32 bodies 2.8 µs instead of 5.
 
 Directed pairs a second at 1024, 4096 and 16384 bodies on one core (Zen 5 with AVX-512, which computes 2.7 × 10⁹ roots
 and divisions a second): 3.0, 3.2 and 3.4 × 10⁹.
 
 Rejected: each body summing over all others (2.4 × 10⁹; faster below 200 bodies, by a microsecond); one source at a time
 (2.3, 2.9 and 3.2 × 10⁹; two share the loads and stores of the lanes); sums in arrays passed as arguments (2.5 × 10⁹ at
-most, because the compiler must assume that they overlap); approximate reciprocal roots (slower, and other bits); a
+most, because the compiler must assume that they overlap); approximate reciprocal roots (slower, with other bits); a
 reduction over sources (other bits).
 """
 
@@ -36,12 +35,13 @@ AX, AY, AZ, PHI = range(4)  # rows of the sums
 
 LANES = 32
 MAX_IN_ONE_BLOCK = LANES  # bodies
-PARALLEL_FROM = 2048  # bodies; below, waking threads costs what they save, and the recorder needs the other core
-SLABS = 16  # of equal work, each with sums of its own: the largest number of threads that can share a sum
+# bodies; with fewer, waking threads costs the time they save, and the recorder needs the other core
+PARALLEL_FROM = 2048
+SLABS = 16  # of equal work, each with its own sums: the largest number of threads that can share a sum
 
 
 class DirectGravity:
-    """Direct gravity of n bodies on each other, with its workspace."""
+    """Direct gravity between n bodies, with its workspace."""
 
     def __init__(self, mass: FloatArray, constant: float, softening: float, team: Team = SOLO):
         n = len(mass)
@@ -50,7 +50,7 @@ class DirectGravity:
         self._mass = mass
         self._constant = constant
         self._softening_squared = softening * softening
-        self._source = np.zeros((4, blocks * LANES))  # padding of the last block has no mass
+        self._source = np.zeros((4, blocks * LANES))  # the padding of the last block has mass 0
         self._source[MASS, :n] = mass
         self._edges = _slabs(blocks, SLABS if n >= PARALLEL_FROM else 1)
         self._sums = np.empty((len(self._edges) - 1, 4, blocks * LANES))
@@ -58,7 +58,7 @@ class DirectGravity:
         self._team = team if n >= PARALLEL_FROM else SOLO
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `GravityMethod`. The energy costs about a fifth more."""
+        """Write the accelerations; see `GravityMethod`. The energy takes about a fifth more time."""
         if self._is_few:
             law = self._constant, self._softening_squared
             sum_few(position, self._mass, *law, acceleration, self._potential)
@@ -77,12 +77,12 @@ class DirectGravity:
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> DirectGravity:
-    """Make the direct sum of a scene's section."""
+    """Return the direct sum for a scene's section."""
     return DirectGravity(mass, gravity.constant, gravity.softening, team)
 
 
 def _slabs(blocks: int, count: int) -> IntArray:
-    """Split the blocks into slabs of about equal work; each block is paired with all before it."""
+    """Divide the blocks into slabs of about equal work; each block is paired with all blocks before it."""
     work = np.cumsum(np.arange(1, blocks + 1))
     return np.concatenate(([0], np.searchsorted(work, work[-1] * np.arange(1, count) / count), [blocks]))
 
@@ -91,8 +91,8 @@ def _slabs(blocks: int, count: int) -> IntArray:
 def _lanes(count: int) -> FloatArray:
     """Allocate floats that begin on a cache line; lanes that straddle two lines take twice as long.
 
-    The kernel allocates them itself, so the compiler knows that lanes do not overlap. This function is not inlined:
-    a dozen copies would take half a second to compile.
+    The kernel allocates them itself, so that the compiler knows that lanes do not overlap. This function is not
+    inlined: a dozen copies would take half a second to compile.
     """
     buffer = np.empty(count + CACHE_LINE // 8)
     start = (CACHE_LINE - buffer.ctypes.data % CACHE_LINE) % CACHE_LINE // 8
@@ -105,7 +105,7 @@ def sum_few(
 ) -> None:
     """Write acceleration, (n, 3) m/s², and potential, (n,) J/kg, of at most `MAX_IN_ONE_BLOCK` bodies.
 
-    A body's terms are added in the order of their sources, and reactions in that of the rows: the order of the lanes.
+    A body's terms are added in the order of their sources, and reactions in the order of the rows, as in lanes.
     """
     n = len(m)
     own = attraction(1.0, eps2)
@@ -114,7 +114,7 @@ def sum_few(
     for i in range(n):
         xi, yi, zi, mi = x[i, 0], x[i, 1], x[i, 2], m[i]
         ax, ay, az, p = acceleration[i, 0], acceleration[i, 1], acceleration[i, 2], potential[i]
-        p += mi * own * eps2  # its own, with softening, in its place in the sum
+        p += mi * own * eps2  # the body's own term with softening, at its place in the sum
         for j in range(i + 1, n):
             dx, dy, dz = x[j, 0] - xi, x[j, 1] - yi, x[j, 2] - zi
             f, g, r2 = mutual_attraction(dx, dy, dz, mi, m[j], eps2)
@@ -157,7 +157,7 @@ def _sum_blocks(
                 bx[k] = by[k] = bz[k] = bp[k] = 0.0
             for targets in range(block + 1):
                 i = np.uint64(targets) * L
-                weight = 1.0 if i < first else 0.0  # within a block each body is a source once, without reactions
+                weight = 1.0 if i < first else 0.0  # within its block, each body is a source once, without reactions
                 for k in range(L):
                     tx[k], ty[k], tz[k] = source[X, i + k], source[Y, i + k], source[Z, i + k]
                     tm[k] = weight * source[MASS, i + k]
@@ -222,8 +222,8 @@ def _total(
     potential: FloatArray,
     wanted: bool,
 ) -> None:
-    """Add the slabs; each has sums for its own blocks and those before them."""
-    # with softening each body has added its own potential, m/ε; subtract it with the same rounding
+    """Add the slabs; each has sums for its blocks and all blocks before them."""
+    # with softening, each body has added its own potential, m/ε; subtract it with the same rounding
     own = attraction(1.0, eps2)
     slab = 0
     for i in range(len(m)):

@@ -1,11 +1,11 @@
-"""The gravity of a pair of bodies: one copy of its formulas, which kernels inline.
+"""The gravity of a pair of bodies: the only copy of its formulas, which kernels inline.
 
     a_i = G m_j d / R³      a_j = -G m_i d / R³      φ_i = -G m_j / R      d = x_j - x_i,  R² = d² + ε²
 
-Without softening, coincident bodies neither attract each other nor have a potential: both are undefined.
+Without softening, coincident bodies neither attract each other nor have a potential, since both are undefined.
 
 Each pair needs one square root and one division. A sum over pairs has the bits of these expressions, so all integrators
-and methods that sum pairs in one order agree to the last bit. Only vector instructions have a form of their own
+and methods that sum pairs in the same order agree to the last bit. Only vector instructions have a separate form
 (`fast_multipole.taylor.attract_bodies`).
 """
 
@@ -18,7 +18,7 @@ from carom.physics.jit.decorators import inline
 
 @inline
 def attraction(gm: float, r2: float) -> float:
-    """Return gm / R³: times d, the acceleration by a body of G m = ``gm``; times R², its potential with the sign of m.
+    """Return gm / R³: times d, the acceleration by a body with G m = ``gm``; times -R², its potential.
 
     0 for coincident bodies without softening.
     """
@@ -30,7 +30,7 @@ def attraction(gm: float, r2: float) -> float:
 def mutual_attraction(
     dx: float, dy: float, dz: float, gm_i: float, gm_j: float, eps2: float
 ) -> tuple[float, float, float]:
-    """Return gm_j / R³ and gm_i / R³ of a pair, the attractions on i and on j over d, and R² in m²."""
+    """Return gm_j / R³ and gm_i / R³ of a pair, the accelerations of i and j divided by d, and R² in m²."""
     r2 = dx * dx + dy * dy + dz * dz + eps2
     inverse_cube = attraction(1.0, r2)
     return gm_j * inverse_cube, gm_i * inverse_cube, r2
@@ -38,5 +38,5 @@ def mutual_attraction(
 
 @inline
 def own_potential(eps2: float) -> float:
-    """Return 1/ε, which a softened body of mass 1 adds to the sum at its own position; 0 without softening."""
+    """Return 1/ε, the contribution of a softened body of mass 1 to the sum at its own position; 0 without softening."""
     return attraction(eps2, eps2)

@@ -1,23 +1,24 @@
 """Gravity by a tree: distant boxes of bodies attract as a whole.
 
-`boxes` sorts the bodies into boxes. The moments of a box, about its centre of mass, are summed over its bodies, not
-over its halves. This costs a twelfth of the whole evaluation and makes b exact:
+`boxes` sorts the bodies into boxes. The moments of a box about its centre of mass are summed over its bodies, not over
+its halves. This takes a twelfth of the whole evaluation and makes b exact:
 
     M = Σ m_i      X = Σ m_i x_i / M      Q = 3 Σ m_i y_i y_iᵀ      b = max |y_i|      y_i = x_i - X
 
-Each group of bodies walks through the tree once. A box replaces its bodies if its angular radius b/d, seen from the
-nearest point of the group's own box, is below θ. Otherwise the walk opens it; the bodies of a leaf are summed one by
-one. With d = X - x, R² = d² + ε²:
+Each group of bodies walks through the tree once. A box replaces its bodies if its angular radius b/d, as seen from the
+nearest point of the group's box, is below θ. Otherwise the walk opens it; the bodies of a leaf are summed one by one.
+With d = X - x, R² = d² + ε²:
 
     a = G [ (M/R³ + (5/2 dᵀQd/R² - tr Q/2)/R⁵) d - Q d/R⁵ ]
     φ = -G [ M/R + (1/2 dᵀQd/R² - tr Q/6)/R³ ]
 
-a is -∇φ, and both hold for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error
-(measured in docs/physics.md), and that of the total momentum, because the two forces of a pair are not opposite.
+a is -∇φ, for any softening ε. Without quadrupoles, Q = 0. The opening angle θ determines the error (measured in
+docs/physics.md), and that of the total momentum, because the two forces of a pair are not opposite.
 
-The bodies of a group lie in the SIMD lanes, and boxes and bodies are summed in turn, so the bits depend on neither the
-SIMD width nor the threads. Threads take the next piece of work until none is left, so all end at about the same time.
-Pieces assigned beforehand would be uneven, because crowded bodies take far longer than others.
+The bodies of a group are in the SIMD lanes, and boxes and bodies are added one after another, so the bits depend
+neither on the SIMD width nor on the threads. Threads take the next piece of work until none is left, so all of them end
+at about the same time. Pieces assigned in advance would be uneven, because bodies in dense regions take far longer than
+others.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ from carom.physics.jit.team import SOLO, Team
 from carom.scene.schema import Gravity
 
 BOXES_PER_TASK = 64  # about 10 µs
-EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and hardly slower than their moments
+EXACT_UP_TO = 4  # bodies; so few are summed one by one, which is exact and about as fast as their moments
 
 
 class CentreRecord(Protocol):
-    """The centre of a box, and the distance from which its moments replace its bodies."""
+    """The centre of a box, and the distance beyond which its moments replace its bodies."""
 
     x: float  # m, X
     y: float
@@ -53,7 +54,7 @@ CENTRE = dtype_of(CentreRecord)
 
 
 class MomentsRecord(Protocol):
-    """The moments of a box, in a cache line."""
+    """The moments of a box, in one cache line."""
 
     mass: float  # kg, M
     xx: float  # kg m², of Q
@@ -67,21 +68,21 @@ class MomentsRecord(Protocol):
 
 MOMENTS = dtype_of(MomentsRecord)
 X, Y, Z, AX, AY, AZ, PHI = range(7)  # rows of the lanes: positions of a group's bodies, and their sums
-LANES_PER_REGISTER = 8  # of float64, in the widest registers; loops over whole registers leave no remainder
+LANES_PER_REGISTER = 8  # float64 in the widest registers; loops over whole registers leave no remainder
 
 
 class BoxTree(NamedTuple):
     """Boxes with their moments, and the bodies in their order."""
 
-    boxes: int  # their number; the arrays may be longer
+    boxes: int  # number of boxes; the arrays may be longer
     first: IntArray  # first body of each box
-    last: IntArray  # the one after its last body
-    skip: IntArray  # the box after it and all boxes in it
+    last: IntArray  # the end of the range of its bodies
+    skip: IntArray  # the next box outside it
     centres: RecordArray[CentreRecord]
     moments: RecordArray[MomentsRecord]
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
-    body: IntArray  # (n,) number of each body in the scene
+    body: IntArray  # (n,) index of each body in the scene
     groups: IntArray  # (g + 1,) first body of each group, and n
 
 
@@ -94,11 +95,11 @@ class TreeLaw(NamedTuple):
 
 
 class TreeBuffers(NamedTuple):
-    """Memory for each of the threads."""
+    """Workspace of each thread."""
 
     lanes: FloatArray  # (threads, 7, GROUP) a group's bodies and their sums
     far: IntArray  # (threads, ·) boxes that attract as a whole
-    near: Records  # (threads, ·) RANGE, bodies that attract one by one
+    near: Records  # (threads, ·) RANGE, ranges of bodies that attract one by one
 
 
 @long_kernel
@@ -109,10 +110,10 @@ def expand(
     tree: BoxTree,
     theta: float,
 ) -> None:
-    """Write the moments of all boxes for an opening angle in rad.
+    """Write the moments of all boxes for an opening angle (rad).
 
     Each of the threads [lo, hi) takes the next `BOXES_PER_TASK` boxes until none are left; ``taken_so_far``, (1,),
-    counts how often.
+    counts these pieces.
     """
     boxes, first, last, x, m = tree.boxes, tree.first, tree.last, tree.x, tree.m
     centres, moments = tree.centres, tree.moments
@@ -129,7 +130,7 @@ def expand(
                 X += m[i] * (x[0, i] - x0)
                 Y += m[i] * (x[1, i] - y0)
                 Z += m[i] * (x[2, i] - z0)
-            if M > 0.0:  # or all are test particles, and any centre will do
+            if M > 0.0:  # otherwise all are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             xx = xy = xz = yy = yz = zz = b2 = 0.0
@@ -165,7 +166,7 @@ def attract_groups(
 ) -> None:
     """Write acceleration and potential of all groups.
 
-    Each of the threads [lo, hi) takes the next group until none are left; ``taken_so_far``, (1,), counts them.
+    Each of the threads [lo, hi) takes the next group until none is left; ``taken_so_far``, (1,), counts the groups.
     """
     lanes, far, near = buffers.lanes[lo], buffers.far[lo], buffers.near[lo]
     body, m, G = tree.body, tree.m, law.G
@@ -197,7 +198,7 @@ def attract_groups(
 def _walk(
     i0: int, bodies: int, width: int, tree: BoxTree, lanes: FloatArray, far: IntArray, near: Records
 ) -> tuple[int, int]:
-    """Copy a group's bodies into the lanes, and list what attracts them; return the numbers of boxes and ranges."""
+    """Copy a group's bodies into the lanes, and list the boxes and ranges that attract them; return their numbers."""
     x = tree.x
     x0 = x1 = x[X, i0]
     y0 = y1 = x[Y, i0]
@@ -216,7 +217,9 @@ def _walk(
         dy = max(y0 - centre.y, 0.0, centre.y - y1)
         dz = max(z0 - centre.z, 0.0, centre.z - z1)
         if dx * dx + dy * dy + dz * dz > centre.far_squared:
-            prefetch_to_read(tree.moments, box)  # saves 2 to 5 % of the whole; more if other processes use the cache
+            prefetch_to_read(
+                tree.moments, box
+            )  # saves 2 to 5 % of the whole, and more if other processes use the cache
             far[fars] = box
             fars += 1
             box = tree.skip[box]
@@ -254,7 +257,7 @@ def _add_monopoles(
 def _add_quadrupoles(
     fars: int, far: IntArray, width: int, tree: BoxTree, eps2: float, lanes: FloatArray, potential: FloatArray | None
 ) -> None:
-    """Add the gravity of the far boxes, quadrupoles included."""
+    """Add the gravity of the far boxes, with quadrupoles."""
     for c in range(fars):
         centre, moment = tree.centres[far[c]], tree.moments[far[c]]
         cx, cy, cz, M = centre.x, centre.y, centre.z, moment.mass
@@ -300,7 +303,7 @@ def _add_bodies(
 
 
 class TreeGravity:
-    """Tree gravity of n bodies on each other, with its workspace."""
+    """Tree gravity between n bodies, with its workspace."""
 
     def __init__(
         self,
@@ -322,14 +325,14 @@ class TreeGravity:
         self._centres = np.empty(self._boxes.most, CENTRE)
         self._moments = aligned_empty(self._boxes.most, MOMENTS)
         self._potential = np.zeros(n)
-        self._taken = np.zeros(1, np.int64)  # how many pieces of work were taken
+        self._taken = np.zeros(1, np.int64)  # number of pieces of work taken so far
         size, most = self._team.size, self._boxes.most
         self._buffers = TreeBuffers(
             np.empty((size, 7, GROUP)), np.empty((size, most), np.int64), np.empty((size, n), RANGE)
         )
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `GravityMethod`. The energy costs about a tenth more."""
+        """Write the accelerations; see `GravityMethod`. The energy takes about a tenth more time."""
         boxes, team = self._boxes, self._team
         boxes.sort(position)
         tree = BoxTree(
@@ -347,6 +350,6 @@ class TreeGravity:
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> TreeGravity:
-    """Make the tree of a scene's section."""
+    """Return the tree for a scene's section."""
     accuracy = gravity.opening_angle, gravity.quadrupoles
     return TreeGravity(mass, gravity.constant, gravity.softening, *accuracy, team)

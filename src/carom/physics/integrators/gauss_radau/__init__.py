@@ -1,1 +1,1 @@
-"""Gauss–Radau integration; a folder that can be removed with its row in `carom.registry`."""
+"""Gauss–Radau integration; a folder that can be deleted with its row in `carom.registry`."""

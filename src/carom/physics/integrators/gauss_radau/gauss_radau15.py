@@ -1,4 +1,4 @@
-"""Gauss–Radau integration of order 15 with steps from its error estimate, for forces that depend on positions.
+"""Gauss–Radau integration of order 15 with steps chosen by its error estimate, for forces that depend on positions.
 
 Within a step of length T the acceleration of a coordinate is a polynomial in h = t/T, 0 ≤ h ≤ 1 (Everhart 1985):
 
@@ -7,12 +7,12 @@ Within a step of length T the acceleration of a coordinate is a polynomial in h 
     v(h) = v₀ + h T (a₀ + Σ b_k h^{k+1} / (k+2))
 
 that interpolates the accelerations at the eight Gauss–Radau nodes h₀ = 0, …, h₇. These depend on the positions, so the
-coefficients are found by iteration, starting from the extrapolated polynomial of the previous step. Newton's form
+coefficients are determined by iteration, starting from the extrapolated polynomial of the previous step. Newton's form
 
     a(h) = a₀ + g₀ h + g₁ h (h - h₁) + g₂ h (h - h₁)(h - h₂) + …
 
-lets each node in turn improve one g. All terms after g_{s-1} vanish at h_s, so the residual of the polynomial there is
-the error of g_{s-1} times h_s (h_s - h₁) … (h_s - h_{s-1}). With compensated rounding, the energy error of a planetary
+lets each node determine one g. All terms after g_{s-1} vanish at h_s, so the residual of the polynomial there is the
+error of g_{s-1} times h_s (h_s - h₁) … (h_s - h_{s-1}). With compensated summation, the energy error of a planetary
 system is a random walk of the last bit (Rein & Spiegel 2015).
 
 The next step is a fraction η of the shortest time in which the acceleration of a body changes, from its first three
@@ -21,9 +21,10 @@ derivatives at the end of the step (Pham, Rein & Spiegel 2024; Aarseth 1985):
     T' = η min_i max(τ_i, τ'_i / 4),        η = (5040 ε)^{1/7}, ε = 10⁻⁹
     τ_i = √(2 a² / (ȧ² + a ä)),             τ'_i = √((a ä + ȧ²) / (ȧ a⃛ + ä²))
 
-τ alone vanishes where an acceleration passes 0, as in the figure eight, which then takes five times as many steps.
+τ alone vanishes where an acceleration passes through 0, as in the figure eight, which would take five times as many
+steps.
 
-It uses sums, products, quotients and square roots only, so the bits are the same on any processor.
+The estimate uses only sums, products, quotients and square roots, so the bits are the same on any processor.
 """
 
 from __future__ import annotations
@@ -66,17 +67,17 @@ from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η
-LARGEST_CHANGE = 4.0  # a step is repeated if it was too long by more than this factor; none grows by more
-SHRINKING = 2.0  # a rejected step is repeated only if the wanted fraction of it grows at least by this factor
-LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the same after an impact, since the step before it had another velocity
-MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact: two reach rounding
+LARGEST_CHANGE = 4.0  # a step that was too long by more than this factor is repeated; no step grows by more
+SHRINKING = 2.0  # a step is repeated again only if the wanted fraction of it rises by at least this factor
+LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the same after an impact, since the previous step had another velocity
+MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact; two are enough to reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that set a step
 ERROR, CAP, FIXED, END, IMPACT = range(len(LIMITS))
 
 
 class GaussRadau15:
-    """Integrates bodies that attract each other, with many steps per call.
+    """Integrates bodies that attract each other, many steps per call.
 
     Parameters
     ----------
@@ -93,13 +94,13 @@ class GaussRadau15:
     max_dt
         s
     fixed_dt
-        s; None for steps from the error estimate.
+        s; None if the error estimate sets the steps.
     fraction
-        η, of the shortest time in which an acceleration changes, that a step takes.
+        η, the step as a fraction of the shortest time in which an acceleration changes.
     solids
-        What may touch; None where nothing can.
+        The bodies and planes that may touch; None where nothing can.
     tolerance
-        Residual at a node, over the largest acceleration, at which the iterations of a step end.
+        Residual at a node, relative to the largest acceleration, at which the iterations of a step end.
     mass, forces
         (n,) kg, and the forces of installed packages, which need it.
     """
@@ -128,7 +129,7 @@ class GaussRadau15:
         self._progress = np.zeros(1, PROGRESS)
         kinds = self._motion, solids, self._progress, 0.0, 0.0, 0, self._max_dt, self._adapts
         self._advance: Callable[..., None] = entry_of(advance, *kinds)
-        self._arrival = velocity  # at the end of the last step, before impacts there
+        self._arrival = velocity  # at the end of the last step, before its impacts
 
     @property
     def next_dt(self) -> float:
@@ -146,7 +147,7 @@ class GaussRadau15:
         return int(self._progress["iterations"][0])
 
     def begin(self, dt: float) -> None:
-        """Begin anew at the present positions and velocities, with a first step of about dt seconds."""
+        """Start anew at the present positions and velocities, with a first step of about dt seconds."""
         motion = self._motion
         for array in (motion.position_compensation, motion.velocity_compensation, motion.accepted, motion.correction):
             array[:] = 0.0
@@ -155,7 +156,7 @@ class GaussRadau15:
         self._progress["fraction"], self._progress["tolerance"] = self._fraction, self._tolerance
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
-        """Make steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
+        """Take steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
         progress = self._progress
         progress["time"], progress["steps"] = time, 0
         rule = self._max_dt, self._adapts
@@ -167,13 +168,14 @@ class GaussRadau15:
         return Batch(int(last["steps"]), *times, LIMITS[last["limit"]], meeting)
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step."""
         motion, dt = self._motion, self.last_dt
         h = (dt - earlier) / dt
         a = motion.start + motion.field * motion.moves[:, np.newaxis]
         b = motion.accepted.reshape(*a.shape, WIDTH)[..., :TERMS]
         k = np.arange(TERMS)
-        powers = np.cumprod(np.full(TERMS + 2, h))  # h, h²…; matrix products and powers differ between processors
+        # h, h²…; results of matrix products and powers differ between processors
+        powers = np.cumprod(np.full(TERMS + 2, h))
         turned = dt * ((1.0 - h) * a + (b * ((1.0 - powers[1:-1]) / (k + 2))).sum(axis=-1))
         v = self._arrival - turned
         begin = self._arrival - dt * (a + (b / (k + 2)).sum(axis=-1))
@@ -189,7 +191,7 @@ class GaussRadau15:
         return IntegratorCheckpoint(last_dt, *compensations, motion.accepted.copy(), motion.correction.copy())
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
+        """Continue from a checkpoint with a step in s; without a checkpoint, start anew."""
         motion = self._motion
         self.begin(next_dt)
         if checkpoint is None:
@@ -203,7 +205,7 @@ class GaussRadau15:
 
 
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> GaussRadau15:
-    """Make the integrator of a scene's bodies in a uniform field, (3,) m/s²."""
+    """Return the integrator of a scene's bodies in a uniform field, (3,) m/s²."""
     gravity = scene.gravity
     gm = gravity.constant * bodies.mass if needs.gravity.modelled else np.zeros(len(bodies))
     fixed = np.flatnonzero(bodies.ends.inverse_mass[: len(bodies)] == 0.0)
@@ -237,7 +239,7 @@ def advance(
     max_dt: float,
     adapts: bool,
 ) -> None:
-    """Make steps; see `GaussRadau15.advance`."""
+    """Take steps; see `GaussRadau15.advance`."""
     run = progress[0]
     run.meets = run.rests = False
     planes = 0 if solids is None else len(solids.offset)
@@ -254,7 +256,7 @@ def advance(
             dt, limit = wanted, ERROR
             wanted = attempt(motion, run, dt)
             if not wanted > SHRINKING * fraction * dt:
-                break  # the acceleration begins at 0, so it changes within the time since the start
+                break  # the acceleration starts at 0, so it has changed within the time since the start
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             displacement = max_displacement(motion, planes, dt)
@@ -264,7 +266,7 @@ def advance(
                 dt, limit = _end_at_impact(motion, solids, run, h, dt), IMPACT
             run.meets = h != NONE
             if run.meets and (h == AT_REST or not run.time + dt > run.time):
-                run.meets = run.steps == 0  # else the next call returns the meeting
+                run.meets = run.steps == 0  # otherwise the next call returns the meeting
                 run.rests = h == AT_REST and run.meets
                 break
         move(motion, dt)
@@ -273,14 +275,14 @@ def advance(
         run.last_dt, run.next_dt, run.after_impact = dt, next_dt, run.meets
         run.steps += 1
         if run.meets or not run.time > run.before:
-            break  # or the step is too short to change the clock, or NaN
+            break  # the run has ended, or the step is NaN or too short to change the clock
 
 
 @unowned
 def _end_at_impact(motion: Motion, solids: Solids, run: ProgressRecord, h: float, dt: float) -> float:
-    """Repeat the step so that it ends where the pair of ``run`` touches; return its length in s.
+    """Repeat the step so that it ends where the pair in ``run`` touches; return its length in s.
 
-    Within a step the polynomial is less accurate than at its end, so each iteration corrects the length.
+    Within a step, the polynomial is less accurate than at its end, so each iteration corrects the length.
     """
     run.clearance = 0.0
     ratio = h

@@ -3,18 +3,18 @@
 With d(h) the separation of two bodies (or of a body and a plane), R the distance at which they touch, f = d² - R² and
 g = d·d' = f'/2, an impact is the first h in [0, 1] at which f ≤ 0 and g < 0: they touch and close.
 
-All pairs are tested only after the bodies have moved far enough to close the clearance, the smallest gap of any pair
-at the last test. The polynomials of pairs that may meet are followed from h = 0 on, in intervals that are halved until
-one of these holds, with M ≥ |d''|, K ≥ |g''|:
+All pairs are tested only after the bodies may have moved by the clearance, the smallest gap of any pair at the last
+test. The polynomials of pairs that may meet are followed from h = 0 on, in intervals that are halved until one of these
+conditions holds, with M ≥ |d''|, K ≥ |g''|:
 
-- the chord of d stays farther from 0 than R + M w²/8, w being the width: they do not touch
+- the chord of d stays farther from 0 than R + M w²/8, where w is the width: they do not touch
 - g stays positive by g + g' s - ½ K s²: they separate
-- g stays negative by the same bound from the other end, and d ends inside: the only root of f is there
+- g stays negative by the same bound from the other end, and d ends inside R: the only root of f is in the interval
 
-So the first impact is found however short or grazing it is. The step is then repeated so that it ends at that root,
-because the polynomial is of a lower order within a step than at its end.
+The first impact is therefore found however short or grazing it is. The step is then repeated so that it ends at that
+root, because the polynomial has a lower order within a step than at its end.
 
-A contact comes to rest if forces press it together and it will be back within `REST` of the step.
+A contact comes to rest if forces press it together so that the next impact follows within `REST` of the step.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from carom.physics.integrators.gauss_radau.radau_step import TERMS, Motion, Prog
 from carom.physics.jit.decorators import inline, unowned
 
 COEFFICIENTS = TERMS + 3  # of a position, a polynomial in h
-TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a gap that is rounding
-SLACK = 1.0 + 1e-9  # for the rounding of the bounds
-NARROWEST = 2.0**-44  # of a step: what touches for less is a graze
-MOST_INTERVALS = 20_000  # a contact that needs more lies at rest by rounding
-REST = 1e-6  # of a step: the shortest flight between two impacts. Its gap is at most 10⁻¹⁴ R, near rounding.
+TOUCHING = 8 * 2.0**-53  # of the coordinates and of R: a smaller gap is rounding
+SLACK = 1.0 + 1e-9  # allowance for the rounding of the bounds
+NARROWEST = 2.0**-44  # of a step; a shorter overlap is a grazing pass
+MOST_INTERVALS = 20_000  # a contact that needs more is at rest to rounding
+REST = 1e-6  # of a step: the shortest flight between two impacts. Its height is at most 10⁻¹⁴ R, near rounding.
 NONE = np.inf  # no impact
 AT_REST = -1.0  # a contact that forces press together
 
@@ -48,7 +48,7 @@ class Solids(NamedTuple):
 
     @classmethod
     def of(cls, radius: FloatArray, surface: FloatArray | None = None, offset: FloatArray | None = None) -> Solids:
-        """List bodies and planes, by default none."""
+        """List the bodies and planes; by default there are none."""
         none = np.zeros((0, 3)), np.zeros(0)
         planes = none if surface is None or offset is None else (surface, offset)
         return cls(np.ascontiguousarray(radius), *planes, np.zeros((COEFFICIENTS, 3)))
@@ -56,7 +56,7 @@ class Solids(NamedTuple):
 
 @unowned
 def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float, displacement: float) -> float:
-    """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; write its pair to ``run``.
+    """Return the fraction h of the step after which bodies meet, `NONE`, or `AT_REST`; write the pair to ``run``.
 
     No body moves farther than ``displacement``, in m.
     """
@@ -68,7 +68,7 @@ def first_impact(motion: Motion, solids: Solids, run: ProgressRecord, dt: float,
             d2, R = dx * dx + dy * dy + dz * dz, radius[i] + radius[j]
             is_clear = clearance > 2.0 * displacement and d2 > (R + clearance) * (R + clearance)
             if is_clear or moves[i] + moves[j] == 0.0:
-                continue  # not nearer than the nearest
+                continue  # both cannot be nearer than the nearest pair
             gap = np.sqrt(d2) - R
             clearance = min(clearance, gap)
             if gap <= 2.0 * displacement:
@@ -110,7 +110,7 @@ def _pace(motion: Motion, i: int, j: int, R: float, dt: float) -> float:
 
 @unowned
 def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
-    """Return the gap in m between body i and body or plane j up to which it is rounding."""
+    """Return the gap (m) between body i and body or plane j up to which it is rounding."""
     largest = R
     for k in range(3):
         largest = max(largest, abs(x[i, k]))
@@ -121,7 +121,7 @@ def rounding(x: FloatArray, i: int, j: int, R: float) -> float:
 
 @inline
 def max_displacement(motion: Motion, planes: int, dt: float) -> float:
-    """Return a bound on the distance in m that any body moves in a step, relative to planes or to the mean velocity."""
+    """Return a bound on the distance (m) that any body moves in a step, relative to planes or to the mean velocity."""
     v, b, n = motion.velocity, motion.b, len(motion.velocity)
     ux, uy, uz = 0.0, 0.0, 0.0
     if planes == 0:
@@ -189,7 +189,7 @@ def _at(path: FloatArray, h: float) -> tuple[float, float, float, float]:
 
 @unowned
 def _chord(path: FloatArray, a: float, b: float) -> float:
-    """Return the least |d|² on the chord of d from a to b."""
+    """Return the smallest |d|² on the chord of d from a to b."""
     far, along, length = 0.0, 0.0, 0.0
     for k in range(3):
         p, q = 0.0, 0.0
@@ -226,9 +226,9 @@ def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> fl
     R
         m.
     gap
-        m, what is rounding of d.
+        m, rounding of d.
     negligible
-        m, closing speed in a step that is rounding.
+        m, change of d in a step by a closing speed that is rounding.
     """
     fastest, M, third = _bounds(path)
     still = negligible * R
@@ -266,7 +266,7 @@ def _first_root(path: FloatArray, R: float, gap: float, negligible: float) -> fl
 
 @unowned
 def _solve(path: FloatArray, R: float, a: float, b: float) -> float:
-    """Return the root of d² - R² in [a, b], where it falls, by Newton's method and bisection."""
+    """Return the root of the falling d² - R² in [a, b], by Newton's method and bisection."""
     h = 0.5 * (a + b)
     for _ in range(100):
         d2, g, _, _ = _at(path, h)
@@ -295,6 +295,6 @@ def time_to_touch(motion: Motion, solids: Solids, i: int, j: int, dt: float) -> 
         _lay_height(motion, solids, i, j - n, dt)
         R = solids.radius[i]
     d2, g, _, _ = _at(solids.path, 1.0)
-    # (d - R) / -d', with d - R = (d² - R²)/(d + R), which keeps its digits, and d' = g/d
+    # (d - R) / -d', with d - R = (d² - R²)/(d + R), which avoids cancellation, and d' = g/d
     d = np.sqrt(d2)
     return float(dt * (d2 - R * R) * d / ((d + R) * -g)) if g < 0.0 else 0.0

@@ -1,6 +1,6 @@
 """One step of Gauss–Radau integration: its polynomial, its error estimate, and the motion to its end.
 
-`gauss_radau15` has the equations. Each number of a table is computed in exact arithmetic and rounded once.
+`gauss_radau15` has the equations. Each number in a table is computed in exact arithmetic and rounded once.
 """
 
 from __future__ import annotations
@@ -31,13 +31,14 @@ NODES = tuple(
     )
 )
 TERMS = 7  # of the polynomial, b₀ to b₆
-WIDTH = 8  # of a row: the terms and a 0, so that a row is a cache line
-LANES_FROM = 16  # bodies
-PASSING = 1.0 / 16.0  # (τ / τ')², below which an acceleration passes 0; Kepler orbits up to e = 0.99 never are
-MAX_ITERATIONS = 12  # rounding prevents some from converging
-CONVERGED = 1e-16  # of the largest acceleration, tolerated residual at a node: half a last bit
-# Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9 these residuals add less to the
-# error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
+WIDTH = 8  # length of a row: the terms and a 0, which fill a cache line
+LANES_FROM = 16  # bodies from which SIMD lanes are used
+# (τ / τ')² below which an acceleration passes through 0; on Kepler orbits up to e = 0.99 it never does
+PASSING = 1.0 / 16.0
+MAX_ITERATIONS = 12  # in a step; rounding prevents some from converging
+CONVERGED = 1e-16  # tolerated residual at a node over the largest acceleration: half a last bit
+# Refinements below which a residual is tolerated. On orbits of eccentricity 0.05 to 0.9, these residuals add less to
+# the error of 1000 orbits than the steps themselves, which take 2.0 to 3.0 iterations.
 LONGER = ((2.0**-1.75, 1e-9), (2.0**-1.25, 1e-11), (2.0**-0.25, 1e-12))
 
 
@@ -51,7 +52,7 @@ def _newton_to_powers() -> list[list[Fraction]]:
 
 
 def _table(rows: list[list[Fraction]]) -> FloatArray:
-    """Round each number once; rows are padded with 0."""
+    """Round each number once, and pad rows with 0."""
     table = np.zeros((len(rows), WIDTH))
     for k, row in enumerate(rows):
         table[k, : len(row)] = [float(number) for number in row]
@@ -75,27 +76,27 @@ class ProgressRecord(Protocol):
     next_dt: float  # s
     last_dt: float  # s, 0 before the first step
     fraction: float  # η
-    tolerance: float  # of the largest acceleration, residual at a node
+    tolerance: float  # residual at a node over the largest acceleration
     steps: int
-    limit: int  # index of `LIMITS`
+    limit: int  # index into `LIMITS`
     iterations: int
-    after_impact: bool  # whether the last step ended at an impact, and predicts nothing
-    meets: bool  # whether bodies meet where the last step ended
+    after_impact: bool  # whether the last step ended at an impact, so that it predicts nothing
+    meets: bool  # whether bodies meet at the end of the last step
     rests: bool  # whether their contact is at rest
     i: int  # the two that meet: bodies, or n + p for plane p
     j: int
-    clearance: float  # m, no gap is smaller
+    clearance: float  # m, smallest gap of any pair at the last test
 
 
 PROGRESS = dtype_of(ProgressRecord)
 
 
 class Motion(NamedTuple):
-    """Arrays of an integration; rows are the coordinates x, y, z of body after body."""
+    """Arrays of an integration, with one row for each coordinate x, y, z of body after body."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
-    position_compensation: FloatArray  # (n, 3) m, rounding errors of the positions so far
+    position_compensation: FloatArray  # (n, 3) m, accumulated rounding errors of the positions
     velocity_compensation: FloatArray  # (n, 3) m/s
     start: FloatArray  # (n, 3) m/s², a₀
     there: FloatArray  # (n, 3) m/s², acceleration at a node
@@ -104,10 +105,10 @@ class Motion(NamedTuple):
     b: FloatArray  # (3 n, 8) m/s²
     predicted: FloatArray  # (3 n, 8) m/s², b before the iterations
     accepted: FloatArray  # (3 n, 8) m/s², b of the last step
-    correction: FloatArray  # (3 n, 8) m/s², error of its prediction
+    correction: FloatArray  # (3 n, 8) m/s², error of the predicted b
     gm: FloatArray  # (n,) m³/s², G m
-    moves: FloatArray  # (n,) 1, or 0 if it is fixed
-    field: FloatArray  # (3,) m/s², uniform
+    moves: FloatArray  # (n,) 1, or 0 for fixed bodies
+    field: FloatArray  # (3,) m/s², the uniform field
     eps2: float  # m², the softening squared
     lanes: FloatArray  # (4, n), workspace of `accelerate`
     mass: FloatArray  # (n,) kg
@@ -162,7 +163,7 @@ def acceleration_at_start(motion: Motion, i: int, k: int) -> float:
 
 @unowned
 def attempt(motion: Motion, run: ProgressRecord, dt: float) -> float:
-    """Compute the polynomial of a step; return the longest next step, in s."""
+    """Compute the polynomial of a step; return the longest possible next step, in s."""
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 and not run.after_impact else 0.0)
     _converge(motion, run, dt)
     return next_step(motion, dt, run.fraction)
@@ -170,7 +171,7 @@ def attempt(motion: Motion, run: ProgressRecord, dt: float) -> float:
 
 @unowned
 def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> None:
-    """Compute the polynomial of a step of dt that begins like the present one and is ``ratio`` times as long."""
+    """Compute the polynomial of a step of dt that starts like the present one and is ``ratio`` times as long."""
     b = motion.b
     for c in range(len(b)):
         power = 1.0
@@ -182,7 +183,7 @@ def shorten(motion: Motion, run: ProgressRecord, dt: float, ratio: float) -> Non
 
 @unowned
 def _converge(motion: Motion, run: ProgressRecord, dt: float) -> None:
-    """Iterate until the polynomial meets the accelerations at the nodes, up to the tolerance of the run."""
+    """Iterate until the polynomial agrees with the accelerations at the nodes, to the tolerance of the run."""
     before = np.inf
     for iteration in range(MAX_ITERATIONS):
         error = iterate(motion, dt)
@@ -194,13 +195,13 @@ def _converge(motion: Motion, run: ProgressRecord, dt: float) -> None:
 
 @inline
 def stops(iteration: int, error: float, before: float, tolerance: float) -> bool:
-    """Return whether a residual is small enough, or would be after another iteration with the same gain, or stays."""
+    """Return whether a residual is small enough, would be after another equal reduction, or no longer falls."""
     return error < tolerance or (iteration > 0 and (error >= before or error * (error / before) < tolerance))
 
 
 @unowned
 def predict(motion: Motion, ratio: float) -> None:
-    """Extrapolate the polynomial of the last step over one that is ``ratio`` times as long, as the first guess.
+    """Extrapolate the polynomial of the last step to a step that is ``ratio`` times as long, as the first guess.
 
     b'_k = ratio^{k+1} Σ_{j≥k} (j+1 over k+1) b_j, plus the error of the previous guess.
     """
@@ -218,7 +219,7 @@ def predict(motion: Motion, ratio: float) -> None:
 
 @unowned
 def iterate(motion: Motion, dt: float) -> float:
-    """Visit the nodes once; return the largest residual over the largest acceleration."""
+    """Visit the nodes once; return the largest residual relative to the largest acceleration."""
     start, there, expected, b = motion.start, motion.there, motion.expected, motion.b
     most, largest = 0.0, 0.0
     for s in range(1, len(NODE)):
@@ -259,7 +260,7 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
     start, b = motion.start, motion.b
     shortest = np.inf
     for i in range(len(start)):
-        a, jerk, snap, crackle = 0.0, 0.0, 0.0, 0.0  # squares, times powers of dt
+        a, jerk, snap, crackle = 0.0, 0.0, 0.0, 0.0  # squared, times powers of dt
         for k in range(3):
             c = 3 * i + k
             a1, j1, s1, c1 = start[i, k], 0.0, 0.0, 0.0
@@ -278,14 +279,14 @@ def next_step(motion: Motion, dt: float, fraction: float) -> float:
 
 @unowned
 def move(motion: Motion, dt: float) -> None:
-    """Move to the end of the step with compensated sums, and keep the polynomial for the next prediction."""
+    """Move to the end of the step with compensated summation, and keep the polynomial for the next prediction."""
     x, v, b = motion.position, motion.velocity, motion.b
     for i in range(len(x)):
         for k in range(3):
             c = 3 * i + k
             position_sum, velocity_sum = 0.0, 0.0
             for j in range(TERMS - 1, -1, -1):
-                # division, because the rounding of reciprocals would accumulate
+                # division, because rounded reciprocals would cause a drift
                 position_sum += b[c, j] / ((j + 2) * (j + 3))
                 velocity_sum += b[c, j] / (j + 2)
                 motion.correction[c, j] = b[c, j] - motion.predicted[c, j]
@@ -307,9 +308,9 @@ def _add(total: FloatArray, compensation: FloatArray, i: int, k: int, term: floa
 
 @unowned
 def accelerate(motion: Motion, x: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations at some positions, by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}, and by others.
+    """Write the accelerations by gravity, a_i = Σ_j G m_j d_ij / (d_ij² + ε²)^{3/2}, and by other forces.
 
-    Those of the uniform field are added later, without rounding.
+    The uniform field is added later, without rounding.
     """
     n, moves = len(x), motion.moves
     if n < LANES_FROM:
@@ -335,9 +336,9 @@ def _accelerate_few(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray) -
 
 @unowned
 def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, lanes: FloatArray) -> None:
-    """Sum in the same order, with the same bits; the roots and divisions of a body lie in SIMD lanes.
+    """Sum in the same order, with the same bits; the roots and divisions of a body are in SIMD lanes.
 
-    A sum takes 0.64 of the time of pair by pair at 30 bodies, and 0.44 at 100; below 16 it takes longer.
+    A sum takes 0.64 of the time of a sum pair by pair at 30 bodies, 0.44 at 100, and more below 16.
     """
     n = len(x)
     X, Y, Z, d3 = lanes[0], lanes[1], lanes[2], lanes[3]
@@ -345,7 +346,7 @@ def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, 
         X[i], Y[i], Z[i] = x[i, 0], x[i, 1], x[i, 2]
     for i in range(n):
         xi, yi, zi = x[i, 0], x[i, 1], x[i, 2]
-        for j in range(np.uint64(i)):  # an unsigned bound, or the loop is not vectorised
+        for j in range(np.uint64(i)):  # the bound must be unsigned for the loop to be vectorised
             dx, dy, dz = X[j] - xi, Y[j] - yi, Z[j] - zi
             d3[j] = attraction(1.0, dx * dx + dy * dy + dz * dz + eps2)
         ax, ay, az = 0.0, 0.0, 0.0
@@ -358,11 +359,11 @@ def _accelerate_many(x: FloatArray, gm: FloatArray, eps2: float, a: FloatArray, 
 
 
 def tolerance(refinement: float) -> float:
-    """Return the residual at a node, over the largest acceleration, at which iterations end.
+    """Return the residual at a node, relative to the largest acceleration, at which iterations end.
 
-    Steps that are `refinement` of the usual ones err by more than that. So they take little more than the two
-    iterations of usual steps, in place of up to eight. With steps of 1.4, 2, 2.8 and 4 times the usual length, 1000
-    orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time of usual ones; with iterations to rounding
-    they take 1.1, 1.0, 0.85 and 0.75.
+    Steps that are `refinement` times as long as usual have larger errors than that. They therefore take little more
+    than the two iterations of usual steps, instead of up to eight. With steps of 1.4, 2, 2.8 and 4 times the usual
+    length, 1000 orbits of eccentricity 0.3 take 0.64, 0.59, 0.52 and 0.36 of the time with usual steps; with iterations
+    to rounding 1.1, 1.0, 0.85 and 0.75.
     """
     return next((residual for below, residual in LONGER if refinement < below), CONVERGED)

@@ -1,10 +1,10 @@
 """Divergence of two nearby orbits under Gauss–Radau integration.
 
-The twin makes the same steps as the orbit. Their polynomials differ as little as the orbits do, so the twin starts its
-iterations from the coefficients that the orbit has before its last one. With a single iteration the twin costs a third
-of a run of its own. The error of their distance is less than a hundredth, but very eccentric orbits then diverge too
-fast: with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a run of its own and
-has its rounding errors, so that the distance is the error by rounding.
+The twin takes the same steps as the orbit. Their polynomials differ as little as their orbits, so the twin starts its
+iterations from the orbit's coefficients before its last iteration. With a single iteration, the twin costs a third of a
+separate run. The error of their distance is less than a hundredth, but very eccentric orbits then diverge too fast:
+with e = 0.999 by 10³⁰ in 13 orbits. A twin that iterates until it converges costs as much as a separate run and has its
+own rounding errors, so that their distance measures the error by rounding.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from carom.plan.auto import largest_step
 from carom.scene.schema import Scene
 from carom.scene.start import InitialBodies
 
-FIRST_FRACTION = 1e-3  # of the duration: the first step that is tried
+FIRST_FRACTION = 1e-3  # of the duration: the first trial step
 STEPS_AT_ONCE = 500  # 1 ms for two bodies, half a second for 100
 CONVERGES = MAX_ITERATIONS  # iterations of a twin
 
@@ -53,7 +53,7 @@ def always(iterations: int, time: float) -> bool:
 
 
 class TwinSamples(NamedTuple):
-    """Times at which orbits and their twins are compared, and the results."""
+    """Times at which orbits are compared with their twins, and the results."""
 
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, written
@@ -61,23 +61,23 @@ class TwinSamples(NamedTuple):
 
 
 class TwinRule(NamedTuple):
-    """When to stop following orbits and their twins; see `diverge`."""
+    """Conditions under which the comparison of orbits with their twins ends; see `diverge`."""
 
     max_dt: float  # s
-    enough: float  # m
+    enough: float  # m, distance at which it ends
     iterations: int
 
 
 class FollowedOrbits(NamedTuple):
-    """Bodies without contacts, as far as they were followed."""
+    """The orbits of bodies without contacts, up to the time where the comparison ended."""
 
     times: FloatArray  # (K,) s
     path: FloatArray  # (K, n, 3) m, infinite beyond
     steps: int
-    known: int  # number of times up to which they were followed, or could have been
+    known: int  # number of times up to which they are known
 
     def at(self, sample: int) -> FloatArray | None:
-        """Return the positions at one of the times, (n, 3) m; None where they were not followed."""
+        """Return the positions at one of the times, (n, 3) m; None if they are not known."""
         position: FloatArray = self.path[sample]
         return position if np.isfinite(position).all() else None
 
@@ -92,25 +92,26 @@ def diverge(
     iterations: int,
     goes_on: GoesOn = always,
 ) -> tuple[FollowedOrbits, FloatArray]:
-    """Follow the bodies of a scene without contacts, and their twins.
+    """Integrate the bodies of a scene without contacts, and their twins.
 
-    Return them and their rms distance in m, (K,). Beyond the first distance that is large enough, both are infinite.
+    Return the orbits, and the rms distance of the twins in m, (K,). Beyond the first distance that is large enough,
+    both are infinite.
 
     Parameters
     ----------
     start, twin
-        The bodies at the start, and the positions of the twins, (n, 3) m.
+        The initial bodies, and the initial positions of the twins, (n, 3) m.
     refinement
-        Ratio of the usual step to the one that is taken.
+        Ratio of the usual step to the step taken.
     times
-        (K,) s, in order.
+        (K,) s, ascending.
     enough
         m
     iterations
-        Of the twin in each step; `CONVERGES`: as many as it takes.
+        Of the twin in each step; `CONVERGES` for as many as it needs.
     goes_on
-        Called after every `STEPS_AT_ONCE` steps with the iterations since the last call and the time in s; both end
-        where it returns False.
+        Called after every `STEPS_AT_ONCE` steps with the iterations since the last call and the time in s; if it
+        returns False, both integrations end.
     """
     return _follow(scene, start, refinement, times, goes_on, _motion(scene, start, twin), enough, iterations)
 
@@ -118,7 +119,7 @@ def diverge(
 def orbits(
     scene: Scene, start: InitialBodies, refinement: float, times: FloatArray, goes_on: GoesOn = always
 ) -> FollowedOrbits:
-    """Follow the bodies of a scene without contacts; see `diverge`."""
+    """Integrate the bodies of a scene without contacts; see `diverge`."""
     return _follow(scene, start, refinement, times, goes_on)[0]
 
 
@@ -145,7 +146,7 @@ def _follow(
         fresh, counted = int(progress["iterations"][0]) - counted, int(progress["iterations"][0])
         lasts = goes_on(fresh, float(progress["time"][0]))
         if int(progress["steps"][0]) < steps:
-            break  # at the end, far enough apart, or with a step that is too short to change the clock
+            break  # at the end, far enough apart, or with a step too short to change the clock
         if not lasts:
             known = k
             break
@@ -176,7 +177,7 @@ def follow(
     k: int,
     most: int,
 ) -> int:
-    """Write the positions and distances from time ``k`` on, until ``most`` steps are made; return the next time."""
+    """Write positions and distances from time ``k`` on, in at most ``most`` steps; return the next index."""
     times, path, apart = samples
     run, end, iterations = progress[0], times[-1], rule.iterations
     while k < len(times) and run.steps < most:
@@ -215,14 +216,17 @@ def follow(
             move(twin, dt)
         run.steps += 1
         if not after > run.time:
-            break  # the step is too short to change the clock, or NaN
+            break  # the step is NaN or too short to change the clock
         run.time, run.last_dt, run.next_dt = after, dt, min(wanted, LARGEST_CHANGE * dt)
     return k
 
 
 @unowned
 def _attempt(motion: Motion, twin: Motion | None, run: ProgressRecord, dt: float) -> float:
-    """Compute a step's polynomial; return the longest next step, in s. The twin gets it before the last iteration."""
+    """Compute a step's polynomial; return the longest possible next step, in s.
+
+    The twin gets the polynomial before the last iteration.
+    """
     predict(motion, dt / run.last_dt if run.last_dt > 0.0 else 0.0)
     before = np.inf
     for iteration in range(MAX_ITERATIONS):

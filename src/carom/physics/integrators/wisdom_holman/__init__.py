@@ -1,1 +1,1 @@
-"""Wisdom–Holman integration; a folder that can be removed with its row in `carom.registry`."""
+"""Wisdom–Holman integration; a folder that can be deleted with its row in `carom.registry`."""

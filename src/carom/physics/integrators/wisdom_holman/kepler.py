@@ -1,4 +1,4 @@
-"""The Kepler problem in universal variables: motion about a fixed centre for any time, on any conic.
+"""The Kepler problem in universal variables: motion about a fixed centre, for any time and any conic.
 
 With r = |x|, β = 2μ/r - v², η = x·v and ζ = μ - β r at the start, the universal anomaly X solves (Stumpff 1962)
 
@@ -9,9 +9,10 @@ and the state after a time h is
     x' = f x + g v,     f = 1 - μ G₂/r,      g = h - μ G₃
     v' = ḟ x + ġ v,     ḟ = -μ G₁/(r r'),    ġ = 1 - μ G₂/r',      r' = r + η G₁ + ζ G₂
 
-The left side of the equation for X rises with X, because its derivative is r'. Steps that also use its second and third
-derivatives solve it (Danby 1988), and bisection takes over where one of them leaves the bracket. Whole periods are left
-out first. All is done with sums, products, quotients and square roots, so the bits are the same on any processor.
+The left side of the equation for X increases with X, because its derivative is r'. It is solved by steps that use the
+first three derivatives (Danby 1988), and by bisection where one of them leaves the bracket. Whole periods are
+subtracted first. All computations are sums, products, quotients and square roots, so the bits are the same on any
+processor.
 """
 
 from __future__ import annotations
@@ -25,20 +26,21 @@ from carom.arrays import FloatArray
 from carom.physics.jit.decorators import unowned
 from carom.physics.vector import vector, write
 
-SERIES_UP_TO = 0.3  # of |z|: up to here the omitted terms are below half a last bit
-TERMS = 7  # of the series
+SERIES_UP_TO = 0.3  # of |z|; up to here the omitted terms are below half a last bit
+TERMS = 7  # terms of the series
 C2 = tuple(float(Fraction((-1) ** j, factorial(2 + 2 * j))) for j in range(TERMS))
 C3 = tuple(float(Fraction((-1) ** j, factorial(3 + 2 * j))) for j in range(TERMS))
 C2_0, C2_1, C2_2, C2_3, C2_4, C2_5, C2_6 = C2
 C3_0, C3_1, C3_2, C3_3, C3_4, C3_5, C3_6 = C3
-CONVERGED = 1e-5  # of X: after a step of this size the error of order four is below rounding
-PATIENCE = 8  # steps; from there on every other one is a bisection, since steps down an exponential are short
-MAX_STEPS = 150  # half of them bisections, of which some 60 are enough
-NEARLY = 1e-8  # of X: the same for a last step of order two
-LANES = 64  # bodies side by side
-WIDEST = 8  # numbers that any processor has side by side
-# Where the rows of the workspace begin: positions in m, velocities in m/s, μ, positions and velocities at the end, and
-# whether two steps for the anomaly were enough. They are one array, so that the compiler sees that none overlap.
+CONVERGED = 1e-5  # of X; after a step this small, the error of fourth order is below rounding
+PATIENCE = 8  # steps, after which every other one is a bisection, since steps down an exponential are short
+MAX_STEPS = 150  # half of them bisections, of which about 60 suffice
+NEARLY = 1e-8  # of X; the same for a last step of second order
+LANES = 64  # bodies in SIMD lanes
+WIDEST = 8  # numbers in a vector on any processor
+# First columns of the arrays in the workspace: positions in m, velocities in m/s, μ, positions and velocities at the
+# end, and whether two steps for the anomaly were enough. They share one array, so that the compiler knows that they do
+# not overlap.
 X, Y, Z, VX, VY, VZ, MU, END_X, END_Y, END_Z, END_VX, END_VY, END_VZ, ENOUGH = range(0, 14 * LANES, LANES)
 WORKSPACE = 14 * LANES  # numbers
 TWO_PI = 6.283185307179586  # rad
@@ -56,7 +58,7 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
     c3 = C3_0 + z * (C3_1 + z * (C3_2 + z * (C3_3 + z * (C3_4 + z * (C3_5 + z * C3_6)))))
     c1 = 1.0 - z * c3
     c0 = 1.0 - z * c2
-    for _ in range(quarters):  # at twice the anomaly
+    for _ in range(quarters):  # to twice the anomaly
         c3 = 0.25 * (c2 + c0 * c3)
         c2 = 0.5 * c1 * c1
         c1 = c0 * c1
@@ -67,8 +69,8 @@ def universal(beta: float, s: float) -> tuple[float, float, float, float]:
 
 @unowned
 def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
-    """Move row i of positions and velocities, (n, 3) m and m/s, by a time h in s about a centre of G M = μ at 0."""
-    direction = 1.0 if h >= 0.0 else -1.0  # back in time is forward with the opposite velocity
+    """Move row i of positions and velocities, (n, 3) m and m/s, by a time h (s) about a centre of G M = μ at 0."""
+    direction = 1.0 if h >= 0.0 else -1.0  # backward in time is forward with the opposite velocity
     x0, x1, x2 = vector(x, i)
     v0, v1, v2 = vector(v, i)
     v0, v1, v2 = direction * v0, direction * v1, direction * v2
@@ -131,7 +133,7 @@ def revolve(x: FloatArray, v: FloatArray, i: int, mu: float, h: float) -> None:
 
 @unowned
 def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: FloatArray) -> None:
-    """Move all rows but the first, of positions and velocities (n, 3) m and m/s, by a time h in s; μ is (n,) m³/s².
+    """Move all rows but the first of positions and velocities, (n, 3) m and m/s, by a time h (s); μ is (n,) m³/s².
 
     ``lanes`` is a workspace of `WORKSPACE` numbers.
     """
@@ -144,7 +146,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
             lanes[X + k], lanes[Y + k], lanes[Z + k] = x[i, 0], x[i, 1], x[i, 2]
             lanes[VX + k], lanes[VY + k], lanes[VZ + k] = direction * v[i, 0], direction * v[i, 1], direction * v[i, 2]
             lanes[MU + k] = mu[i]
-        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a remainder would be done one by one
+        padded = (count + WIDEST - 1) // WIDEST * WIDEST  # a remainder would be computed one by one
         for k in range(count, padded):
             for row in range(X, MU + 1, LANES):
                 lanes[row + k] = lanes[row]
@@ -160,7 +162,7 @@ def revolve_all(x: FloatArray, v: FloatArray, mu: FloatArray, h: float, lanes: F
 
 @unowned
 def _revolve_lanes(lanes: FloatArray, count: int, t: float) -> None:
-    """Move bodies side by side in SIMD lanes by t ≥ 0, with two steps for the anomaly."""
+    """Move bodies in SIMD lanes by t ≥ 0, with two steps for the anomaly."""
     for k in range(count):
         x0, x1, x2 = lanes[X + k], lanes[Y + k], lanes[Z + k]
         v0, v1, v2 = lanes[VX + k], lanes[VY + k], lanes[VZ + k]

@@ -1,14 +1,14 @@
 """The steps of Wisdom–Holman integration: many equal ones, or a single one of any length.
 
-`wisdom_holman` has the Hamiltonian. The terms in ε and all even powers of h in its error are those of a change of
-variables, which a symplectic corrector undoes (Wisdom, Holman & Touma 1996). The integration runs in the variables of
-the steps; the corrector leads into them at the start, and out of them for output. With x for h times the rate of change
-along the orbits, its generator is H_mutual times (1 - x/2 / sinh(x/2))/x. It is a product of `STAGES` factors
+`wisdom_holman` has the Hamiltonian. The error terms in ε with all even powers of h are those of a change of variables,
+which a symplectic corrector undoes (Wisdom, Holman & Touma 1996). The integration runs in the variables of the steps.
+The corrector converts to them at the start, and from them for output. With x for h times the rate of change along the
+orbits, its generator is H_mutual times (1 - x/2 / sinh(x/2))/x. It is a product of `STAGES` factors
 
     drift(a h) kick(b h) drift(-2 a h) kick(-b h) drift(a h),        a = k `SPREAD`
 
-each of which adds 2 b sinh(a x) in first order in ε; they agree with it up to x^{2 `STAGES` - 1}. Errors in ε² h²
-remain.
+each of which adds 2 b sinh(a x) to first order in ε. The sum agrees with the generator up to x^{2 `STAGES` - 1}. Errors
+in ε² h² remain.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ class RunRecord(Protocol):
 
     start: float  # s, the time at which the present series of equal steps began
     count: int  # steps since then
-    dt: float  # s
+    dt: float  # s, the present time
     time: float  # s
     before: float  # s, the time before the last step
-    steps: int  # of this call
+    steps: int  # steps in this call
     close: int  # 1 if the next step would meet a close encounter
 
 
 RUN = dtype_of(RunRecord)
-LANES_FROM = 64  # bodies, from which pairs are summed in SIMD lanes
-STAGES = 4  # of the corrector
+LANES_FROM = 64  # bodies from which pairs are summed in SIMD lanes
+STAGES = 4  # stages of the corrector
 SPREAD = Fraction(2, 5)
-UNRESOLVED = 2.0  # a step longer than half of √(r³/μ) is an eighth of an orbit or more
-SEPARATED = 1.2  # times the distance at which an encounter begins: at this distance it ends
+UNRESOLVED = 2.0  # a step longer than √(r³/μ) over this is an eighth of an orbit or more
+SEPARATED = 1.2  # times the distance at which an encounter begins: it ends at this distance
 
 
 class OrbitArrays(NamedTuple):
     """Arrays of an integration; all but the first two are in the order of the Jacobi coordinates."""
 
     position: FloatArray  # (n, 3) m, the output, in the order of the scene
-    velocity: FloatArray  # (n, 3) m/s, in that order
+    velocity: FloatArray  # (n, 3) m/s, in the order of the scene
     order: IntArray  # (n,) index in the scene
     mu: FloatArray  # (n,) m³/s², G M_i
     gm: FloatArray  # (n,) m³/s², G m_i
     mass_fraction: FloatArray  # (n,) m_i / M_i
-    near: FloatArray  # (n,) m, the distance from which another body is close
+    near: FloatArray  # (n,) m, distance below which another body is close
     x: FloatArray  # (n, 3) m, Jacobi coordinates after the last kick; row 0 is the centre of mass
     v: FloatArray  # (n, 3) m/s
     x_spare: FloatArray  # (n, 3) m
     v_spare: FloatArray  # (n, 3) m/s
-    place: FloatArray  # (n, 3) m, from the centre of mass
+    place: FloatArray  # (n, 3) m, relative to the centre of mass
     speed: FloatArray  # (n, 3) m/s, relative to the centre of mass
     acceleration: FloatArray  # (n, 3) m/s²
     max_displacement: FloatArray  # (n,) m, of each body in the time that `meets` tests
@@ -104,12 +104,12 @@ def put(o: OrbitArrays, x: FloatArray, place: FloatArray, into: FloatArray) -> N
 
 @unowned
 def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
-    """Change the rates of Jacobi coordinates by H_mutual; `place` has to belong to x."""
+    """Change the rates of Jacobi coordinates by H_mutual; `place` must belong to x."""
     if len(x) < LANES_FROM:
         _mutual(o.place, o.gm, o.acceleration)
     else:
         _mutual_in_lanes(o.place, o.gm, o.acceleration, o.lanes)
-    # from Cartesian accelerations to those of Jacobi coordinates, less those of the Kepler orbits
+    # from Cartesian accelerations to those of Jacobi coordinates, without those of the Kepler orbits
     a, mass_fraction = o.acceleration, o.mass_fraction
     rx, ry, rz = vector(a, 0)  # acceleration of the centre of mass of the bodies before i
     for i in range(1, len(x)):
@@ -125,7 +125,7 @@ def kick(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float) -> None:
 
 @unowned
 def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
-    """Write the accelerations by all pairs except the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
+    """Write the accelerations by all pairs except that of the first two bodies, a_i = Σ_j G m_j d_ij / |d_ij|³."""
     n = len(place)
     for i in range(min(n, 2)):
         write(a, i, 0.0, 0.0, 0.0)
@@ -146,7 +146,7 @@ def _mutual(place: FloatArray, gm: FloatArray, a: FloatArray) -> None:
 def _mutual_in_lanes(place: FloatArray, gm: FloatArray, a: FloatArray, lanes: FloatArray) -> None:
     """Do the same for many bodies, with the accelerated ones in SIMD lanes."""
     n = len(place)
-    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant one
+    sx, sy, sz = 0.0, 0.0, 0.0  # of the dominant body
     for i in range(1, n):
         dx, dy, dz = between(place, i, 0)
         f, g, _ = mutual_attraction(dx, dy, dz, gm[i], gm[0], 0.0) if i > 1 else (0.0, 0.0, 0.0)
@@ -192,7 +192,7 @@ CORRECTOR_DRIFT, CORRECTOR_KICK = _corrector()
 
 @unowned
 def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: float) -> None:
-    """Move all on their Kepler orbits, and the centre of mass on a line."""
+    """Move all bodies on their Kepler orbits, and the centre of mass on a line."""
     for k in range(3):
         x[0, k] += h * v[0, k]
     revolve_all(x, v, mu, h, lanes)
@@ -201,7 +201,7 @@ def drift(x: FloatArray, v: FloatArray, mu: FloatArray, lanes: FloatArray, h: fl
 @unowned
 def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) -> None:
     """Apply the corrector, or its inverse: into the variables of the steps or out of them."""
-    pending = 0.0  # drift that is not done yet
+    pending = 0.0  # drift that is still to be done
     for stage in range(STAGES):
         k = stage if into else STAGES - 1 - stage
         a, b = CORRECTOR_DRIFT[k], CORRECTOR_KICK[k]
@@ -219,9 +219,9 @@ def correct(o: OrbitArrays, x: FloatArray, v: FloatArray, h: float, into: bool) 
 
 @unowned
 def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: float) -> bool:
-    """Return whether two bodies come close on straight lines between two times in s, which count from ``place``.
+    """Return whether two bodies come close on straight lines between two times (s), counted from ``place``.
 
-    Close is nearer than ``apart`` times `OrbitArrays.near`.
+    Close means nearer than ``apart`` times `OrbitArrays.near`.
     """
     place, speed, near, max_displacement = o.place, o.speed, o.near, o.max_displacement
     longest = max(abs(after), abs(until))
@@ -270,7 +270,7 @@ def begin(o: OrbitArrays, h: float) -> None:
 
 @long_kernel
 def advance(o: OrbitArrays, progress: RecordArray[RunRecord], end: float, until: float, most: int) -> None:
-    """Make whole steps; see `BatchIntegrator`."""
+    """Take whole steps; see `BatchIntegrator`."""
     run = progress[0]
     run.close = 0
     while run.steps < most and (run.time < until or run.steps == 0) and end - run.time > run.dt * (1.0 + END_TOLERANCE):
@@ -293,9 +293,9 @@ def advance(o: OrbitArrays, progress: RecordArray[RunRecord], end: float, until:
 
 @long_kernel
 def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, surely: bool) -> bool:
-    """Write positions and velocities a single step of h seconds, forward or back, from those of the bodies.
+    """Write positions and velocities one step of h seconds, forward or backward, from those of the bodies.
 
-    Returns False without writing if bodies meet on the way, unless ``surely``.
+    Return False without writing if bodies meet on the way, unless ``surely``.
     """
     x, v = o.x_spare, o.v_spare
     to_jacobi(o.position, o.order, o.mass_fraction, x)
@@ -316,7 +316,7 @@ def leap(o: OrbitArrays, h: float, position: FloatArray, velocity: FloatArray, s
 
 @long_kernel
 def meets_soon(o: OrbitArrays, until: float) -> bool:
-    """Return whether bodies come close in a time in s from now."""
+    """Return whether bodies come close within a time (s) from now."""
     x, v = o.x_spare, o.v_spare
     to_jacobi(o.position, o.order, o.mass_fraction, x)
     to_jacobi(o.velocity, o.order, o.mass_fraction, v)

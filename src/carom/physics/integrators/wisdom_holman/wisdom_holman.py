@@ -1,23 +1,24 @@
-"""Wisdom–Holman integration of bodies about a dominant one; close encounters are left to Gauss–Radau integration.
+"""Wisdom–Holman integration of bodies about a dominant one; Gauss–Radau integration takes over close encounters.
 
-In Jacobi coordinates the position of each body is relative to the centre of mass of those before it, in the order of
-their semi-major axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i the Hamiltonian is a sum of two that can each
-be solved (Wisdom & Holman 1991):
+In Jacobi coordinates, the position of each body is relative to the centre of mass of all bodies before it, in the order
+of their semi-major axes. With M_i = m_0 + … + m_i and m'_i = m_i M_{i-1}/M_i, the Hamiltonian is a sum of two parts,
+each of which can be solved exactly (Wisdom & Holman 1991):
 
     H_Kepler = Σ_{i≥1} (p'_i² / 2m'_i - G m'_i M_i / |x'_i|) + the free motion of the centre of mass
     H_mutual = Σ_{i≥2} G m'_i M_i / |x'_i| - Σ_{i<j, j≥2} G m_i m_j / |x_i - x_j|
 
-A step of length h drifts on Kepler's orbits for h/2 (`kepler`), kicks by H_mutual for h and drifts for h/2 again.
-Half drifts between steps are joined. With masses ε of the dominant one, the step keeps
+A step of length h drifts along Kepler's orbits for h/2 (`kepler`), kicks by H_mutual for h, and drifts for h/2 again.
+The half drifts of successive steps are joined. For masses ε relative to the dominant one, a step conserves
 
     H + ε h²/24 … + O(ε² h²)
 
-The terms in ε are undone by a corrector (`orbit_steps`); errors in ε² h² remain.
+A corrector undoes the terms in ε (`orbit_steps`); errors in ε² h² remain.
 
 The step is the shortest period over `STEPS_PER_ORBIT`, or over `STEPS_OF_HEAVY` for bodies above `HEAVY`. The period is
 that of a circular motion with the angular speed at the pericentre (Wisdom 2015). When two bodies pass within
-`HILL_RADII` of their Hill radii, or one comes so close to the dominant one that the step no longer resolves its motion,
-the state before that step is handed to `GaussRadau15`, which integrates all bodies until they are far apart again.
+`HILL_RADII` of their Hill radii, or one comes so close to the dominant body that the step no longer resolves its
+motion, the state before that step is passed to `GaussRadau15`, which integrates all bodies until they are far apart
+again.
 """
 
 from __future__ import annotations
@@ -38,16 +39,16 @@ from carom.plan.features import Requirements
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import Scene
 
-HILL_RADII = 12.0  # within which bodies are close whose orbits cross (docs/validation.md)
-FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than that never come close
-GAP_FRACTION = 0.9  # of the distance between two orbits: bodies nearer than that have left their orbits
-NEAREST = 0.03  # of the semi-major axis: passages closer than that are left to Gauss–Radau integration
+HILL_RADII = 12.0  # bodies on crossing orbits are close within these (docs/validation.md)
+FEWEST_HILL_RADII = 3.0  # bodies whose orbits are farther apart than this never come close
+GAP_FRACTION = 0.9  # of the distance between two orbits: bodies nearer than this have left their orbits
+NEAREST = 0.03  # of the semi-major axis: closer passages are left to Gauss–Radau integration
 STEPS_PER_ORBIT = 20.0  # of the shortest orbit
-# The same for a body above `HEAVY`: the error of its encounters grows as the square of its mass and of the step
+# The same for bodies above `HEAVY`: the error of their encounters grows as the square of the mass and of the step.
 STEPS_OF_HEAVY = 50.0
-HEAVY = 2e-5  # of the dominant body
+HEAVY = 2e-5  # mass relative to the dominant body
 FIRST_FRACTION = 0.01  # of a step: the first step that Gauss–Radau integration tries
-ANEW, FAR, CLOSE = range(3)  # phases: from the state as it is, by equal steps, by Gauss–Radau integration
+ANEW, FAR, CLOSE = range(3)  # phases: from the present state; in equal steps; by Gauss–Radau integration
 LIMITS = ("orbit", "cap", "fixed")  # limits that set a step
 
 
@@ -62,7 +63,7 @@ class Conics(NamedTuple):
 
 
 def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: int) -> Conics:
-    """Return the orbits about the dominant body, ``first``, as they are now; its own axis is -1."""
+    """Return the present orbits about the dominant body, ``first``, whose own axis is -1."""
     x, y, z = (position - position[first]).T
     u, v, w = (velocity - velocity[first]).T
     mu = gm + gm[first]
@@ -82,9 +83,9 @@ def conics(position: FloatArray, velocity: FloatArray, gm: FloatArray, first: in
 
 
 def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
-    """Return the distances in m from which bodies are close to others, (n,).
+    """Return the distances (m) below which bodies are close to others, (n,).
 
-    ``hill_ratio`` has the Hill radii over the semi-major axes, (n,).
+    ``hill_ratio`` holds the Hill radii over the semi-major axes, (n,).
     """
     hill = hill_ratio * np.minimum(conics.size, np.where(conics.axis < np.inf, np.inf, conics.pericentre))
     close = HILL_RADII * hill
@@ -100,7 +101,7 @@ def near(conics: Conics, hill_ratio: FloatArray, first: int) -> FloatArray:
 
 
 class WisdomHolman:
-    """Integrates bodies that orbit a dominant one, with many steps per call.
+    """Integrates bodies that orbit a dominant one, many steps per call.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ class WisdomHolman:
     resolves
         Whether close encounters of light bodies are left to Gauss–Radau integration.
     refinement
-        Times as short as usual are steps that are a fraction of the shortest orbit.
+        Factor by which steps that are a fraction of the shortest orbit are shorter than usual.
     """
 
     def __init__(
@@ -156,7 +157,7 @@ class WisdomHolman:
         no_field, none_fixed = np.zeros(3), np.zeros(0, np.int64)
         self._radau = GaussRadau15(position, velocity, gm, none_fixed, no_field, 0.0, max_dt, None)
         self._phase = ANEW
-        self._by_radau = False  # the last step
+        self._by_radau = False  # whether it took the last step
         self._encounters = 0
 
     @property
@@ -166,16 +167,16 @@ class WisdomHolman:
 
     @property
     def encounters(self) -> int:
-        """Number of times that Gauss–Radau integration took over."""
+        """How often Gauss–Radau integration took over."""
         return self._encounters
 
     def begin(self, dt: float) -> None:
-        """Begin anew at the present positions and velocities; the first step follows from them."""
+        """Start anew at the present positions and velocities, which determine the first step."""
         self._phase = ANEW
         self._run["dt"] = dt
 
     def advance(self, time: float, end: float, until: float, steps: int) -> Batch:
-        """Make steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
+        """Take steps until a time, the end of the run, or a number of steps is reached; see `BatchIntegrator`."""
         taken, before, dt, limit = 0, time, 0.0, ""
         while taken < steps and time < end and (time < until or taken == 0):
             if self._phase == ANEW:
@@ -210,7 +211,7 @@ class WisdomHolman:
         return Batch(taken, before, time, dt, limit)
 
     def at(self, earlier: float) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities, (n, 3) m and m/s, at a time in s before the end of the last step."""
+        """Return positions and velocities, (n, 3) m and m/s, at a time (s) before the end of the last step."""
         if self._by_radau:
             return self._radau.at(earlier)
         position, velocity = np.empty_like(self._orbits.x), np.empty_like(self._orbits.v)
@@ -230,7 +231,7 @@ class WisdomHolman:
         return IntegratorCheckpoint(0.0, nothing, nothing, no_rows, no_rows, own)
 
     def restore(self, checkpoint: IntegratorCheckpoint | None, next_dt: float) -> None:
-        """Continue from a checkpoint with a step in s; without a checkpoint, begin anew."""
+        """Continue from a checkpoint with a step in s; without a checkpoint, start anew."""
         self.begin(next_dt)
         if checkpoint is None or checkpoint.orbits is None:
             return
@@ -269,7 +270,7 @@ class WisdomHolman:
         self._phase = FAR
 
     def _set_order(self, order: IntArray, close: FloatArray) -> None:
-        """Set what depends on the order of the bodies; `OrbitArrays.near`, (n,) m, is in that order."""
+        """Set the arrays that depend on the order of the bodies; `OrbitArrays.near`, (n,) m, has that order."""
         orbits = self._orbits
         orbits.order[:] = order
         orbits.gm[:] = self._gm[order]
@@ -279,7 +280,7 @@ class WisdomHolman:
 
 
 def make(scene: Scene, needs: Requirements, bodies: Bodies, uniform: FloatArray) -> WisdomHolman:
-    """Make the integrator of a scene's bodies; a scene with a uniform field is refused before."""
+    """Return the integrator of a scene's bodies; scenes with a uniform field have been refused."""
     gm = scene.gravity.constant * bodies.mass
     rule = scene.time
     steps, resolves = (largest_step(scene), rule.fixed_dt), rule.encounters == "resolve"

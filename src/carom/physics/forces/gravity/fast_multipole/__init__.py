@@ -1,1 +1,1 @@
-"""Gravity by fast multipoles; a folder that can be removed with its row in `carom.registry`."""
+"""Gravity by fast multipoles; a folder that can be deleted with its row in `carom.registry`."""

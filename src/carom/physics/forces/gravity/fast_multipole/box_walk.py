@@ -1,22 +1,23 @@
 """Walks over pairs of boxes, which decide whether boxes attract each other as a whole or body by body.
 
-A walk begins with the pair of the whole tree with itself, and decides on each pair of boxes A, B:
+A walk begins with the pair of the whole tree and itself, and decides on each pair of boxes A, B:
 
-1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless they have so few bodies
-   that `FEW_PAIRS` are as fast.
-2. Otherwise, if they have at most `MANY_PAIRS`, or are both leaves, their bodies attract each other one by one.
-3. Otherwise the one with the larger radius is halved.
+1. If |X_A - X_B| > (r_A + r_B)/θ, the multipoles of B attract A as a local expansion, unless the boxes have at most
+   `FEW_PAIRS` pairs of bodies, which are as fast.
+2. Otherwise, if they have at most `MANY_PAIRS` pairs of bodies, or are both leaves, their bodies attract each other one
+   by one.
+3. Otherwise, the one with the larger radius is halved.
 
-These decisions do not depend on which of the two is A. The forces on both are therefore opposite, those of single pairs
-of bodies exactly and those of boxes up to rounding, and momentum is conserved.
+These decisions do not depend on which of the two boxes is A. The forces on both are therefore opposite, exactly for
+single pairs of bodies and up to rounding for boxes, and momentum is conserved.
 
-A walk goes from the whole tree down to the bodies of one branch. Each box A on the way takes those boxes B that its
-parent left undecided, and adds to the local expansion of its parent, moved to X_A. All sums for a body are thus made by
-one thread, in the order of the walk.
+A walk descends from the whole tree to the bodies of one branch. Each box A on the way decides on the boxes B that its
+parent left undecided, and adds to the local expansion of its parent, moved to X_A. All sums for a body are therefore
+made by one thread, in the order of the walk.
 
-Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large and sparse
-leaves see its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but more
-in a cluster).
+Rejected: leaves of 32 bodies that are never halved (in a cluster they need twice the pairs, because large, sparse
+leaves are near its dense centre); radii weighted by mass, (r_A + r_B) (M/M_total)^{1/8} (0.8 of the time in a ball, but
+more in a cluster).
 """
 
 from __future__ import annotations
@@ -50,21 +51,21 @@ from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.vectors import WIDTH as LANES
 
-FEW_PAIRS = 128  # of bodies, which take as long as a pair of boxes
-MANY_PAIRS = 1024  # 512 and 2048 are as fast at equal error
+FEW_PAIRS = 128  # pairs of bodies, which take as long as a pair of boxes
+MANY_PAIRS = 1024  # pairs of bodies; 512 and 2048 are as fast at equal error
 
 
 class BoxRecord(Protocol):
-    """A box, in a cache line."""
+    """A box, in one cache line."""
 
     x: float  # m, X
     y: float
     z: float
     radius: float  # m, r
-    first: int  # of its sorted bodies
-    last: int  # one beyond them
-    half: int  # its second half, a box; the first follows it. 0 for a leaf
-    skip: int  # the next box that is not in it
+    first: int  # its first sorted body
+    last: int  # the end of the range of its bodies
+    half: int  # the box that is its second half; the first half follows it. 0 for a leaf
+    skip: int  # the next box outside it
 
 
 BOX = dtype_of(BoxRecord)
@@ -74,7 +75,7 @@ class EntryRecord(Protocol):
     """A box to be walked."""
 
     box: int
-    begin: int  # of the boxes that its parent left undecided
+    begin: int  # range of the boxes that its parent left undecided
     end: int
     depth: int
 
@@ -87,23 +88,23 @@ class MultipoleBoxes(NamedTuple):
 
     branches: RecordArray[RangeRecord]  # the first box of each branch
     boxes: RecordArray[BoxRecord]
-    poles: FloatArray  # (boxes + 1, ·), the last of a box without mass
+    poles: FloatArray  # (boxes + 1, ·), the last row for a box without mass
     x: FloatArray  # (3, n) m
     m: FloatArray  # (n,) kg
-    body: IntArray  # (n,) number of each body in the scene
+    body: IntArray  # (n,) index of each body in the scene
 
 
 class MultipoleLaw(NamedTuple):
-    """How boxes and bodies attract, and when boxes do as a whole."""
+    """How boxes and bodies attract, and which boxes attract as a whole."""
 
     G: float  # m³/(kg s²)
     eps2: float  # m², softening squared
     theta2: float  # opening angle squared
-    unit: float  # 1/m; lengths in multipoles and local expansions are multiplied by it
+    unit: float  # 1/m; factor of lengths in multipoles and local expansions
 
 
 class MultipoleSums(NamedTuple):
-    """What walks write."""
+    """Results of the walks."""
 
     acceleration: FloatArray  # (n, 3) m/s²
     potential: FloatArray  # (n,) J/kg
@@ -111,12 +112,12 @@ class MultipoleSums(NamedTuple):
 
 
 class WalkBuffers(NamedTuple):
-    """Memory for each of the threads; within a walk, of its thread, without the first dimension."""
+    """Workspace of each thread; within a walk, that of its thread, without the first dimension."""
 
     far: IntArray  # (threads, ·) boxes that attract as a whole
     near: IntArray  # boxes that attract body by body
     opened: IntArray  # boxes that are being opened
-    left: IntArray  # boxes that are left to the halves
+    left: IntArray  # boxes left to the halves of a box
     entries: RecordArray[Any]  # `ENTRY`, boxes to be walked
     local: FloatArray  # (threads, depth, LOCAL + 3) local expansions with their centres
     expansion: FloatArray  # (threads, LOCAL * LANES) a local expansion in lanes
@@ -137,7 +138,7 @@ def walk(
 ) -> None:
     """Write acceleration and potential of the bodies of all branches, ``count`` of them.
 
-    Each of the threads [lo, hi) takes the next branch until none is left; ``taken_so_far``, (1,), counts them.
+    Each of the threads [lo, hi) takes the next branch until none is left; ``taken_so_far``, (1,), counts the branches.
     """
     far, left = buffers.far[lo], buffers.left[lo]
     entries: RecordArray[EntryRecord] = buffers.entries[lo]
@@ -174,12 +175,12 @@ def walk(
                 return
             _inherit(depth, boxes, a, law.unit, own)
             if fars > 0:
-                while fars % LANES != 0:  # fill the lanes
+                while fars % LANES != 0:  # fill the remaining lanes
                     far[fars] = nothing
                     fars += 1
                 _add_far(fars, depth, a, tree, law, own)
             half = boxes[a].half
-            if a < branch:  # on the way to the branch; boxes so large leave at least their own halves
+            if a < branch:  # on the way to the branch; boxes this large leave at least their own halves
                 entry = entries[0]
                 entry.box = half if branch >= half else a + 1
                 entry.begin, entry.end, entry.depth = end, last, depth + 1
@@ -199,13 +200,13 @@ def walk(
 def _decide(
     a: int, begin: int, end: int, theta2: float, boxes: RecordArray[BoxRecord], own: WalkBuffers
 ) -> tuple[int, int, int]:
-    """Decide on the boxes that are left to box a, from begin to end.
+    """Decide on the boxes left to box a, from begin to end.
 
     Returns
     -------
     tuple
-        How many attract as a whole and body by body, and where those end that are left to the halves of a, which begin
-        where its own end. The last is -1 if there is no room for them.
+        The numbers of boxes that attract as a whole and body by body, and the end of the range left to the halves of a,
+        which begins at the end of its own range. The last is -1 if there is no space for them.
     """
     opened, far, near, left = own.opened, own.far, own.near, own.left
     A = boxes[a]
@@ -251,7 +252,7 @@ def _decide(
 
 @unowned
 def _inherit(depth: int, boxes: RecordArray[BoxRecord], a: int, unit: float, own: WalkBuffers) -> None:
-    """Begin the local expansion of box a with that of its parent, moved to the centre of a."""
+    """Start the local expansion of box a with that of its parent, moved to the centre of a."""
     local, powers = own.local, own.powers
     x, y, z = boxes[a].x, boxes[a].y, boxes[a].z
     for c in range(LOCAL):
@@ -294,7 +295,7 @@ def _add_near(
     own: WalkBuffers,
     sums: MultipoleSums,
 ) -> None:
-    """Add the gravity of the bodies of near boxes at those of box a, and at last that of its local expansion."""
+    """Add the gravity of the bodies of near boxes at those of box a, then that of its local expansion."""
     boxes, x, m, body, G, eps2 = tree.boxes, tree.x, tree.m, tree.body, law.G, law.eps2
     near, local, lanes, acceleration, potential = own.near, own.local, own.lanes, sums.acceleration, sums.potential
     of_itself = own_potential(eps2)
@@ -310,7 +311,7 @@ def _add_near(
         if is_over:
             evaluate(local, depth, A.x, A.y, A.z, law.unit, lanes)
         k = 0
-        while k < nears:  # boxes side by side at once
+        while k < nears:  # adjacent boxes at once
             j0, j1 = boxes[near[k]].first, boxes[near[k]].last
             k += 1
             while k < nears and boxes[near[k]].first == j1:

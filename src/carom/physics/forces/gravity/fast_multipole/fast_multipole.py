@@ -5,12 +5,12 @@ up, and `box_walk` decides which boxes attract each other as a whole:
 
     M = Σ m_i      X = Σ m_i x_i / M      r ≥ max |x_i - X|      M_m: see `taylor`
 
-The multipoles of a leaf are summed over its bodies, those of a box over its halves. A box of up to `BRANCH` bodies has
-the exact radius r, and a larger one the bound that follows from its halves.
+The multipoles of a leaf are summed over its bodies, those of other boxes over their halves. A box of up to `BRANCH`
+bodies has the exact radius r, a larger one the bound that follows from its halves.
 
 The opening angle determines the error (measured in docs/physics.md). Momentum is conserved to rounding at any opening
-angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half of the time
-that the tree needs (`tree`, where boxes attract bodies). For errors above 3 × 10⁻³ the tree is faster.
+angle. The bits are the same on any processor and number of threads. In a ball, an error of 10⁻⁴ takes half as long as
+with the tree (`tree`, where boxes attract bodies). For errors above 3 × 10⁻³ the tree is faster.
 """
 
 from __future__ import annotations
@@ -52,9 +52,10 @@ from carom.physics.jit.team import SOLO, Team
 from carom.physics.jit.vectors import WIDTH as LANES
 from carom.scene.schema import Gravity
 
-BRANCH = 2048  # largest number of bodies whose boxes one thread takes; the walk to each repeats 2 % of the work
-DEEPEST = 6400  # boxes within boxes: the sides of a box are halved 2100 times each from the largest float to the least
-UNIT_BITS = 300  # lengths are multiplied by 2^k with |k| up to this, so that no power of them overflows
+# largest number of bodies in a branch, the work of one thread; the walks down to the branches repeat 2 % of the work
+BRANCH = 2048
+DEEPEST = 6400  # nested boxes: each side can be halved 2100 times from the largest float to the smallest
+UNIT_BITS = 300  # lengths are multiplied by 2^k with |k| up to this, so that no power of a length overflows
 
 
 @long_kernel
@@ -67,7 +68,7 @@ def describe(
     branches: RecordArray[RangeRecord],
     trunk: RecordArray[RangeRecord],
 ) -> tuple[int, int]:
-    """Write where the bodies and halves of all boxes are; return the numbers of branches and of boxes above them.
+    """Write the bodies and halves of all boxes; return the numbers of branches and of boxes above them.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def describe(
     boxes
         (count,) `BOX`.
     branches
-        Written: ranges of boxes, each the largest box of at most `BRANCH` bodies with all in it.
+        Written: ranges of boxes, each the largest box of at most `BRANCH` bodies and all boxes in it.
     trunk
         Written: the boxes above the branches as ranges of one, the innermost first.
     """
@@ -115,18 +116,18 @@ def expand(
     unit: float,
     powers_of: FloatArray,
 ) -> None:
-    """Write centre, radius and multipoles of all boxes of some ranges, the last box of each first.
+    """Write centre, radius and multipoles of all boxes of some ranges, from the last box of each to the first.
 
     Parameters
     ----------
     lo, hi
         Range of threads; each takes the next range of boxes until none is left.
     taken_so_far
-        (1,), how many ranges were taken.
+        (1,), number of ranges taken so far.
     count, ranges
         Number of ranges, and their boxes.
     unit
-        1/m; lengths are multiplied by it.
+        1/m; factor of lengths.
     powers_of
         (threads, POLES) for v^n / n!.
     """
@@ -153,7 +154,7 @@ def expand(
                 weight = poles[box.half, MASS]
                 M = poles[b + 1, MASS] + weight
                 X, Y, Z = weight * (other.x - x0), weight * (other.y - y0), weight * (other.z - z0)
-            if M > 0.0:  # or all are test particles, and any centre will do
+            if M > 0.0:  # otherwise all are test particles, and any centre will do
                 X, Y, Z = X / M, Y / M, Z / M
             X, Y, Z = x0 + X, y0 + Y, z0 + Z
             box.x, box.y, box.z = X, Y, Z
@@ -192,7 +193,7 @@ def expand(
 
 
 class FastMultipoleGravity:
-    """Gravity of n bodies on each other by fast multipoles, with its workspace."""
+    """Gravity between n bodies by fast multipoles, with its workspace."""
 
     def __init__(
         self, mass: FloatArray, constant: float, softening: float, opening_angle: float, team: Team = SOLO
@@ -207,11 +208,11 @@ class FastMultipoleGravity:
         self._boxes, self._poles = Buffer(BOX), Buffer(np.float64, POLES)
         self._branches, self._trunk = np.empty(n, RANGE), np.empty(n, RANGE)
         self._potential = np.zeros(n)
-        self._taken = np.zeros(1, np.int64)  # how many pieces of work were taken
+        self._taken = np.zeros(1, np.int64)  # number of pieces of work taken so far
         size, depth = self._team.size, min(n, DEEPEST) + 2
         self._powers = np.empty((size, LOCAL))
         self._needed = np.zeros(size, np.int64)
-        # for each thread; untouched pages take no memory
+        # for each thread; unused pages take no memory
         self._buffers = WalkBuffers(
             far=np.empty((size, n + LANES), np.int64),
             near=np.empty((size, n), np.int64),
@@ -225,7 +226,7 @@ class FastMultipoleGravity:
         )
 
     def accelerate(self, position: FloatArray, acceleration: FloatArray, potential: bool) -> float | None:
-        """Write the accelerations; see `GravityMethod`. The energy costs next to nothing."""
+        """Write the accelerations; see `GravityMethod`. The energy takes almost no additional time."""
         nested = self._nested
         nested.sort(position)
         boxes, poles = self._boxes.take(nested.count), self._poles.take(nested.count + 1)
@@ -236,7 +237,7 @@ class FastMultipoleGravity:
         self._expand(branches, self._branches, tree, unit)
         self._expand(above, self._trunk, tree, unit)
         poles[-1] = 0.0
-        poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit  # apart from all boxes
+        poles[-1, CENTRE : CENTRE + 3] = nested.position[:, 0] + 8.0 / unit  # far from all boxes
         law = MultipoleLaw(self._constant, self._softening_squared, self._angle_squared, unit)
         sums = MultipoleSums(acceleration, self._potential, self._needed)
         while True:
@@ -249,19 +250,19 @@ class FastMultipoleGravity:
         return potential_energy(self._mass, self._potential) if potential else None
 
     def _expand(self, count: int, ranges: RecordArray[RangeRecord], tree: MultipoleBoxes, unit: float) -> None:
-        """Compute the multipoles of ranges of boxes; those above the branches one after another, by one thread."""
+        """Compute the multipoles of ranges of boxes, those above the branches one after another by one thread."""
         team = self._team if ranges is self._branches else SOLO
         self._taken[0] = 0
         team.divide(team.size, 1, expand, self._taken, count, ranges, tree, unit, self._powers)
 
 
 def make(gravity: Gravity, mass: FloatArray, team: Team) -> FastMultipoleGravity:
-    """Make the fast multipoles of a scene's section."""
+    """Return the fast multipoles for a scene's section."""
     return FastMultipoleGravity(mass, gravity.constant, gravity.softening, gravity.opening_angle, team)
 
 
 def _unit(position: FloatArray) -> float:
-    """Return a power of two near the inverse of the largest distance in m; multiplying by it changes no digit."""
+    """Return a power of two near the inverse of the largest distance in m; multiplication by it is exact."""
     size = float(np.ptp(position, axis=1).max())
     if not 0.0 < size < math.inf:
         return 1.0

@@ -1,7 +1,7 @@
 """Taylor series of the potential of a pair, between two boxes of bodies, to order `ORDER`.
 
-Let ψ(d) = (d² + ε²)^{-1/2}, and D_n = ∂ⁿψ for the multi-index n = (n_x, n_y, n_z), with |n| = n_x + n_y + n_z and
-n! = n_x! n_y! n_z!. Of a box B with the centre of mass X_B, and of a target at u from the centre X_A of box A,
+Let ψ(d) = (d² + ε²)^{-1/2}, and D_n = ∂ⁿψ for the multi-index n = (n_x, n_y, n_z), with |n| = n_x + n_y + n_z and n! =
+n_x! n_y! n_z!. For a box B with the centre of mass X_B, and a target at u from the centre X_A of box A,
 
     M_m = Σ m_j (-y_j)^m / m!                            y_j = x_j - X_B      (multipoles, |m| < p)
     L_k = Σ_m D_{k+m}(X_A - X_B) M_m                     |k| + |m| ≤ p        (local expansion)
@@ -13,10 +13,10 @@ The same pairs (k, m) appear in the force of B on A and in that of A on B, so th
 D_n follows from ψ^{(s)} = (-1)^s (2s-1)!! (d² + ε²)^{-s-1/2} by D^{(s)}_{n+e} = d_e D^{(s+1)}_n + n_e D^{(s+1)}_{n-e}
 (McMurchie & Davidson, 1978).
 
-The instructions compute eight boxes or bodies at a time, one in each lane of a vector, with every operation of the
-series written out: 728 products for the pairs (k, m). One pair of boxes takes 54 ns on a core with AVX-512. A loop over
-a table of the products would take 1.5 times as long, because it loads and stores each sum for each product. Such a loop
-is the plain form, one box or body after another.
+The instructions process eight boxes or bodies at a time, one per lane of a vector, with every operation of the series
+written out: 728 products for the pairs (k, m). One pair of boxes takes 54 ns on a core with AVX-512. A loop over a
+table of the products would take 1.5 times as long, because it loads and stores each sum for each product. Such a loop
+is the plain form, one box or body at a time.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from carom.physics.jit.vectors import WIDTH as LANES
 
 Index = tuple[int, int, int]
 
-ORDER = 6  # p; at equal error 5 is slower below 1e-3, and 7 as fast only below 1e-4
+ORDER = 6  # p; at equal error, 5 is slower for errors below 1e-3, and 7 is as fast only below 1e-4
 ZERO: Index = (0, 0, 0)
 AXES: tuple[Index, ...] = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
@@ -62,9 +62,9 @@ _PLACE = {n: place for place, n in enumerate(_LOCAL)}  # of a multi-index in a r
 
 LOCAL = len(_LOCAL)  # coefficients of a local expansion
 POLES = len(_POLES)  # multipoles of a box
-MASS = 0  # place of the mass in a row of multipoles
-CENTRE = 1  # place of the centre of mass in a row of multipoles, three numbers
-assert POLES % LANES == 0  # a row is loaded as whole vectors
+MASS = 0  # column of the mass in a row of multipoles
+CENTRE = 1  # first of the three columns of the centre of mass in a row of multipoles
+assert POLES % LANES == 0  # a row is loaded in whole vectors
 
 
 def _factors() -> list[tuple[Index, int]]:
@@ -94,8 +94,8 @@ MOVE_LOCAL = np.array(
 )
 
 
-# The plain forms read tables of what the instructions write out: the sums (k, k + m, m) of a local expansion, the steps
-# (s, n; axis, lower, second, factor) to the derivatives D^{(s)}_n, and the multi-indices that a slope needs.
+# The plain forms use tables of what the instructions write out: the sums (k, k + m, m) of a local expansion, the steps
+# (s, n; axis, lower, second, factor) to the derivatives D^{(s)}_n, and the multi-indices needed for a gradient.
 TERMS = np.array(
     [
         (_PLACE[k], _PLACE[_sum(k, m)], _PLACE[m])
@@ -108,7 +108,7 @@ RAISED = np.array([[_PLACE[_sum(k, axis)] for k in _POLES] for axis in AXES])
 
 
 def _step(n: Index) -> tuple[int, Index, int]:
-    """Return the axis of the last factor of D_n, the index that is lower by one along it, and n_e there."""
+    """Return the axis of the last factor of D_n, the index that is lower by one along it, and n_e of that index."""
     axis = next((axis for axis in range(3) if n[axis] == 1), int(np.argmax(n)))  # 1 needs no second term
     lower = _difference(n, AXES[axis])
     return axis, lower, lower[axis]
@@ -162,22 +162,22 @@ def _attract_in_turn(
 def attract(
     code: Code, poles: Any, boxes: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, eps2: Any, sums: Any
 ) -> None:
-    """Add the local expansions of eight boxes about a point, each to a lane of its own.
+    """Add the local expansions of eight boxes about a point, each to its own lane.
 
     Parameters
     ----------
     poles
         (k, POLES) multipoles of all boxes.
     boxes, at
-        (l,) indices of boxes; those from ``at`` on are taken.
+        (l,) indices of boxes; the eight from ``at`` on are used.
     x, y, z
         m, the point.
     unit
-        1/m; lengths are multiplied by it.
+        1/m; factor of lengths.
     eps2
-        The softening squared, in that unit.
+        The softening squared, in these units.
     sums
-        (LOCAL × LANES,), increased.
+        (LOCAL × LANES,), to which the sums are added.
     """
     builder, chosen, total = code.builder, code.element("boxes", at), code.element("sums", 0)
     rows = [code.element("poles", code.load(chosen, lane), 0) for lane in range(LANES)]
@@ -243,13 +243,13 @@ def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any,
     Parameters
     ----------
     local, at
-        (k, l) rows; that of number ``at`` is taken.
+        (k, l) rows; the row ``at`` is used.
     x, y, z
         m, its centre.
     unit
-        1/m; lengths were multiplied by it.
+        1/m; factor of lengths.
     lanes
-        (7, LANES): rows `X` to `PHI`; the sums are increased.
+        (7, LANES): rows `X` to `PHI`; results are added to the sums.
     """
     builder, coefficient = code.builder, code.element("local", at, 0)
     rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
@@ -287,7 +287,7 @@ def _attract_bodies_in_turn(x: FloatArray, m: FloatArray, begin: int, end: int, 
 
 @instruction(_attract_bodies_in_turn, begin="int64", end="int64", eps2="float64")
 def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> None:
-    """Add the gravity of bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
+    """Add the gravity of the bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, 
     eps2
         m², the softening squared.
     lanes
-        (7, LANES): rows `X` to `PHI`; the sums are increased.
+        (7, LANES): rows `X` to `PHI`; results are added to the sums.
     """
     builder = code.builder
     rows = [code.element("lanes", row, 0) for row in range(PHI + 1)]
