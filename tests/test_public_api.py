@@ -140,7 +140,7 @@ def test_a_space_of_a_name_is_told_how_to_load_the_scene() -> None:
 @pytest.mark.parametrize(
     ("call", "error", "said"),
     [
-        (lambda: carom.run({}), TypeError, r"not dict; Scene\.from_dict makes one of a dict"),  # type: ignore[arg-type]
+        (lambda: carom.run({}), TypeError, r"not dict; Scene\.from_dict makes one from a dict"),  # type: ignore[arg-type]
         (lambda: carom.Scene.load("two-spheres", "time.duration=3"), TypeError, r'such as \["time\.duration=3"\]'),  # type: ignore[arg-type]
         (lambda: carom.Scene.from_dict([1]), TypeError, "a dict of sections is needed, not list"),  # type: ignore[arg-type]
         (lambda: carom.Space(carom.Scene.load("two-spheres"), threads=0), ValueError, "a whole number from 1 on"),

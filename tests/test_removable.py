@@ -149,7 +149,7 @@ def test_formats_and_placements_can_be_removed(bare: Carom, bare_folder: Path) -
     for part, name in OPTIONAL.items():
         if part.startswith("scene/"):
             (folder / f"bodies.{name}").write_text("", encoding="utf-8")
-            text, missing = f'[[bodies]]\nfile = "bodies.{name}"\n', f'no format has the ending ".{name}"'
+            text, missing = f'[[bodies]]\nfile = "bodies.{name}"\n', f'no format has the suffix ".{name}"'
         else:
             region = 'region = { shape = "plummer", scale = 1.0 }'
             text = GROUP.format(group=region if name == "plummer" else ARRANGED.format(name=name))

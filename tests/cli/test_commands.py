@@ -210,7 +210,7 @@ def test_a_scene_that_cannot_be_placed_leaves_no_file(tmp_path: Path) -> None:
         ("[[body]]\n[[plane]]\nstatic_friction = 0.1\nkinetic_friction = 0.5\n", "kinetic_friction = 0.5 is above"),
         ("[[body]]\nfixed = true\nvelocity = [1, 0, 0]\n", "fixed = true with a velocity"),
         ("[[body]]\n[[plane]]\nname = 'floor'\n", "overlaps floor by 1 m"),
-        ("[domain]\nboundary = 'walls'\nsize = [3, 3, 3]\n[[body]]\nposition = [9, 0, 0]\n", "into wall at +x"),
+        ("[domain]\nboundary = 'walls'\nsize = [3, 3, 3]\n[[body]]\nposition = [9, 0, 0]\n", "overlaps wall at +x"),
         ("[[group]]\nregion = { radius = 9.0, centre = [0, 0, -20] }\n[[plane]]\n", "group.0.region: no space"),
     ],
 )

@@ -40,7 +40,7 @@ ROUGH = {"point": [0, 0, -1], "static_friction": 0.5}
 
 CASES: list[tuple[str, Any, str, bool]] = [
     ("no constant, no gravity", scene_of(MOVING, gravity={"constant": 0}), "gravity", False),
-    ("one body pulls nothing", scene_of(MOVING[:1]), "gravity", False),
+    ("a single body attracts nothing", scene_of(MOVING[:1]), "gravity", False),
     ("two bodies attract", scene_of(MOVING), "gravity", True),
     ("nothing moves, nothing meets", scene_of(RESTING, gravity={"constant": 0}), "contact", False),
     ("one moves, so they may meet", scene_of(MOVING, gravity={"constant": 0}), "contact", True),
@@ -267,7 +267,7 @@ def test_to_force_what_is_required_changes_nothing() -> None:
         ("contact", {"contact": {"enabled": False}}, "contact.enabled = false; set it to true"),
         ("friction", {"contact": {"enabled": False}}, "friction cannot be forced on: contact.enabled = false"),
         ("accuracy", {}, "it needs a value; set time.accuracy"),
-        ("gravity", {"gravity": {"method": "none"}}, 'gravity.method = "none"; leave that out'),
+        ("gravity", {"gravity": {"method": "none"}}, 'gravity.method = "none"; remove it'),
         ("tree", {}, 'set gravity.method = "tree"'),
         ("restitution", {"contact": {"restitution": 0}}, "set contact.restitution"),
         ("stabilisation", {"contact": {"stabilisation": "none"}}, 'set it to "split"'),

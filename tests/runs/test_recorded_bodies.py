@@ -252,5 +252,5 @@ def test_a_report_on_too_many_bodies_has_those_around_the_moment_and_says_so(
 
 def test_recorded_bodies_cannot_be_changed_without_their_file(recording: Recording) -> None:
     assert recorded_scene(recording, ["time.duration=3"]).time.duration == 3.0
-    with pytest.raises(SceneError, match=r"bodies\.0: only its name can be changed, because its file is not at hand"):
+    with pytest.raises(SceneError, match=r"bodies\.0: only its name can be changed, because its file is not available"):
         recorded_scene(recording, ["bodies.0.radius=2"])

@@ -94,7 +94,7 @@ MISTAKES = {
     ),
     "periodic with a uniform field": (
         "[gravity]\nconstant = 0\nuniform = [0, 0, -1]\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 9]\n" + ONE_BODY,
-        ["gravity.uniform", "fall through the box for ever"],
+        ["gravity.uniform", "fall through the box forever"],
     ),
     "a periodic box narrower than two bodies": (
         "[gravity]\nconstant = 0\n[domain]\nboundary = 'periodic'\nsize = [9, 9, 3]\n" + ONE_BODY,
@@ -199,15 +199,15 @@ MISTAKES = {
     ),
     "a density of the body and of its material": (
         "[[material]]\nname = 'steel'\ndensity = 7800.0\n[[body]]\nmaterial = 'steel'\ndensity = 7900.0\n",
-        [":6:", "body.0.density", 'material = "steel" has one; leave one of the two out'],
+        [":6:", "body.0.density", 'material = "steel" has one; remove one of the two'],
     ),
     "an inertia factor of the group and of its material": (
         "[[material]]\nname = 'shell'\ninertia_factor = 0.6\n[[group]]\nmaterial = 'shell'\ninertia_factor = 0.4\n",
-        [":6:", "group.0.inertia_factor", "leave one of the two out"],
+        [":6:", "group.0.inertia_factor", "remove one of the two"],
     ),
     "a plane with a material and a coefficient": (
         "[[material]]\nname = 'steel'\n[[plane]]\nmaterial = 'steel'\nrestitution = 0.3\n" + ONE_BODY,
-        [":5:", "plane.0.restitution", 'material = "steel"', "leave one of the two out"],
+        [":5:", "plane.0.restitution", 'material = "steel"', "remove one of the two"],
     ),
     "a pair of a material that there is not": (
         "[[material]]\nname = 'steel'\n[[pair]]\nmaterials = ['steel', 'ruber']\nrestitution = 0.3\n" + ONE_BODY,
@@ -577,7 +577,7 @@ def test_a_silent_or_endless_pipe_and_a_device_are_no_scenes(tmp_path: Path, mon
     os.mkfifo(tmp_path / "pipe.toml")
     monkeypatch.setattr("carom.scene.scene_file.PATIENCE", 0.1)
     monkeypatch.setattr("carom.scene.scene_file.LARGEST_FILE", 1000)
-    with pytest.raises(SceneError, match=r"pipe\.toml: a pipe that nothing has written for 0\.1 s"):
+    with pytest.raises(SceneError, match=r"pipe\.toml: nothing has written to this pipe for 0\.1 s"):
         Scene.load(tmp_path / "pipe.toml")
     with pytest.raises(SceneError, match="/dev/zero: a device, not a scene"):
         Scene.load("/dev/zero")

@@ -48,8 +48,8 @@ def test_an_old_and_a_new_name_of_one_key_together_are_refused(tmp_path: Path) -
     path = write(tmp_path, f"{OLD}check_every = 7\n")
     with pytest.raises(SceneError) as raised:
         Scene.load(path)
-    assert str(raised.value) == f"{path}:3: record: log_freq is the old name of check_every: give one of the two"
-    with pytest.raises(SceneError, match=r"the overrides record\.check_every=1 and record\.log_freq=2: two names"):
+    assert str(raised.value) == f"{path}:3: record: log_freq is the old name of check_every: give only one of them"
+    with pytest.raises(SceneError, match=r"the overrides record\.check_every=1 and record\.log_freq=2 are two names"):
         Scene.load(write(tmp_path, BODY), ["record.check_every=1", "record.log_freq=2"])
 
 

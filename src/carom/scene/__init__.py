@@ -1,1 +1,1 @@
-"""What to simulate: validated data, and where the bodies start."""
+"""What to simulate: validated data, and the initial state of the bodies."""

@@ -1,8 +1,8 @@
 """Contact laws: how a contact rebounds, slides, rolls and twists.
 
-`COULOMB` is the law of scenes that choose none. A scene chooses another law by ``contact.law``, or several that define
-different functions, such as a restitution and a resistance to rolling. The coefficients of a law are in the section
-``[contact.NAME]``, or in a section of that name of a material, a pair of materials or a plane.
+`COULOMB` is the law of scenes that choose none. A scene selects another law by ``contact.law``, or several laws that
+define different functions, such as a restitution and a rolling resistance. The coefficients of a law are in a section
+``[contact.NAME]``, or in a section NAME of a material, a pair of materials or a plane.
 """
 
 from __future__ import annotations
@@ -27,19 +27,17 @@ def geometric_means(one: Numbers, other: Numbers) -> Numbers:
 class ContactLaw:
     """A contact law: the impulses that a contact exerts.
 
-    carom compiles its functions with Numba, as those of a `carom.extend.BodyForce`. Each has a record of the
-    coefficients of the two materials as its first argument: those of Coulomb's law (``restitution``,
-    ``static_friction``, ``kinetic_friction``) and those of the law's section. None stands for the function of Coulomb's
-    law.
+    carom compiles its functions with Numba, like those of a `carom.extend.BodyForce`. The first argument of each is a
+    record of the coefficients of the two materials: those of Coulomb's law (``restitution``, ``static_friction``,
+    ``kinetic_friction``) and those in the law's section. None stands for the function of Coulomb's law.
 
-    An angular impulse acts on body j, and its opposite on body i. The argument of the law is the angular impulse that
-    would end the relative rotation; it returns the exerted one. That may be smaller but not larger, since a contact
-    only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m; at a plane, it is the radius of the
-    body.
+    An angular impulse acts on body j, and the opposite one on body i. The function gets the angular impulse that would
+    end the relative rotation, and returns the one exerted. That may be smaller but not larger, since a contact only
+    dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of the body.
     """
 
-    section: type[Any] | None  # of the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it
-    # is"; None if the law has no coefficients but those of Coulomb's
+    section: type[Any] | None  # in the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it
+    # is"; None if the law has no further coefficients
     rolling: Callable[..., tuple[float, float, float]] | None = None  # (p, normal, radius, x, y, z) → N m s, (3,),
     # about axes in the tangential plane; ``normal`` is the normal impulse in N s
     twisting: Callable[..., float] | None = None  # (p, normal, radius, stopping) → N m s, about the normal
@@ -73,7 +71,7 @@ def law_called(name: str) -> ContactLaw:
 
 
 def functions_of(laws: Iterable[str]) -> dict[str, Callable[..., Any]]:
-    """Return the functions that laws define together, by name; the others are Coulomb's.
+    """Return the functions that laws define together, by name; the remaining ones are Coulomb's.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Converts the quantities of a scene, such as "3 km" or numbers in the units of [units], to units of the simulation."""
+"""Conversion of quantities, such as "3 km" or numbers in the units of [units], to the units of the simulation."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from carom.scene.units.unit import UnitError, unit_of
 from carom.scene.wording import suggestion
 
 _NUMBERS = {float, int}
-_WRITTEN_BY_CAROM = "promise"  # a section in the units of the simulation
+_WRITTEN_BY_CAROM = "promise"  # a section already in the units of the simulation
 
 
 @dataclass
 class Wrong:
-    """A text that should be a quantity but is none."""
+    """A text that should be a quantity, but is not."""
 
     path: KeyPath
-    given: str | None  # None: nothing was given
+    given: str | None  # None if nothing was given
     message: str
 
 
@@ -42,7 +42,7 @@ class _Place:
 
 
 def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
-    """Return the units that a scene gives under ``units``; add mistakes in them to ``wrong``."""
+    """Return the units given under ``units`` in a scene; append mistakes in them to ``wrong``."""
     if isinstance(units, str):
         try:
             return UnitSystem.of_text(units)
@@ -71,7 +71,7 @@ def unit_system(units: Any, wrong: list[Wrong]) -> UnitSystem:
 
 
 def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, list[Wrong]]:
-    """Convert the quantities of a scene; values that need no conversion are shared with the input.
+    """Convert the quantities of a scene; unchanged values are shared with the input.
 
     Returns
     -------
@@ -82,10 +82,10 @@ def converted(data: Mapping[str, Any]) -> tuple[Mapping[str, Any], UnitSystem, l
     units = unit_system(data.get("units"), wrong)
     numbers = {key: _walked(value, place(key), units, (key,), wrong) for key, value in data.items()}
     gravity = numbers.get("gravity", {})
-    # the default of the gravitational constant follows the units
+    # the default of the gravitational constant depends on the units
     if units.own and isinstance(gravity, Mapping) and "constant" not in gravity and gravity.get("method") != "none":
         if units.dimensionless:
-            missing = 'is missing; a scene with units = "dimensionless" has to state it (0 is no gravity)'
+            missing = 'is missing; a scene with units = "dimensionless" must state it (0 is no gravity)'
             wrong.append(Wrong(("gravity", "constant"), None, missing))
         else:
             constant = units.of_si(Gravity().constant, GRAVITATIONAL_CONSTANT)
@@ -124,7 +124,7 @@ def _walked(value: Any, at: _Place | None, units: UnitSystem, path: KeyPath, wro
 
 
 def place_of(path: KeyPath) -> _Place | None:
-    """Return the values that a path of keys may have; None if it has no quantities."""
+    """Return the values that a path of keys may have; None if it contains no quantities."""
     keys = [key for key in path if isinstance(key, str)]
     at = place(keys[0]) if keys else None
     for key in keys[1:]:
@@ -134,7 +134,7 @@ def place_of(path: KeyPath) -> _Place | None:
 
 @dataclass(frozen=True)
 class _Factors(UnitSystem):
-    """Multiplies plain numbers."""
+    """Multiplies plain numbers by a factor."""
 
     factor_of: Callable[[Dimension], float] = lambda dimension: 1.0
 
@@ -147,13 +147,13 @@ class _Factors(UnitSystem):
 
 
 def rescaled(data: Mapping[str, Any], factor_of: Callable[[Dimension], float]) -> dict[str, Any]:
-    """Return a scene in units of the simulation, whose numbers are multiplied by a factor of their dimension."""
+    """Return a scene in the units of the simulation, with numbers multiplied by a factor for each dimension."""
     factors, places = _Factors(factor_of=factor_of), _places(Scene)
     return {key: _walked(value, places.get(key), factors, (key,), []) for key, value in data.items()}
 
 
 def place(key: str) -> _Place | None:
-    """Return the values that a key of a scene, and the keys below it, may have; None if there are no quantities."""
+    """Return the values that a key of a scene and the keys below it may have; None if none is a quantity."""
     return None if key == _WRITTEN_BY_CAROM else _places(Scene).get(key)
 
 
@@ -190,7 +190,7 @@ def parts_of(annotation: Any) -> Iterator[Any]:
 
 
 def members_of_list(annotation: Any) -> tuple[Any, ...]:
-    """Return the members of the tuple in an annotation, ending with `...` for any number; () without a tuple."""
+    """Return the members of the tuple in an annotation, with `...` at the end for any number; () without a tuple."""
     origin, members = typing.get_origin(annotation), typing.get_args(annotation)
     if origin is tuple:
         return members

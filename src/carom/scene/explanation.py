@@ -20,8 +20,8 @@ from carom.scene.schema import Coefficients, Scene
 from carom.scene.schema.quantity import SectionError
 from carom.scene.units.system import UnitSystem
 
-LONGEST = 80  # compared characters of a key
-MOST = 4  # places listed in a message
+LONGEST = 80  # characters of a key that are compared
+MOST = 4  # places that a message lists
 ALIKE, ALIKE_ELSEWHERE = 0.75, 0.8  # required similarity in the same section, and in other sections
 SHORTEST = 3  # characters of an abbreviated key
 OTHER_WORDS = {
@@ -46,7 +46,7 @@ OTHER_WORDS = {
 
 
 def hint(path: KeyPath) -> str:
-    """Name the keys most similar to an unknown key, or all keys of its section; begins with a semicolon."""
+    """Name the keys most similar to an unknown key, or all keys of its section; the text begins with a semicolon."""
     section = _field(path[:-1])
     model = Scene if len(path) == 1 else section and model_in(section.annotation)
     if model is None:
@@ -70,7 +70,7 @@ def hint(path: KeyPath) -> str:
 
 
 def _near(key: str, known: list[str], alike: float) -> str | None:
-    """Find the most similar known key, or the only known key that begins with this one."""
+    """Return the most similar known key, or the only known key that begins with this one."""
     similar = difflib.get_close_matches(key, known, n=1, cutoff=alike)
     longer = [name for name in known if len(key) >= SHORTEST and name.startswith(key)]
     return similar[0] if similar else longer[0] if len(longer) == 1 else None
@@ -84,7 +84,7 @@ def _meant(keys: list[str]) -> str:
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
     """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index.
 
-    The coefficients of a contact law are left out: few scenes choose one.
+    Coefficients of contact laws are omitted: few scenes choose a law.
     """
     places: dict[str, list[str]] = {}
     laws = registry.names("contact_laws")
@@ -99,7 +99,7 @@ def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
 
 
 def model_in(annotation: Any) -> type[BaseModel] | None:
-    """Find the model inside an annotation such as ``tuple[Body, ...]`` or ``Region | None``."""
+    """Return the model in an annotation such as ``tuple[Body, ...]`` or ``Region | None``."""
     if isinstance(annotation, type) and not isinstance(annotation, types.GenericAlias):
         return annotation if issubclass(annotation, BaseModel) else None
     models = (model_in(member) for member in typing.get_args(annotation))
@@ -113,7 +113,7 @@ def is_known(path: KeyPath, messages: Collection[KeyPath]) -> bool:
 
 
 def not_a_quantity(wrong: Wrong, places: KeyPlaces) -> str:
-    """Return a one-line message about a text that is no quantity: place, key, mistake and a valid value."""
+    """Return a one-line message about a text that is not a quantity: place, key, mistake and a valid value."""
     key = ".".join(str(part)[:80] for part in wrong.path)
     given = "" if wrong.given is None else f" = {wrong.given[:80]!r}:"
     return f"{places.of(wrong.path)}{key}{given} {wrong.message}"
@@ -133,7 +133,7 @@ def explain(detail: Any, path: KeyPath, places: KeyPlaces, data: Any, units: Uni
 
 
 def with_words(details: Sequence[Any]) -> Iterator[Any]:
-    """Yield the details of mistakes; for a key of words or numbers, a single detail with both."""
+    """Yield the details of mistakes; for a key that accepts words or numbers, a single detail names both."""
     words = {detail["loc"][:-1]: detail for detail in details if detail["type"] == "literal_error"}
     numbers = {detail["loc"][:-1] for detail in details if "constrained-" in str(detail["loc"][-1:])}
     for detail in details:
@@ -145,7 +145,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the path as written: a radius given as a number has no `min`, a vector no `2`."""
+    """Return the path as the user wrote it: a radius given as a number has no `min`, a vector no `2`."""
     members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
     path: KeyPath = tuple(
         key
@@ -192,7 +192,7 @@ def _wrong(detail: Any, path: KeyPath) -> str:
             return f"must be at most {context['le']:g}"
         case "finite_number":
             return "must be a finite number"
-        case "float_type" if type(detail["input"]) is int:  # a whole number of hundreds of digits
+        case "float_type" if type(detail["input"]) is int:  # a whole number with hundreds of digits
             return "must be a finite number"
         case "float_type" | "int_type" | "int_from_float" | "string_type" | "bool_type":
             kinds = {
@@ -229,7 +229,7 @@ def _list_at(path: KeyPath) -> str:
 
 
 def _field(path: KeyPath) -> FieldInfo | None:
-    """Return the field of the last key of a path; None if the schema has no such key."""
+    """Return the field of the last key in a path; None if the schema has no such key."""
     model: type[BaseModel] | None = Scene
     field = None
     for key in path:
@@ -249,5 +249,6 @@ def _expected(path: KeyPath, units: UnitSystem) -> str:
         unit, separator, rest = re.split(r"([,;] |$)", text, maxsplit=1)
         if unit == at.dimension.unit and not re.search("[1-9]", rest):  # a default in SI
             text = f"{units.unit(at.dimension)}{separator}{rest}".removeprefix(separator)
-    name = next(key for key in reversed(path) if isinstance(key, str))  # of a list, if the path ends with an index
+    # the list itself, if the path ends with an index
+    name = next(key for key in reversed(path) if isinstance(key, str))
     return f" ({name}: {text})"

@@ -1,4 +1,4 @@
-"""The parts of installed packages that a scene uses, and the properties of a recording about them."""
+"""The parts of installed packages that a scene uses, and the properties that name them in a recording."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from carom import registry
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
 
-PROPERTY = "extension."  # before kind.name, of the properties of a recording that name the package and its version
+PROPERTY = "extension."  # before kind.name, in the properties of a recording that state the package and its version
 
 
 def extensions_of(scene: Scene) -> dict[str, str]:
@@ -39,7 +39,7 @@ def names_of(kind: str, extensions: Mapping[str, str]) -> list[str]:
 
 
 def missing(extensions: Mapping[str, str]) -> str:
-    """Return the packages to install for missing parts of a recording, in words; empty if none is missing."""
+    """Return a sentence with the packages to install for missing parts of a recording; empty if none is missing."""
     lost: dict[str, list[str]] = {}
     for key, package in extensions.items():
         kind, _, name = key.partition(".")

@@ -1,8 +1,8 @@
 """The forces: when each is modelled, and the names of its recorded energies.
 
-`FORCES` is the table of carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in
-scenes with the section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries
-of a recording, and the reports follow from its `ForceKind`.
+`FORCES` lists carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in scenes with
+a section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries of a
+recording, and the reports are derived from its `ForceKind`.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
 class ForceKind:
     """A force: when it is modelled, and the name of its energy."""
 
-    name: str  # of the part of the model; with underscores, of the module that computes the force
+    name: str  # name of the part of the model and, with underscores, of the module that computes the force
     decide: Callable[[Scene], tuple[bool, str]]  # returns whether it is modelled, and why
     potential: str = ""  # its term of the energy, if it has a potential
     loss: str = ""  # its entry in the ledger, if it has no potential
-    legend: str = ""  # of the series of its energy
-    meaning: str = ""  # of that series, for docs/recording.md
-    colour: str = ""  # of that series, by its name in the palette of curves
+    legend: str = ""  # legend of its energy series
+    meaning: str = ""  # meaning of that series, for docs/recording.md
+    colour: str = ""  # colour of that series, a name in the palette of curves
     flag: str = ""  # in the properties of a recording; by default `has_` and the short name
-    pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest alike
-    differs: bool = False  # whether its accelerations of bodies at rest differ, so that they may meet and press
+    pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
+    differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
     part: str = ""  # part without which that series is not recorded; by default the force itself
-    contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot switch it on; empty if it can
+    contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot force it; empty if it can
 
     @property
     def short_name(self) -> str:
@@ -59,13 +59,13 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
     if scene.gravity.constant == 0:
         return False, "gravity.constant = 0"
     if scene.count == 1:
-        return False, "one body pulls nothing else"
+        return False, "a single body attracts nothing else"
     constant = scene.unit_system.text(scene.gravity.constant, GRAVITATIONAL_CONSTANT, "g")
     return True, f"{scene.count} bodies, G = {constant}"
 
 
 def _no_gravity_method(scene: Scene) -> str:
-    return 'gravity.method = "none"; leave that out' if scene.gravity.method == "none" else ""
+    return 'gravity.method = "none"; remove it' if scene.gravity.method == "none" else ""
 
 
 def _uniform_field(scene: Scene) -> tuple[bool, str]:
@@ -113,7 +113,7 @@ DRAG = ForceKind(
     _drag,
     loss="drag",
     legend="drag",
-    meaning="taken out by the drag of the medium since the start; negative if a moving medium put more in",
+    meaning="removed by the drag of the medium since the start; negative if a moving medium added more",
     colour="purple",
     pushes=_medium_moves,
     damps=True,
@@ -124,7 +124,7 @@ FORCES = (GRAVITY, UNIFORM_FIELD, DRAG)  # in the order in which their accelerat
 
 
 def numbers_of(section: Any) -> Mapping[str, float]:
-    """Return the numbers of a section: by default the parameters of a force, or the coefficients of a contact law."""
+    """Return the numbers in a section: by default the parameters of a force, or the coefficients of a contact law."""
     values = dict(section)
     return {name: float(value) for name, value in values.items() if type(value) in (int, float)}
 
@@ -133,29 +133,29 @@ def numbers_of(section: Any) -> Mapping[str, float]:
 class BodyForce:
     """A force on each body that depends on its position.
 
-    carom compiles both functions with Numba: they use sums, products, quotients and `math.sqrt` of numbers only, and
-    call nothing but functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
+    carom compiles both functions with Numba: they may use only sums, products, quotients and `math.sqrt` of numbers,
+    and call only functions decorated by `carom.extend.kernel`. ``p`` is a record of the parameters.
     """
 
-    section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
+    section: type[Any]  # in the scene: a `carom.extend.Section` whose docstring says "[forces.NAME]: what it is"
     acceleration: Callable[..., tuple[float, float, float]]  # (x, y, z, p) → m/s²
     potential: Callable[..., float]  # (x, y, z, p) → J/kg, of a body of 1 kg
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units: the fields of p
-    legend: str = ""  # of its energy; by default its name
-    meaning: str = ""  # of its energy, for `carom inspect`
-    colour: str = "orange"  # of its energy: one of `carom.recording.schema.palette.LINES`
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # the fields of p, from its section, in SI units
+    legend: str = ""  # legend of its energy; by default its name
+    meaning: str = ""  # meaning of its energy, for `carom inspect`
+    colour: str = "orange"  # colour of its energy: one of `carom.recording.schema.palette.LINES`
     periodic: bool = False  # whether it may act in a periodic box: its potential is the same on opposite faces
 
 
 @dataclass(frozen=True, slots=True)
 class PairForce:
-    """A central force between each two bodies that depends on their distance.
+    """A central force between every two bodies that depends on their distance.
 
-    The functions are compiled like the functions of a `BodyForce`. In a periodic box, they act between nearest images.
+    The functions are compiled like the functions of a `BodyForce`. In a periodic box, it acts between nearest images.
     """
 
-    section: type[Any]  # of the scene, as for `BodyForce`
-    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d; d2 is the squared distance; negative if it repels
+    section: type[Any]  # in the scene, as for `BodyForce`
+    attraction: Callable[..., float]  # (d2, m_i, m_j, p) → N/m, F/d, negative if it repels; d2 is the squared distance
     potential: Callable[..., float]  # (d2, m_i, m_j, p) → J, of the pair
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of
     legend: str = ""
@@ -194,7 +194,7 @@ def kind_called(name: str) -> ForceKind:
 
 
 def acts_from_outside(scene: Scene) -> bool:
-    """Return whether a force of an installed package acts on single bodies, and so changes the total momentum."""
+    """Return whether a force of an installed package acts on single bodies, so that it changes the momentum."""
     return any(isinstance(force_called(name), BodyForce) for name in scene.forces.given)
 
 

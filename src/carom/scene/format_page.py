@@ -33,13 +33,13 @@ def schema_text() -> str:
 
 
 def schema() -> dict[str, Any]:
-    """Return the schema, with forces of installed packages; a quantity is a plain number or a text with a unit."""
+    """Return the schema, with forces of installed packages. A quantity is a plain number or a text with a unit."""
     know_installed_parts()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_brief(Scene.model_json_schema())}
 
 
 def _brief(node: Any) -> Any:
-    """Leave out titles, which repeat the keys, and empty defaults."""
+    """Remove titles, which repeat the keys, and empty defaults."""
     if isinstance(node, list):
         return [_brief(inner) for inner in node]
     if not isinstance(node, dict):
@@ -51,7 +51,7 @@ def _brief(node: Any) -> Any:
 
 
 def without_schema_line(text: str) -> str:
-    """Return the text of a scene without the line that names its schema, whose path is valid in only one folder."""
+    """Return the text of a scene without the line that names its schema, whose path is valid only in one folder."""
     first, _, rest = text.partition("\n")
     return rest if first.startswith(MARK) else text
 
@@ -76,16 +76,16 @@ def page() -> str:
 
 
 def _contact_laws() -> Iterator[str]:
-    """Return a part for each contact law of carom that has coefficients."""
+    """Return a section of the page for each of carom's contact laws that has coefficients."""
     for name in registry.HOUSE["contact_laws"]:
         section = law_called(name).section
         if section is not None:
-            where = "Also a section of a material, a pair and a plane."
+            where = "Also allowed in a material, a pair and a plane."
             yield _table(section, f"`contact.{name}`", f"{inspect.getdoc(section)} {where}")
 
 
 def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
-    """Return a part for each section of a model, and for the tables in it."""
+    """Return a section of the page for each section of a model, and for the tables in it."""
     for key, info in _keys(model):
         for inner in _models(info):
             title = f"{above}{key}"
@@ -96,7 +96,7 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
 
 
 def _keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return the keys of a section without those of contact laws, which models have once a scene has been read."""
+    """Return the keys of a section without those of contact laws, which are added to models once a scene is read."""
     return [(key, info) for key, info in model.model_fields.items() if key not in registry.names("contact_laws")]
 
 
@@ -121,7 +121,7 @@ def _row(key: str, info: FieldInfo) -> str:
 
 
 def _values(info: FieldInfo) -> Iterator[str]:
-    """Yield the kinds of values that a key may have."""
+    """Yield the kinds of values that a key accepts."""
     known: dict[str, None] = {}
     for part in parts_of(info.annotation):
         for word in _words(part):

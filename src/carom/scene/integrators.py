@@ -1,17 +1,18 @@
-"""The table of integrators, used by the scene's key, the checks, the step and the comparisons.
+"""The table of integrators, which the scene's key, the checks, the step and the comparisons use.
 
-A step is a sequence of substeps: a kick with the old forces, a drift and a kick with the new ones, for fractions of dt:
+A step is a sequence of substeps: a kick with the old forces, a drift, and a kick with the new forces, for fractions of
+dt:
 
     v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
 
-Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges the two:
-its energy oscillates a quarter as much on a Kepler orbit, but its forces are those at the middle of the step. Yoshida's
-fourth order is three leapfrogs of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁ (Yoshida 1990, Phys.
-Lett. A 150, 262).
+Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges the two: on
+a Kepler orbit, its energy oscillates a quarter as much, but its forces are those of the middle of the step. Yoshida's
+fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁ (Yoshida
+1990, Phys. Lett. A 150, 262).
 
-Installed packages may add such sequences. Two integrators have no such sequence: the step of Gauss–Radau integration
-follows from its error, that of Wisdom–Holman integration from the shortest orbit
-(`carom.physics.integrators.gauss_radau`, `carom.physics.integrators.wisdom_holman`).
+Installed packages may add such sequences. Two integrators are not such sequences: Gauss–Radau integration chooses its
+step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
+`carom.physics.integrators.wisdom_holman`).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import NamedTuple
 
 from carom import registry
 
-AUTO = "auto"  # in time.integrator: the scene decides
+AUTO = "auto"  # value of time.integrator with which the scene decides
 
 
 class Substep(NamedTuple):
@@ -38,13 +39,13 @@ class Integrator:
 
     name: str  # the value of time.integrator
     title: str  # in descriptions
-    order: int  # of the error over a fixed time in dt
+    order: int  # order in dt of the error over a fixed time
     substeps: tuple[Substep, ...]  # empty if it chooses its own steps
     hierarchical: bool = False  # whether it needs a body that dominates all others
 
     @property
     def controls_error(self) -> bool:
-        """Whether it chooses its own steps, regardless of the limits of the scene."""
+        """Whether it chooses its own steps, regardless of the scene's limits."""
         return not self.substeps
 
     @property
@@ -54,17 +55,17 @@ class Integrator:
 
     @property
     def holds_contacts(self) -> bool:
-        """Whether contacts may rest, which requires the forces at the end of the step."""
+        """Whether contacts may be at rest, which requires the forces at the end of the step."""
         return self.ends_with_forces and not self.controls_error
 
     @property
     def steps_back(self) -> bool:
-        """Whether a substep goes back in time."""
+        """Whether a substep goes backward in time."""
         return any(substep.drift < 0.0 for substep in self.substeps)
 
     @property
     def drifts_once(self) -> bool:
-        """Whether a step is a single drift: impacts can then happen during it."""
+        """Whether a step is a single drift, within which impacts can be resolved."""
         return len(self.substeps) == 1
 
     @property
@@ -74,7 +75,7 @@ class Integrator:
 
     @property
     def locates_impacts(self) -> bool:
-        """Whether impacts can be resolved at their own times: within the only drift, or by ending the step there."""
+        """Whether impacts can be resolved at their exact times: within the only drift, or by ending the step there."""
         return self.drifts_once or self.ends_steps_at_impacts
 
     @property
@@ -84,19 +85,19 @@ class Integrator:
 
     @property
     def keeps_accuracy(self) -> bool:
-        """Whether a look-ahead can choose its step for ``time.accuracy``: errors fall fast enough to be measured."""
+        """Whether a look-ahead can choose its step for ``time.accuracy``: its errors fall fast enough to measure."""
         return self.controls_error or (self.order > 1 and self.ends_with_forces)
 
     @property
     def force_sums(self) -> int:
-        """Number of force sums in a step; a lower bound for iterations that depend on the error."""
+        """Number of force evaluations per step; a lower bound if the number of iterations depends on the error."""
         if self.controls_error:
             return 1 if self.hierarchical else RADAU_NODES
         return len(self.substeps) if self.ends_with_forces else len(self.substeps) - 1
 
 
 RADAU_NODES = 8
-ENCOUNTERS_BY = "gauss-radau15"  # takes over from hierarchical integrators where bodies come close
+ENCOUNTERS_BY = "gauss-radau15"  # takes over from hierarchical integrators in close encounters
 _W1 = 1.3512071919596578  # 1 / (2 - 2^{1/3})
 _W0 = 1.0 - 2.0 * _W1
 
@@ -112,7 +113,7 @@ INTEGRATORS = {
             (Substep(0.0, 0.5, 1.0), Substep(0.0, 0.5, 0.0)),
         ),
         Integrator("yoshida4", "Yoshida's", 4, tuple(Substep(0.5 * w, w, 0.5 * w) for w in (_W1, _W0, _W1))),
-        Integrator("gauss-radau15", "Gauss–Radau with a step by its own error", 15, ()),
+        Integrator("gauss-radau15", "Gauss–Radau with steps chosen by its own error", 15, ()),
         Integrator("wisdom-holman", "Wisdom–Holman about a dominant body (without contacts)", 2, (), hierarchical=True),
     )
 }

@@ -1,6 +1,6 @@
 """Places of keys in the text of a scene, for messages, and the limit on their nesting.
 
-No known TOML library keeps the line of a key, so this module reads the text again, line by line. For keys in other
+No known TOML library keeps the line of a key, so this module scans the text again, line by line. For keys in other
 forms, such as multi-line inline tables, it returns the line of their section.
 """
 
@@ -37,7 +37,7 @@ def lines_of(text: str) -> dict[KeyPath, int]:
             section = (*_indexed(above, seen), last)
             if header[1] == "[[":
                 seen[section] += 1
-                lines.setdefault(section, number)  # a section that was written as a list of them
+                lines.setdefault(section, number)  # a section written as a list of sections
             section = written = _indexed([*above, last], seen)
         elif key:
             written = (*section, *_split(key[1]))
@@ -80,7 +80,7 @@ class KeyPlaces:
         return lines_of(self.text)
 
     def of(self, path: KeyPath) -> str:
-        """Return the place of a key as the beginning of a message; empty if it is unknown."""
+        """Return the place of a key as the beginning of a message; empty if unknown."""
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
                 return f"the override {text}: "
@@ -105,8 +105,8 @@ def naming_places(scene: Scene) -> Iterator[None]:
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
-# Parsing, validation and messages recurse, or take time quadratic in the depth.
-DEEPEST = 32  # levels; the deepest key that a scene has is group.0.radius.min
+# Parsing, validation and messages are recursive, or take time quadratic in the depth.
+DEEPEST = 32  # levels; the deepest key in a scene is group.0.radius.min
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
 _LONG_KEY = re.compile(rf"(?:^[ \t]*+\[{{0,2}}|[{{,])[ \t]*+(?:{_PART}[ \t]*+\.[ \t]*+){{{DEEPEST}}}", re.MULTILINE)
@@ -119,7 +119,7 @@ def line_of_long_key(text: str) -> int | None:
 
 
 def is_too_deep(data: Any) -> bool:
-    """Return whether tables and lists are nested more than `DEEPEST` levels deep, or in themselves."""
+    """Return whether tables and lists are nested more than `DEEPEST` levels deep, or contain themselves."""
     level = [data]
     for _ in range(DEEPEST + 1):
         inner = (child for node in level for child in (node.values() if isinstance(node, dict) else node))

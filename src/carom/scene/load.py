@@ -46,7 +46,7 @@ _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of texts up to this length, which takes a second
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # examined mistakes; a hostile text may have a million
+_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may have a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 
@@ -63,7 +63,7 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
     Raises
     ------
     SceneError
-        With file, line and key.
+        The message states file, line and key.
     """
     path = scene_path(source)
     text = read_text(path)
@@ -73,7 +73,7 @@ def load_scene(source: str | Path, overrides: list[str]) -> Scene:
 
 
 def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
-    """Give an `OldNameWarning` for each key that has a new name, in the file and in the overrides."""
+    """Issue an `OldNameWarning` for each key that has a new name, in the file and in the overrides."""
     places = KeyPlaces(source, text, {})
     if any(str(old[-1]) in text for old in RENAMED):
         for old in old_names(_parse(text, source)):
@@ -86,23 +86,23 @@ def _warn_of_old_names(text: str, source: str, overrides: list[str]) -> None:
 def scene_from_text(
     text: str, source: str, overrides: list[str] | None = None, bodies: BodySource | None = None
 ) -> Scene:
-    """Build a scene from TOML text, such as that in a recording.
+    """Build a scene from TOML text, such as the text in a recording.
 
     Parameters
     ----------
     text
-        At most as long as `longest_text` allows. Overrides drop the comments of a long text.
+        The text; at most as long as `longest_text` allows. Overrides remove the comments of a long text.
     source
-        Its name in messages.
+        Name of the text in messages.
     overrides
         As for `load_scene`.
     bodies
-        Source of the bodies of [[bodies]]; by default files of the current folder.
+        Source of the bodies in [[bodies]] tables; by default files in the current folder.
 
     Raises
     ------
     SceneError
-        With the source, the line and the key.
+        The message states the source, the line and the key.
     """
     if len(text) > LARGEST_FILE:
         raise SceneError(f"{source}: {len(text)} characters are too many for a scene; at most {LARGEST_FILE}")
@@ -116,7 +116,7 @@ def scene_from_text(
         other = other_name(path)
         if other in overridden:
             both = f"the overrides {overridden[other]} and {override}"
-            raise SceneError(f"{both}: two names of one key; give one of them")
+            raise SceneError(f"{both} are two names of one key; give one of them")
         overridden[path] = override
         forget_digest(document, path)
     keep_promised_duration(document, data, overridden)
@@ -125,7 +125,7 @@ def scene_from_text(
 
 
 def longest_text(bodies: int) -> int:
-    """Return the largest number of characters in a scene, so that every scene that runs can be read back."""
+    """Return the largest number of characters in a scene; every scene that runs stays below it and can be read back."""
     return min(LARGEST_FILE, _LARGEST_BESIDES_BODIES + _LARGEST_BODY * bodies)
 
 
@@ -136,7 +136,7 @@ def _parse(text: str, source: str) -> dict[str, Any]:
         raise SceneError(f"{source}:{line}: a key of more than {DEEPEST} parts")
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # a ValueError, not only TOMLDecodeError: Python refuses numbers of thousands of digits
+    except ValueError as error:  # not a TOMLDecodeError: Python refuses numbers of thousands of digits
         digits = re.search(r"\d{4301}", text) if "digits" in str(error) else None
         if digits:
             line = text.count("\n", 0, digits.start()) + 1
@@ -227,7 +227,7 @@ def _validate(data: dict[str, Any], text: str, places: KeyPlaces, bodies: BodySo
 
 
 def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
-    """Refuse a scene with a line for each mistake; only displayed lines are composed.
+    """Refuse a scene, with a line for each mistake; only the lines displayed are composed.
 
     ``more`` is the number of mistakes without a line.
     """
@@ -240,7 +240,7 @@ def _refuse(messages: Sequence[Callable[[], str]], more: int = 0) -> None:
 def _with_bodies(
     scene: Scene, units: UnitSystem, data: dict[str, Any], text: str, places: KeyPlaces, source: BodySource
 ) -> tuple[Scene, str]:
-    """Find the bodies of each [[bodies]]; return the scene and its text with their counts and digests."""
+    """Find the bodies of each [[bodies]] table; return the scene and its text with their counts and digests."""
     sources, row, wrong = list[SourcedBodies](), 0, list[Callable[[], str]]()
     for index, section in enumerate(scene.bodies):
         try:
@@ -284,7 +284,7 @@ def scene_from_arrays(
 ) -> Scene:
     """Build a scene; see `Scene.from_arrays`."""
     if "bodies" in sections:
-        raise SceneError("bodies: the arrays are its bodies; give the other sections only, or use with_bodies")
+        raise SceneError("bodies: their source is the arrays; give only the other sections, or use with_bodies")
     return _scene(sections, [], [], arrays, name, made_of)
 
 
@@ -308,12 +308,12 @@ def _scene(
     made_of: str | None,
 ) -> Scene:
     """Build a scene from sections, kept bodies, and bodies in arrays."""
-    units = unit_system(data.get("units"), [])  # validation of the scene reports mistakes in it
+    units = unit_system(data.get("units"), [])  # mistakes in the scene are reported when it is validated
     numbers, _, _ = converted({key: data[key] for key in ("units", "material") if key in data})
     material: Material | None
     try:
         material = next((Material.model_validate(row) for row in numbers["material"] if row["name"] == made_of), None)
-    except (KeyError, TypeError, ValueError):  # validation also reports mistakes in materials
+    except (KeyError, TypeError, ValueError):  # mistakes in materials are reported then, too
         material = None
     columns = columns_of_arrays(arrays, name, material, units)
     prefix = {"name": name} if isinstance(name, str) else {}

@@ -1,7 +1,7 @@
 """Masses, materials, and the coefficients of contacts.
 
-A contact of two materials has the coefficients of their [[pair]]; missing coefficients follow from both materials, see
-`carom.scene.schema.contact.combined`. Coefficients of a [[plane]] apply to all contacts with it.
+A contact of two materials has the coefficients of their [[pair]]. Missing coefficients are combined from both
+materials, see `carom.scene.schema.contact.combined`. Coefficients of a [[plane]] apply to all contacts with it.
 """
 
 from __future__ import annotations
@@ -73,25 +73,26 @@ AnyMatter = TypeVar("AnyMatter", bound=Matter)
 class BodyMaterials:
     """The materials of the bodies of a scene."""
 
-    names: list[str]  # (a,) in the order in which bodies first have them
-    index: IntArray  # (n,) into `names`
+    names: list[str]  # (a,) in the order of the first body with each
+    index: IntArray  # (n,) indices into `names`
 
 
 @dataclass(frozen=True)
 class PairCoefficients:
-    """Coefficients of the contacts between n bodies, of a materials, and with p planes and walls.
+    """Coefficients of the contacts between n bodies of a materials, and with p planes and walls.
 
-    If all bodies have one material, there is a row for contacts between bodies, and one for each plane. Otherwise each
-    material has a + p rows: one with each material, and one with each plane. The contact of body i with body j > i, or
-    with the plane j - n, has the row ``places[i, 0] + places[j, 1]``.
+    If all bodies have one material, there is one row for contacts between bodies, and one for each plane. Otherwise
+    each material has a + p rows: one for each material, and one for each plane. The contact of body i with body j > i,
+    or with plane j - n, has the row ``places[i, 0] + places[j, 1]``.
     """
 
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`
-    bodies: int  # n
-    places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))  # (n + p, 2); else no rows
-    laws: tuple[str, ...] = ()  # of the contacts, without Coulomb's
-    names: tuple[str, ...] = ()  # of further coefficients of the laws
-    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) values of these
+    bodies: int  # number n of bodies
+    # (n + p, 2); no rows with one material
+    places: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int64))
+    laws: tuple[str, ...] = ()  # names of the contact laws, without Coulomb's
+    names: tuple[str, ...] = ()  # names of the laws' further coefficients
+    further: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # (rows, k) their values
 
     def of(self, i: int, j: int) -> Coefficients:
         """Return the coefficients of the contact of body i with body j > i, or with plane j - n."""
@@ -126,7 +127,7 @@ def body_materials(scene: Scene) -> BodyMaterials:
 
 
 def pair_coefficients(scene: Scene) -> PairCoefficients:
-    """Return the coefficients of all pairs of ends."""
+    """Return the coefficients of all kinds of contacts."""
     names, further = _names(scene), tuple(_of_law(scene, DEFAULT, DEFAULT))
     table, own = _table(scene, names), len(Coefficients._fields)
     bodies, planes = scene.count, table.shape[1] - len(names)
@@ -157,7 +158,7 @@ def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
 
 
 def material_called(scene: Scene, name: str) -> Material | None:
-    """Return the material of that name; None for that of [contact]."""
+    """Return the material of a name; None for that of [contact]."""
     return next((material for material in scene.material if material.name == name), None)
 
 
@@ -188,7 +189,7 @@ def _called(name: str, material: str | None) -> str:
 
 
 def _given(scene: Scene) -> list[tuple[str, int]]:
-    """Return the materials in the order of the bodies, each with the number of its bodies."""
+    """Return the materials in the order of the bodies, each with its number of bodies."""
     members: Iterable[tuple[Matter, int]] = [
         *((body, 1) for body in scene.body),
         *((section, len(columns)) for section, columns in zip(scene.bodies, scene.data, strict=True)),
@@ -205,8 +206,8 @@ def _names(scene: Scene) -> list[str]:
 def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) -> dict[str, float]:
     """Return the further coefficients of the contact laws for two materials.
 
-    ``plane`` may have its own. A coefficient missing from a section of a material, a pair or a plane has the value
-    without that section.
+    ``plane`` may have its own coefficients. A coefficient missing from the section of a material, a pair or a plane
+    keeps the value that it has without that section.
     """
     pair = next((pair for pair in scene.pair if set(pair.materials) == {one, other}), None)
     coefficients: dict[str, float] = {}
@@ -221,7 +222,7 @@ def _of_law(scene: Scene, one: str, other: str, plane: Surface | None = None) ->
 
 
 def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str, float]:
-    """Return the coefficients of a law with those that a surface states in place of these."""
+    """Return the coefficients of a law, replaced by those that a surface states."""
     own = None if surface is None else getattr(surface, law)
     if own is None:
         return dict(numbers)
@@ -231,7 +232,7 @@ def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str,
 
 
 def _table(scene: Scene, names: list[str]) -> FloatArray:
-    """Return the coefficients of each material with each material, each plane and each wall, (a, a + p, 3 + k)."""
+    """Return the coefficients of each material with each material, plane and wall, (a, a + p, 3 + k)."""
     walls = len(WALLS) if scene.domain.boundary == "walls" else 0
 
     def row(name: str, other: str, plane: StaticPlane | None = None) -> tuple[float, ...]:

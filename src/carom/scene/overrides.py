@@ -15,7 +15,7 @@ from carom.scene.schema import Scene, Time
 from carom.scene.schema.promise import ABOUT_THE_END
 from carom.scene.toml_text import parse_value
 
-RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old to new
+RENAMED: dict[KeyPath, KeyPath] = {("record", "log_freq"): ("record", "check_every")}  # old name to new name
 
 
 class OldNameWarning(FutureWarning):
@@ -47,7 +47,7 @@ _INDEX = re.compile(r"[0-9]{1,9}")
 
 
 def apply_override(document: Any, override: str) -> KeyPath:
-    """Set one key of the document, keeping its comments; return the path that was set."""
+    """Set one key of a document, keeping its comments; return its path."""
     dotted, separator, text = override.partition("=")
     keys = key_path(override)
     if not separator or not all(key != "" for key in keys):
@@ -86,7 +86,7 @@ def key_path(override: str) -> KeyPath:
 
 
 def forget_digest(document: Any, path: KeyPath) -> None:
-    """Remove the digest and count of the former file, if an override names another file of bodies."""
+    """Remove the digest and count of the previous file if an override names another file of bodies."""
     if len(path) > 2 and path[0] == "bodies" and path[2] in ("file", "snapshot"):
         for key in ("count", *(("sha256",) if path[2] == "file" else ())):
             document["bodies"][path[1]].pop(key, None)

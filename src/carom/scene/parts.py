@@ -1,4 +1,4 @@
-"""The parts of the model, by the names that `carom explain` prints and `model.force` takes."""
+"""The parts of the model, by the names that `carom explain` prints and `model.force` accepts."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Part:
 
 
 def in_order(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names of parts in the order of `PARTS`; names of other forces follow carom's own."""
+    """Return names of parts in the order of `PARTS`; names of other forces follow carom's own."""
     others = [name for name in names if name not in PARTS]
     last = PARTS.index(FORCES[-1].name) + 1
     return (*PARTS[:last], *others, *PARTS[last:])

@@ -10,7 +10,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 
-NEWTON_STEPS = 6  # from an error of a third of an octave to the last bit
+NEWTON_STEPS = 6  # enough to reduce an error of a third of an octave to the last bit
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, from fdlibm
 # fdlibm's minimax polynomials (Sun Microsystems, 1993): ln(1 + f) in s² = (f / (2 + f))², and eˣ in x²
 LOG = (
@@ -64,7 +64,7 @@ def power(base: FloatArray, exponent: FloatArray | float) -> FloatArray:
 
 
 def exponential(x: FloatArray) -> FloatArray:
-    """Return eˣ, where it neither overflows nor underflows."""
+    """Return eˣ, in the range where it neither overflows nor underflows."""
     k = np.rint(x / (LN2_HIGH + LN2_LOW))
     high, low = x - k * LN2_HIGH, k * LN2_LOW
     r = high - low
@@ -74,7 +74,7 @@ def exponential(x: FloatArray) -> FloatArray:
 
 def cosine_and_sine(degrees: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the cosine and the sine of an angle in degrees."""
-    angle = np.fmod(degrees, 360.0)  # exact, and so is the distance from a multiple of 90°
+    angle = np.fmod(degrees, 360.0)  # exact, like the difference from a multiple of 90°
     quarter = np.rint(angle / 90.0)
     x = (angle - 90.0 * quarter) * (np.pi / 180.0)
     square = x * x

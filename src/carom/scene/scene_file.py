@@ -1,4 +1,4 @@
-"""Files of scenes: bundled scenes, the path for a name, and the text of a file or a pipe."""
+"""Scene files: the bundled scenes, the path for a name, and the text of a file or a pipe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from carom.scene.wording import command
 
 PACKAGE = Path(__file__).parents[1]
 CROSSCHECK = "crosscheck"  # the folder of scenes from bug reports of other engines
-EXTREMES = "extremes"  # the folder of the numerical extremes, and the first part of their names
+EXTREMES = "extremes"  # the folder of numerical extremes, and the first part of their names
 
 
 def bundled_scenes() -> dict[str, Path]:
@@ -28,7 +28,7 @@ def extreme_scenes() -> dict[str, Path]:
 
 
 def crosscheck_scenes() -> dict[str, Path]:
-    """Return the path of each scene of a bug report of another engine, such as ``crosscheck/jolt-higher-bounce``."""
+    """Return the path of each scene from another engine's bug report, such as ``crosscheck/jolt-higher-bounce``."""
     return {f"{CROSSCHECK}/{name}": path for name, path in _scenes(_folder() / CROSSCHECK).items()}
 
 
@@ -47,7 +47,7 @@ def _folder() -> Path:
 
 
 def data_files(scene: Path) -> list[Path]:
-    """Return the data files beside a bundled scene."""
+    """Return the data files that accompany a bundled scene."""
     sections = tomllib.loads(scene.read_text(encoding="utf-8")).get("bodies", [])
     return [scene.with_name(section["file"]) for section in sections]
 
@@ -58,10 +58,10 @@ def starter() -> str:
 
 
 LARGEST_FILE = 64_000_000  # bytes; enough for 400 000 [[body]] sections, which take half a minute to read
-PATIENCE = 30.0  # s, for which a pipe may be silent
+PATIENCE = 30.0  # s, longest silence of a pipe
 RECORDED = b"RRF2"  # first bytes of a recording
 
-_PIECE = 1 << 20  # bytes
+_PIECE = 1 << 20  # bytes read at a time
 _PAUSE = 0.01  # s, between two attempts to read a silent pipe
 
 
@@ -76,7 +76,7 @@ def scene_path(source: str | Path) -> Path:
 def _existing_path(source: str | Path) -> Path:
     path = Path(source)
     if path.is_dir():
-        raise SceneError(f"{path}: a folder, not a scene; give a .toml file in it")
+        raise SceneError(f"{path}: a folder, not a scene; name a .toml file in it")
     if path.exists():
         return path
     bundled = bundled_scenes() | extreme_scenes() | crosscheck_scenes()
@@ -91,7 +91,7 @@ def _existing_path(source: str | Path) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Read a scene's file or a pipe; refuse a recording, a device and a text that is too long."""
+    """Read the text of a scene from a file or a pipe; refuse a recording, a device and a text that is too long."""
     try:
         text = _read_bytes(path)
     except OSError as error:
@@ -108,17 +108,18 @@ def read_text(path: Path) -> str:
 
 def _read_bytes(path: Path) -> bytes:
     """Read a regular file or a pipe once, up to `LARGEST_FILE` bytes."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)  # or a pipe without a writer would block
+    # otherwise a pipe without a writer would block
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb", buffering=0) as file:
         kind = os.fstat(descriptor)
         is_pipe = stat.S_ISFIFO(kind.st_mode) or stat.S_ISSOCK(kind.st_mode)
         if not is_pipe and not stat.S_ISREG(kind.st_mode):
-            raise SceneError(f"{path}: a device, not a scene; give a .toml file")
+            raise SceneError(f"{path}: a device, not a scene; name a .toml file")
         if kind.st_size > LARGEST_FILE:
             raise SceneError(f"{path}: {kind.st_size} bytes are too many for a scene; at most {LARGEST_FILE}")
         text, begun = bytearray(), time.monotonic()
         while True:
-            piece = file.read(_PIECE)  # None: the writer has written nothing yet
+            piece = file.read(_PIECE)  # None: nothing to read yet
             if piece:
                 text += piece
                 begun = time.monotonic()
@@ -127,6 +128,6 @@ def _read_bytes(path: Path) -> bytes:
             elif piece is not None and (text or not is_pipe):
                 return bytes(text)
             elif time.monotonic() - begun > PATIENCE:
-                raise SceneError(f"{path}: a pipe that nothing has written for {PATIENCE:g} s; give a .toml file")
+                raise SceneError(f"{path}: nothing has written to this pipe for {PATIENCE:g} s; name a .toml file")
             else:
                 time.sleep(_PAUSE)

@@ -1,4 +1,4 @@
-"""The bodies at time 0 and the static half-spaces of a scene, as arrays."""
+"""The initial bodies and the static half-spaces of a scene, as arrays."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from carom.scene.wording import joined
 
 @dataclass(frozen=True)
 class InitialBodies:
-    """The bodies at time 0 in SI units: explicit bodies first, then those from data, then the groups."""
+    """The initial bodies in SI units: explicit bodies first, then those from data, then the groups."""
 
     name: Sequence[str]
-    group: IntArray  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]]
+    group: IntArray  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]] table
     position: FloatArray  # (n, 3)
     velocity: FloatArray  # (n, 3)
     angular_velocity: FloatArray  # (n, 3)
@@ -74,7 +74,7 @@ class HalfSpaces:
 
 def planes_of(scene: Scene) -> HalfSpaces:
     """Return the planes of a scene, in their order."""
-    # scale normals to length 1; the division by the largest component first avoids overflow
+    # scale normals to length 1; dividing by the largest component first avoids overflow
     scaled = [np.array(plane.normal) / np.max(np.abs(plane.normal)) for plane in scene.plane]
     normals = [np.asarray(direction / np.sqrt((direction * direction).sum())) for direction in scaled]
     return HalfSpaces(

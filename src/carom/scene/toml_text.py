@@ -22,7 +22,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 def toml_text(data: Mapping[str, Any]) -> str:
     """Write a document: plain keys first, then a section for each table and each table of a list.
 
-    It takes ten microseconds for a body; tomlkit, which keeps comments, takes a millisecond.
+    It takes ten microseconds per body; tomlkit, which keeps comments, takes a millisecond.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def _key(key: Any) -> str:
 
 
 def value_text(value: Any) -> str:
-    """Write one value; raises TypeError as `toml_text`."""
+    """Write one value; raises TypeError like `toml_text`."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -58,7 +58,7 @@ def value_text(value: Any) -> str:
     if isinstance(value, int):
         return int.__repr__(value)
     if isinstance(value, float):
-        return float.__repr__(value)  # of subclasses, such as NumPy's, too
+        return float.__repr__(value)  # also for subclasses, such as NumPy's
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {value_text(inner)}" for key, inner in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -71,7 +71,7 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # a number as people write it, but invalid in TOML
+_NUMBER = re.compile(r"[+-]?(\.[0-9]+|[0-9]+\.)([eE][+-]?[0-9]+)?")  # a number as people write it, but not valid TOML
 
 
 def parse_value(text: str) -> Any:

@@ -12,16 +12,16 @@ import tomlkit
 
 from carom.scene.toml_text import parse_value
 
-Values = tuple[Any, ...]  # of TOML: numbers, strings, booleans, lists
+Values = tuple[Any, ...]  # TOML values: numbers, strings, booleans, lists
 
-MOST_RUNS = 100_000  # a million took 8 GB and ten minutes before the first of them
+MOST_RUNS = 100_000  # a million took 8 GB and ten minutes before the first run
 TOO_MANY_RUNS = f"more than {MOST_RUNS} runs; give fewer values"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _UNIT = r"[^\s:,\d\"'\[{][^:,\"'\[{]*?"
 _RANGE = re.compile(rf"\s*({_NUMBER})\s*({_UNIT})?\s*:\s*({_NUMBER})\s*({_UNIT})?\s*:\s*(\d+)\s*(log)?\s*")
 _LIKE_RANGE = re.compile(rf"\s*{_NUMBER}\s*(?:{_UNIT})?\s*:.*")
 _EXAMPLES = "a list such as 0.2,0.6, a range 0.1:0.9:5 or a range of equal ratios 1e-3:1:4log"
-_DIGITS = 12  # of a value in a range: 0.3 and not 0.30000000000000004
+_DIGITS = 12  # digits of a value in a range: 0.3, not 0.30000000000000004
 
 
 def values_of(text: str) -> Values:
@@ -36,7 +36,7 @@ def values_of(text: str) -> Values:
     Raises
     ------
     ValueError
-        With the valid forms.
+        The message lists the valid forms.
     """
     if matched := _RANGE.fullmatch(text):
         return _range(text, *matched.groups())
@@ -49,7 +49,7 @@ def texts_of(text: str) -> list[str]:
     Raises
     ------
     ValueError
-        With the valid forms.
+        The message lists the valid forms.
     """
     if matched := _RANGE.fullmatch(text):
         return [value if isinstance(value, str) else repr(value) for value in _range(text, *matched.groups())]
@@ -81,7 +81,7 @@ def alike(values: Any) -> Values:
 
 
 def _hashable(value: Any) -> Any:
-    """Return a hashable equivalent of a value, since lists and tables cannot be in a set."""
+    """Return a hashable equivalent of a value, since a set cannot hold lists and tables."""
     if isinstance(value, list):
         return tuple(map(_hashable, value))
     if isinstance(value, Mapping):
@@ -122,7 +122,7 @@ def flattened(nested: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def override(key: str, value: Any) -> str:
-    """Write a parameter as ``--set`` takes it."""
+    """Write a parameter in the syntax of ``--set``."""
     return f"{key}={tomlkit.item(value).as_string()}"
 
 
@@ -160,7 +160,8 @@ def _numbers(text: str, first: str, last: str, count: str, log: str | None) -> V
     else:
         inner = [low + (high - low) * step / steps for step in range(1, steps)]
     values = [low, *(float(f"{value:.{_DIGITS}g}") for value in inner), high]
-    as_whole = all(number.lstrip("+-").isdigit() for number in (first, last))  # without a point: a count stays whole
+    # without a decimal point: a count stays an integer
+    as_whole = all(number.lstrip("+-").isdigit() for number in (first, last))
     if as_whole and all(value.is_integer() for value in values):
         return alike(int(value) for value in values)
     return alike(values)

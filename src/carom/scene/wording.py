@@ -18,7 +18,7 @@ _UNSAFE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u2028-\u202e\u2066-\u2069\ud8
 
 
 def command(*words: object) -> str:
-    """Write a carom command, quoted as a shell needs it, such as ``carom view 'my run.rrd'``."""
+    """Write a carom command, quoted as a shell requires, such as ``carom view 'my run.rrd'``."""
     return shlex.join(["carom", *map(str, words)])
 
 
@@ -64,7 +64,7 @@ def bodies_called(numbers: Iterable[int], names: Sequence[str]) -> str:
 
 
 def in_series(called: Sequence[str]) -> str:
-    """Join names as a sentence does; of many the first few, and how many more."""
+    """Join names as in a sentence; of many, the first few and the number of the others."""
     listed = list(called[:MOST_LISTED])
     if len(called) > MOST_LISTED:
         listed.append(f"{len(called) - MOST_LISTED} more")
@@ -73,13 +73,13 @@ def in_series(called: Sequence[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Names:
-    """Names of the n bodies, and of the planes and walls, whose indices follow."""
+    """Names of the n bodies, followed by the planes and walls."""
 
     bodies: Sequence[str]
     planes: list[str]
 
     def of(self, end: int) -> str:
-        """Name one end of a contact: a body as `body_called` does, a plane or a wall by its name, if it is known."""
+        """Name one end of a contact: a body like `body_called`, a plane or a wall by its name, if known."""
         plane = end - len(self.bodies)
         if plane < 0:
             return body_called(end, self.bodies[end])
@@ -91,11 +91,11 @@ class Names:
 
 
 class _LazyNames(Sequence[str]):
-    """Names that are written when asked for; equal to any sequence of the same names."""
+    """Names that are composed on access; equal to any sequence of the same names."""
 
     @abstractmethod
     def _at(self, place: int) -> str:
-        """Return one name; the place is in range."""
+        """Return one name; the index is in range."""
 
     @overload
     def __getitem__(self, index: int) -> str: ...
@@ -145,7 +145,7 @@ class SomeNames(_LazyNames):
 
 
 class JoinedNames(_LazyNames):
-    """Names of several parts, one after the other."""
+    """Names of several parts, one part after another."""
 
     def __init__(self, parts: Sequence[Sequence[str]]) -> None:
         self.parts = tuple(parts)
@@ -160,7 +160,7 @@ class JoinedNames(_LazyNames):
 
 
 def joined(parts: Sequence[Sequence[str]]) -> Sequence[str]:
-    """Return the names of all parts: a list, unless a part is numbered."""
+    """Return the names of all parts: as a list, unless a part is numbered."""
     if all(isinstance(part, list) for part in parts):
         return [name for part in parts for name in part]
     return JoinedNames(parts)

@@ -202,7 +202,7 @@ BAD = {
     ),
     "a compressed cluster": (
         {"arrangement": "compressed", "region": {"shape": "plummer", "scale": 9.0}},
-        ["in a plummer region", "leave one out"],
+        ["in a plummer region", "remove one of them"],
     ),
     "a virial ratio in a ball": ({"velocity": {"virial": 0.5}}, ["velocity.virial", 'shape = "plummer"']),
     "a packing that only compression reaches": (

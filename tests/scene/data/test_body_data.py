@@ -338,7 +338,7 @@ def test_arrays_make_a_scene() -> None:
     assert np.array_equal(start.mass, MASS)
     assert list(start.name) == ["grain 0", "grain 1", "grain 2"]
     assert scene.changed(["time.duration=3"]).count == 3
-    with pytest.raises(SceneError, match="can be changed, because its file is not at hand"):
+    with pytest.raises(SceneError, match="can be changed, because its file is not available"):
         scene.changed(["bodies.0.radius=1"])
 
 
@@ -365,7 +365,7 @@ def test_a_scene_with_bodies_keeps_its_other_sections() -> None:
         ({"radius": None}, "need a position and a radius"),
         ({"mass": ["a", "b", "c"]}, "row 0: 'a' is not a number"),
         ({"position": [[0, 0, 0], [1, 2]]}, "position: .*3"),
-        ({"bodies": []}, "bodies: the arrays are its bodies"),
+        ({"bodies": []}, "bodies: their source is the arrays"),
     ],
 )
 def test_wrong_arrays_are_refused_in_one_sentence(arrays: dict[str, Any], message: str) -> None:
@@ -384,10 +384,10 @@ CONTENTS: dict[str, tuple[dict[str, Any], str, list[str]]] = {
     "a negative radius": ({"r": [1.0, 1.0, -1.0]}, "", ["column r, row 2: -1 must be more than 0"]),
     "a number too large": ({"m": [1e200, 1.0, 1.0]}, "", ["column m, row 0: 1e+200 is not between 1e-100"]),
     "two columns for one quantity": ({"mass": MASS}, "", ["two columns for mass, ", 'columns = { mass = "']),
-    "a mass and a density": ({"density": MASS}, "", ["columns for mass and for density", 'columns = { mass = "m" }']),
+    "a mass and a density": ({"density": MASS}, "", ["columns for both mass and density", 'columns = { mass = "m" }']),
     "a column that is not there": ({}, 'columns = { mass = "mas" }', ['no column "mas" for mass', "m, r"]),
     "a column and a value": ({}, 'radius = 1\ncolumns = { radius = "r" }', ["radius and columns.radius are both"]),
-    "another count": ({}, "count = 5", ["it has 3 rows, and count = 5"]),
+    "another count": ({}, "count = 5", ["it has 3 rows, but count = 5"]),
     "overlaps": (
         {"x": 0.0, "y": 0.0, "z": [0.0, 0.5, 1.0]},
         "",
@@ -508,9 +508,9 @@ FILES: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "two columns of one name": ("a.csv", repeated, "two columns for position"),
     "arrays of different lengths": ("a.npz", unlike, "mass has 2 rows, and position has 3"),
     "an array of another shape": ("a.npz", flat, "position has the shape (9,), and position needs (n, 3)"),
-    "an unknown format": ("a.xlsx", noise, 'no format has the ending ".xlsx"; '),
-    "a device": ("a.csv", lambda path: path.symlink_to("/dev/zero"), "a.csv: a device or a pipe; give a file"),
-    "a pipe": ("a.parquet", os.mkfifo, "a.parquet: a device or a pipe; give a file"),
+    "an unknown format": ("a.xlsx", noise, 'no format has the suffix ".xlsx"; '),
+    "a device": ("a.csv", lambda path: path.symlink_to("/dev/zero"), "a.csv: a device or a pipe; name a file"),
+    "a pipe": ("a.parquet", os.mkfifo, "a.parquet: a device or a pipe; name a file"),
     "a file of holes": ("a.csv", hollow, "a.csv: 1000000000000 bytes are too many"),
     "a folder": ("folder.npz", Path.mkdir, "a folder, not a data file"),
 }
@@ -568,8 +568,8 @@ BOMBS: dict[str, tuple[str, Callable[[Path], None], str]] = {
     "datasets of a fill value": ("a.h5", filled, "would take 3200000000 bytes of memory"),
     "columns of nulls": ("a.arrow", nulls, "column x is of type null; write numbers or text"),
     "columns of one run": ("a.arrow", runs, "column x is of type run_end_encoded"),
-    "compressed batches": ("a.feather", squeezed, "bytes of memory: it is damaged or a decompression bomb"),
-    "compressed dictionaries": ("a.arrow", squeezed_words, "bytes of memory: it is damaged or a decompression bomb"),
+    "compressed batches": ("a.feather", squeezed, "bytes of memory: it is damaged, or a decompression bomb"),
+    "compressed dictionaries": ("a.arrow", squeezed_words, "bytes of memory: it is damaged, or a decompression bomb"),
     "a compressed table": ("a.parquet", squeezed_table, "would take 6400000 bytes of memory"),
     "compressed arrays": ("a.npz", squeezed_arrays, "would take 64"),
 }

@@ -23,7 +23,7 @@ def test_a_dump_is_read_at_a_step_in_the_order_of_its_ids(tmp_path: Path) -> Non
     assert bodies.position[:, 0].tolist() == [0.1, 0.35] and bodies.velocity[:, 2].tolist() == [-1.0, 0.0]
     assert bodies.angular_velocity[1].tolist() == [0.0, 0.0, 2.5] and bodies.mass.tolist() == [0.001, 0.002]
     assert scene.notes[0][0] == "granular.lammpstrj: step 1000 of LAMMPS"
-    assert "its box of 1 × 1 × 2 is periodic, which is not taken over" in scene.notes[0][1]
+    assert "its box of 1 × 1 × 2 is periodic, which is ignored" in scene.notes[0][1]
     assert scene_of(tmp_path, "granular.lammpstrj", "snapshot = 0").data[0].radius.tolist() == [0.05, 0.05]
     assert "it has 2" in refusal(tmp_path, "granular.lammpstrj", "snapshot = 2")
 
@@ -40,7 +40,7 @@ def test_a_dump_is_recognised_whatever_its_ending(tmp_path: Path) -> None:
     (tmp_path / "short.dump").write_text(text.replace("ATOMS\n1\n", "ATOMS\n3\n"))
     assert "step 5 has 1 of its 3 atoms; the file ends early" in refusal(tmp_path, "short.dump")
     (tmp_path / "uneven.dump").write_text(text.replace("0.75 0.5", "0.75"))
-    assert "line 10 has 4 values (1 1 0.75 0.125), and there are 5 columns" in refusal(tmp_path, "uneven.dump")
+    assert "line 10 has 4 values (1 1 0.75 0.125), but there are 5 columns" in refusal(tmp_path, "uneven.dump")
     (tmp_path / "many.dump").write_text(text.replace("ATOMS\n1\n", "ATOMS\n999999999999\n"))
     assert "999999999999 rows are too many" in refusal(tmp_path, "many.dump")
 
@@ -72,10 +72,10 @@ def test_xyz_is_read_with_or_without_named_columns(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("3\nwater\nO 0 0 0\nH 1 0 0\n", "the step from line 1 on has 2 of its 3 rows"),
-        ("1\nfirst\nO 0 0 0\nmany\n", "line 4 is many, and the number of rows is needed"),
+        ("1\nfirst\nO 0 0 0\nmany\n", "line 4 is many, but the number of rows is needed"),
         ("1\nProperties=pos:R:3:mass\n0 0 0 1\n", "does not name columns, such as pos:R:3"),
         ("99999999999\nbomb\nO 0 0 0\n", "99999999999 rows are too many"),
-        ("2\nuneven\nO 0 0 0\nH 1 1\n", "line 4 has 3 values (H 1 1), and there are 4 columns"),
+        ("2\nuneven\nO 0 0 0\nH 1 1\n", "line 4 has 3 values (H 1 1), but there are 4 columns"),
     ],
 )
 def test_an_xyz_that_is_damaged_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
@@ -123,7 +123,7 @@ def test_a_vtk_of_liggghts_is_read(tmp_path: Path) -> None:
             "120000000 values of the type float are announced",
         ),
         ("POINTS 2 float", "POINTS 999999999999 float", "999999999999 rows are too many"),
-        ("POLYDATA", "STRUCTURED_GRID", "a dataset STRUCTURED_GRID, and points are needed"),
+        ("POLYDATA", "STRUCTURED_GRID", "a dataset STRUCTURED_GRID; points are needed"),
         ("SCALARS mass float", "SCALARS mass bit", "values of the type bit are not read"),
         ("0.001\n0.002\n", "0.001\n", "1 of 2 values; the file ends early"),
         ("# vtk", "# vrml", 'a VTK file begins with "# vtk DataFile Version"'),
@@ -184,7 +184,7 @@ def test_a_vtp_that_is_damaged_or_a_bomb_is_refused(tmp_path: Path) -> None:
     for content, said in (
         (vtp("ascii").replace(b'<VTKFile type="PolyData"', entity), "a document type or an entity"),
         (many, "would take 960000000 bytes of memory"),
-        (vtp("appended")[:-60], "values, and "),
+        (vtp("appended")[:-60], "values, but "),
         (vtp("binary").replace(b"PolyData", b"ImageData"), "of the type ImageData; points are needed"),
     ):
         (tmp_path / "a.vtp").write_bytes(content)

@@ -120,9 +120,9 @@ REFUSED: dict[str, tuple[Callable[[Any], None], str, str]] = {
     "another constant": (
         lambda simulation: None,
         "gravity.constant = 6.67e-11",
-        "gravity.constant is 1.0 in it, and 6.67",
+        "gravity.constant is 1.0 in it, but 6.67",
     ),
-    "another softening": (soft, "gravity.softening = 0.1", "gravity.softening is 0.2 in it, and 0.1 here"),
+    "another softening": (soft, "gravity.softening = 0.1", "gravity.softening is 0.2 in it, but 0.1 here"),
     "bodies that attract some": (two_active_of(1, 1), "", "testparticle_type = 1 with N_active = 1: 2 bodies attract"),
     "a shearing box": (shear, "", 'its boundary is "shear"'),
     "a periodic box": (periodic, "gravity.constant = 0", 'its box is periodic; set domain.boundary = "periodic"'),
@@ -143,7 +143,7 @@ def test_what_carom_does_not_have_or_the_scene_contradicts_is_refused(tmp_path: 
 def test_two_archives_with_different_constants_are_refused(tmp_path: Path) -> None:
     save(tmp_path / "a.bin")
     save(tmp_path / "b.bin", other_constant)
-    with pytest.raises(SceneError, match=r"bodies\.1: b\.bin: gravity\.constant is 0\.7 in it, and 1\.0 here"):
+    with pytest.raises(SceneError, match=r"bodies\.1: b\.bin: gravity\.constant is 0\.7 in it, but 1\.0 here"):
         scene_of(tmp_path, more='[[bodies]]\nfile = "b.bin"\nradius = 1e-6\n')
 
 

@@ -1,1 +1,1 @@
-"""Bodies from data files and arrays: a file for each family of formats, the mapping of columns, and the checks."""
+"""Bodies from data files and arrays: a module for each family of formats, the mapping of columns, and the checks."""

@@ -34,13 +34,13 @@ _SIGNS = {
     b"$$SOE": "horizons",
     b"ITEM: TIMESTEP": "dump",
     b"Des'n": "mpcorb",
-}  # in text files of other formats, whatever they are called
-_HEAD = 1_000_000  # bytes in which they are sought
+}  # in text files of any format, whatever their suffix
+_HEAD = 1_000_000  # bytes in which these are searched for
 _Read = Callable[[list[str], Sequence[str]], pa.Table]
 
 
 def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open a text file with a row of values for each body, in any usual dialect."""
+    """Open a text file with one row of values per body, in any usual dialect."""
     with path.open("rb") as file:
         head = file.read(_HEAD)
     for sign, name in _SIGNS.items():
@@ -52,7 +52,7 @@ def open_csv(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _without_fractions(column: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return 5 for 5.0 in a column of whole numbers; pandas writes these as floats if one is missing."""
+    """Return 5 for 5.0 in a column of whole numbers, which pandas writes as floats if one is missing."""
     whole = pc.match_substring_regex(column, r"^((0|[1-9][0-9]*)\.0)?$")
     return pc.replace_substring_regex(column, r"\.0$", "") if pc.all(whole).as_py() else column
 
@@ -70,7 +70,7 @@ def open_parquet(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _claimed(metadata: pq.FileMetaData, wanted: Set[str]) -> int:
-    """Return the uncompressed bytes of columns, from the metadata of a Parquet file."""
+    """Return the uncompressed size (bytes) of columns, from the metadata of a Parquet file."""
     total = 0
     for group in range(metadata.num_row_groups):
         for k in range(metadata.num_columns):
@@ -117,7 +117,7 @@ def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) 
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
-    """Return whether each value takes its own memory, since a few bytes may stand for any number of nulls or runs."""
+    """Return whether each value takes memory of its own; a few bytes may stand for any number of nulls or runs."""
     if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
         return False
     if pa.types.is_dictionary(kind):
@@ -135,7 +135,7 @@ class _ArrowTable(DataTable):
         self._snapshot = snapshot
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read columns; of a file of several steps the rows of one."""
+        """Read columns; if a file has several steps, read the rows of one."""
         for name in names:
             if self.names.count(name) > 1:
                 raise SceneError(f'{self.called}: two columns are called "{name}"; give each column its own name')
@@ -149,7 +149,7 @@ class _ArrowTable(DataTable):
         return {name: self._array(name, table[name], name in texts) for name in names}
 
     def _array(self, name: str, column: pa.ChunkedArray, is_text: bool) -> Raw:
-        """Convert a column; nulls of numbers become NaN, unless the numbers are texts."""
+        """Convert a column. Missing numbers become NaN, except in columns of text."""
         kind = column.type
         if pa.types.is_dictionary(kind):
             if pa.types.is_string(kind.value_type) or pa.types.is_large_string(kind.value_type):
@@ -183,7 +183,7 @@ class _TextTable(_ArrowTable):
     def rename(self, names: Sequence[str]) -> None:
         """Name all columns."""
         if len(names) != self._dialect.columns:
-            raise SceneError(f"{self.called}: it has {self._dialect.columns} columns, and columns names {len(names)}")
+            raise SceneError(f"{self.called}: it has {self._dialect.columns} columns, but columns names {len(names)}")
         self.names, self.unnamed = list(names), 0
 
     def _read_text(self, wanted: list[str], texts: Sequence[str]) -> pa.Table:
@@ -192,7 +192,8 @@ class _TextTable(_ArrowTable):
         skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
         options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
         parse = pyarrow.csv.ParseOptions(delimiter=separator)
-        kinds = dict.fromkeys(texts, pa.binary())  # otherwise 007 would be a number, and null a missing value
+        # otherwise 007 would be read as a number, and null as a missing value
+        kinds = dict.fromkeys(texts, pa.binary())
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         try:
             table = pyarrow.csv.read_csv(source, options, parse_options=parse, convert_options=convert)

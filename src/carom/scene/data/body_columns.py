@@ -1,4 +1,4 @@
-"""`BodyColumns`: the bodies of one [[bodies]] as arrays, read from a table and checked."""
+"""`BodyColumns`: the bodies of one [[bodies]] table as arrays, read from a data table and checked."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from carom.scene.wording import counted
 
 @dataclass(frozen=True, eq=False)
 class BodyColumns:
-    """Bodies at time 0, in the order of the file; SI units. The arrays are not to be changed."""
+    """Bodies at time 0, in the order of the file; SI units. The arrays must not be changed."""
 
     position: FloatArray  # (n, 3) m
     velocity: FloatArray  # (n, 3) m/s
@@ -46,7 +46,7 @@ class BodyColumns:
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
     fixed: BoolArray  # (n,)
-    name: list[str] | None = None  # (n,); None: they are numbered
+    name: list[str] | None = None  # (n,); None if they are numbered
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -74,7 +74,7 @@ class BodyColumns:
 
     @cached_property
     def massless(self) -> int:
-        """Number of bodies without a mass."""
+        """Number of bodies of mass 0."""
         return int(np.count_nonzero(self.mass == 0.0))
 
     @cached_property
@@ -94,7 +94,7 @@ class BodyColumns:
 
     @cached_property
     def common_velocity(self) -> tuple[float, ...] | None:
-        """The velocity in m/s if all bodies have the same."""
+        """The velocity in m/s if all bodies have the same; otherwise None."""
         first = self.velocity[0]
         return tuple(first.tolist()) if np.all(self.velocity == first) else None
 
@@ -111,10 +111,10 @@ class BodyColumns:
 
 
 _POSITIVE = ("density", "radius", "diameter")
-_NOT_NEGATIVE = ("mass", "inertia")  # both 0 for a test particle
-_SIZES = ("radius", "diameter", "density")  # of which 0 is a missing value
-_SAME_DISTANCE = 0.02  # relative: distances from the Sun are nearly those from the barycentre
-_DIMENSIONS = {  # dimensions whose product each quantity has
+_NOT_NEGATIVE = ("mass", "inertia")  # both are 0 for a test particle
+_SIZES = ("radius", "diameter", "density")  # of these, 0 is a missing value
+_SAME_DISTANCE = 0.02  # relative difference: distances from the Sun are nearly those from the barycentre
+_DIMENSIONS = {  # dimensions whose product is that of a quantity
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
     "angular_velocity": (ANGULAR_VELOCITY,),
@@ -133,19 +133,19 @@ def read_columns(
     material: Material | None = None,
     constant: float = 0.0,
 ) -> tuple[BodyColumns, tuple[str, ...]]:
-    """Read and check the bodies of a [[bodies]], whose numbers are in the units of the scene.
+    """Read and check the bodies of a [[bodies]] table, whose numbers are in the units of the scene.
 
-    The constant is the gravitational one, for orbital elements.
+    ``constant`` is the gravitational constant, for orbital elements.
 
     Returns
     -------
     columns, notes
-        The bodies, and sentences about the columns that are used, and those that are not.
+        The bodies, and notes on the columns that are used and those that are not.
 
     Raises
     ------
     SceneError
-        With the table, the column and the row.
+        The message names the table, the column and the row.
     """
     if section.orbit is not None:
         table = OrbitTable(table, section.orbit, constant, units)
@@ -168,7 +168,7 @@ def read_columns(
     if n == 0:
         raise SceneError(f"{table.called}: it has no rows")
     if section.count is not None and section.count != n:
-        raise SceneError(f"{table.called}: it has {n} rows, and count = {section.count}")
+        raise SceneError(f"{table.called}: it has {n} rows, but count = {section.count}")
     radius = 0.5 * reader.numbers("diameter") if "diameter" in mapping else reader.numbers("radius")
     fixed = reader.flags()
     volume = (4.0 / 3.0) * math.pi * radius * radius * radius
@@ -202,7 +202,7 @@ def read_columns(
 
 
 class _Reader:
-    """Converts the columns of each quantity; constants take the place of columns."""
+    """Converts the columns of each quantity; values in the scene replace columns."""
 
     def __init__(
         self, section: BodyData, called: str, mapping: ColumnMapping, raw: dict[str, Raw], units: UnitSystem
@@ -211,7 +211,7 @@ class _Reader:
         self._section = section
         self._called = called
         self._mapping = mapping
-        self._ranges = dict[str, tuple[float, float]]()  # of quantities, in units of the simulation
+        self._ranges = dict[str, tuple[float, float]]()  # ranges of quantities, in units of the simulation
         self._raw = {
             name: self._snapshot(quantity, name, raw[name]) for quantity in mapping for name in mapping[quantity]
         }
@@ -244,12 +244,12 @@ class _Reader:
 
     @property
     def has_density(self) -> bool:
-        """Whether masses follow from densities."""
+        """Whether masses are computed from densities."""
         return "density" in self._mapping or self._section.density is not None
 
     @property
     def has_inertia(self) -> bool:
-        """Whether there are moments of inertia."""
+        """Whether moments of inertia are given."""
         return "inertia" in self._mapping
 
     def vectors(self, quantity: str) -> FloatArray:
@@ -280,20 +280,20 @@ class _Reader:
         return flags_of(self._called, columns[0], self._raw[columns[0]])
 
     def names(self) -> list[str] | None:
-        """Return (n,) names, if there are any."""
+        """Return (n,) names; None if there are none."""
         columns = self._mapping.get("name")
         return None if columns is None else texts_of(self._raw[columns[0]])
 
     @property
     def used(self) -> list[str]:
-        """Sentences on the columns of each quantity, with the ranges of those that were read."""
+        """Notes on the column of each quantity, with the range of its values."""
         return [
             f"{quantity.replace('_', ' ')} from {', '.join(map(printable, columns))}{self._range(quantity)}"
             for quantity, columns in self._mapping.items()
         ]
 
     def _range(self, quantity: str) -> str:
-        """Return the range of a quantity in words, with its unit."""
+        """Return the range of a quantity as text, with its unit."""
         if quantity not in self._ranges:
             return ""
         least, most = self._ranges[quantity]
@@ -305,7 +305,7 @@ class _Reader:
         return f" ({self._units.span(least, most, dimensions[0])})"
 
     def refuse_distance(self, position: FloatArray) -> None:
-        """Refuse to read distances from the origin as radii: three spheres would overlap there."""
+        """Refuse a column of distances from the origin as radii: three such spheres would overlap there."""
         column = self._mapping.get("radius", ("",))[0]
         if not column or len(position) < 3:
             return
@@ -324,7 +324,7 @@ class _Reader:
         return column_factor(self._called, column, quantity, _DIMENSIONS[quantity], self._units)
 
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
-        """Return one of several steps, and check the shape."""
+        """Return one of several steps after checking the shape."""
         dimensions = 2 if quantity in VECTORS and len(self._mapping[quantity]) == 1 else 1
         if array.ndim == dimensions + 1:
             array = array[step_at(self._called, self._section.snapshot, len(array), whose=name)]
@@ -416,7 +416,7 @@ def columns_of_arrays(
 
 
 def _row_for_each_body(quantity: str, value: ArrayLike, bodies: int) -> NDArray[Any]:
-    """Return an array with a row for each body."""
+    """Return an array with one row per body."""
     shape = (bodies, 3) if quantity in VECTORS else (bodies,)
     if np.ma.is_masked(value):
         mask = np.ma.getmaskarray(np.ma.asarray(value))

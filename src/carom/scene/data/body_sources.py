@@ -1,4 +1,4 @@
-"""Sources of the bodies of [[bodies]]: data files, arrays, or a recording."""
+"""Sources of the bodies in [[bodies]] tables: data files, arrays, or a recording."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from carom.scene.units.system import SI, UnitSystem
 if TYPE_CHECKING:
     from carom.scene.schema import Scene
 
-LARGEST_DATA = 10**11  # bytes; a digest of them takes a minute
-LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that files may have
-_SAME_LAW = 1e-9  # relative difference of numbers that are written with fewer digits
+LARGEST_DATA = 10**11  # bytes; computing their digest takes a minute
+LAW = {"constant": GRAVITATIONAL_CONSTANT, "softening": LENGTH}  # keys of [gravity] that a file may state
+_SAME_LAW = 1e-9  # relative difference that is due to the number of digits written
 
 
 class SourcedBodies(NamedTuple):
@@ -33,29 +33,29 @@ class SourcedBodies(NamedTuple):
     columns: BodyColumns
     sha256: str
     material: Material | None = None  # material that defined their density, if known
-    notes: tuple[str, ...] = ()  # sentences about unused or reinterpreted parts of the source
-    law: MotionLaw | None = None  # law of motion in their source, if known
-    constant: float | None = None  # gravitational, if they come from orbital elements
+    notes: tuple[str, ...] = ()  # notes on parts of the source that are unused or reinterpreted
+    law: MotionLaw | None = None  # law of motion in the source, if known
+    constant: float | None = None  # gravitational constant, if they come from orbital elements
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """The [[bodies]] section whose bodies are requested."""
+    """The [[bodies]] table whose bodies are requested."""
 
     section: BodyData
-    index: int  # among those of the scene
+    index: int  # its number among those of the scene
     first: int  # number of its first body in the scene
     row: int  # number of its first body among the bodies of all [[bodies]]
-    units: UnitSystem  # of the numbers in files
+    units: UnitSystem  # units of the numbers in files
     material: Material | None = None  # of the section
-    constant: float = 0.0  # gravitational, of the scene
+    constant: float = 0.0  # gravitational constant of the scene
 
 
 class BodySource(Protocol):
-    """Finds the bodies of each [[bodies]] of a scene."""
+    """Finds the bodies of each [[bodies]] table of a scene."""
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies of a section; raises SceneError if they are not available."""
+        """Return the bodies of a table; raises SceneError if they are not available."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class DataFiles:
     folder: Path
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Read a file, and check its digest if the scene has one."""
+        """Read a file, and check its digest if the scene states one."""
         section = wanted.section
         if section.file is None:
             arrays = "; the scene was made from arrays in Python" if section.sha256 else ""
@@ -77,7 +77,7 @@ class DataFiles:
             if stat.S_ISDIR(status.st_mode):
                 raise SceneError(f"{section.file}: a folder, not a data file")
             if not stat.S_ISREG(status.st_mode):
-                raise SceneError(f"{section.file}: a device or a pipe; give a file, since data is read more than once")
+                raise SceneError(f"{section.file}: a device or a pipe; name a file, since data are read more than once")
             if status.st_size > LARGEST_DATA:
                 raise SceneError(f"{section.file}: {status.st_size} bytes are too many; at most {LARGEST_DATA}")
             digest = _digest(path)
@@ -98,7 +98,7 @@ class DataFiles:
 
 
 def changed_files(sections: Iterable[BodyData], folders: Sequence[Path]) -> list[str]:
-    """Return the names of data files in the folders whose digests differ from the scene's."""
+    """Return the names of the data files in these folders whose digests differ from the scene's."""
     changed = list[str]()
     for section in sections:
         path = next(
@@ -122,13 +122,13 @@ class HeldBodies:
     Parameters
     ----------
     sections
-        The [[bodies]] sections of these bodies.
+        The [[bodies]] tables of these bodies.
     bodies
-        The bodies of each.
+        The bodies of each table.
     units
         The units of the scene's numbers.
     files
-        The files of the bodies, for changed sections; None without files.
+        The files of the bodies, in case a table changes; None without files.
     """
 
     sections: tuple[BodyData, ...]
@@ -137,21 +137,21 @@ class HeldBodies:
     files: DataFiles | None = field(default=None, compare=False)
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies; read the file again if its section or the units have changed."""
+        """Return the bodies; read the file again if its table or the units have changed."""
         known = wanted.index < len(self.sections) and wanted.section.is_like(self.sections[wanted.index])
         if known and wanted.units == self.units:
             bodies = self.bodies[wanted.index]
             if bodies.material in (None, wanted.material) and bodies.constant in (None, wanted.constant):
                 return bodies
         if self.files is None:
-            raise SceneError("only its name can be changed, because its file is not at hand")
+            raise SceneError("only its name can be changed, because its file is not available")
         return self.files.find(wanted)
 
 
 def take_over_laws(
     scene: Scene, units: UnitSystem, given: Mapping[str, Any], each_bodies: list[SourcedBodies]
 ) -> tuple[dict[str, float], dict[int, str]]:
-    """Compare the laws that moved the bodies in their files with the scene; add notes to the bodies in ``each_bodies``.
+    """Compare the laws of motion in the files with the scene; add notes to the bodies in ``each_bodies``.
 
     Parameters
     ----------
@@ -161,8 +161,8 @@ def take_over_laws(
     Returns
     -------
     taken, refuted
-        Plain numbers for keys of [gravity] that a file has and the scene leaves out. By the index of a [[bodies]], how
-        the scene or another file contradicts its file.
+        Plain numbers for keys of [gravity] that a file states and the scene does not. By the index of a [[bodies]]
+        table, how the scene or another file contradicts its file.
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()
@@ -180,10 +180,10 @@ def take_over_laws(
             if taken.get(key) == number:
                 notes.append(f"gravity.{key} = {number:g} is taken from it")
             elif number == 0.0 and key == "softening" and own > 0.0:
-                notes.append(f"it has no softening, and the scene has {own:g}")
+                notes.append(f"it has no softening, but the scene has {own:g}")
             elif not math.isclose(own, number, rel_tol=_SAME_LAW):
                 refuted[index] = (
-                    f"gravity.{key} is {number!r} in it, and {own!r} here; leave gravity.{key} out, or set that"
+                    f"gravity.{key} is {number!r} in it, but {own!r} here; leave gravity.{key} out, or set that"
                 )
         if law.periodic and scene.domain.boundary != "periodic":
             refuted[index] = 'its box is periodic; set domain.boundary = "periodic" and domain.size'

@@ -1,4 +1,4 @@
-"""Formats of data files: the interface of tables, their limits, and the formats by the suffixes of names."""
+"""Formats of data files: the interface of tables, their limits, and the formats by suffix."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ from carom.arrays import BoolArray, FloatArray
 from carom.errors import SceneError
 from carom.scene.wording import suggestion
 
-MOST_ROWS = 50_000_000  # a run takes 1 kB a body
-MOST_BYTES = 100 * MOST_ROWS  # of one column, as an array
+MOST_ROWS = 50_000_000  # a run takes 1 kB per body
+MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
 
 MOST_COLUMNS = 10_000
 
 ROOMY = 200_000_000  # bytes to which any file may decompress: 3 million identical bodies
-NUMBER = 8  # bytes of every number in memory
+NUMBER = 8  # bytes of a number in memory
 MOST_TIMES = 100  # largest ratio to the size of the file: distinct positions hardly compress
 
 STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
 
-_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, and 1.0-101 where D has no room
+_FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters
-_EXACT = 2**53  # whole numbers below it are floats without rounding
+_EXACT = 2**53  # whole numbers below this are exact as floats
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
 
 
 class MotionLaw(NamedTuple):
-    """The law of motion of a simulation in a file; numbers are in the units of the table."""
+    """The law of motion of the simulation in a file; its numbers are in the units of the table."""
 
-    constant: float  # gravitational; 0 without gravity
+    constant: float  # gravitational constant; 0 without gravity
     softening: float
     periodic: bool  # whether its box is periodic
     collides: bool
@@ -48,12 +48,12 @@ class DataTable:
     """The columns of a file; only requested columns are read."""
 
     called: str  # its name in messages
-    names: Sequence[str]  # of its columns
-    hidden: Sequence[str] = ()  # names of further columns, which are read only if the scene names them
+    names: Sequence[str]  # names of its columns
+    hidden: Sequence[str] = ()  # names of further columns, read only if the scene names them
     unnamed: int = 0  # number of its columns if they have no names
-    units: str = ""  # the length, time and mass of its numbers, such as "au, day, M_sun"; empty if not known
-    law: MotionLaw | None = None  # None if not known
-    notes: tuple[str, ...] = ()  # sentences on columns that are not used or are read in another way
+    units: str = ""  # units of length, time and mass, such as "au, day, M_sun"; empty if unknown
+    law: MotionLaw | None = None  # None if unknown
+    notes: tuple[str, ...] = ()  # notes on columns that are unused or reinterpreted
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
         """Read columns by their names. A format without types reads the columns in ``texts`` as texts."""
@@ -62,20 +62,20 @@ class DataTable:
     def rename(self, names: Sequence[str]) -> None:
         """Name all columns, for a text file without a header."""
         raise SceneError(
-            f"{self.called}: columns = […] names all columns of a text file, and this format has names; write "
-            "columns = { position = … } for those that differ"
+            f"{self.called}: columns = […] names all columns of a text file, but this format has names; write columns "
+            "= { position = … } for those that differ"
         )
 
 
 class DataFormat(NamedTuple):
-    """A format of data files; its name in `carom.registry` is the suffix of its files."""
+    """A format of data files, registered in `carom.registry` under the suffix of its files."""
 
-    called: str  # name of such a file in messages: "an Arrow file"
-    open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the step among several
+    called: str  # a file of this format in messages: "an Arrow file"
+    open: Callable[[Path, str, int], DataTable]  # opens a path, given its name in messages and the index of a step
 
 
 class Arrays(DataTable):
-    """Columns that a Python program gives as arrays, or that another package read."""
+    """Columns that a Python program gives as arrays, or that another package has read."""
 
     def __init__(self, arrays: Mapping[str, Raw], called: str = "the arrays") -> None:
         self.called = called
@@ -88,25 +88,25 @@ class Arrays(DataTable):
 
 
 def refuse_many_rows(called: str, rows: int) -> None:
-    """Refuse a table before anything large is allocated for it."""
+    """Refuse a table before much memory is allocated for it."""
     if rows > MOST_ROWS:
         raise SceneError(f"{called}: {rows} rows are too many; at most {MOST_ROWS}")
 
 
 def refuse_many_columns(called: str, columns: int) -> None:
-    """Refuse a table of more columns than any table of bodies has."""
+    """Refuse a table with more columns than any table of bodies has."""
     if columns > MOST_COLUMNS:
         raise SceneError(f"{called}: {columns} columns are too many; at most {MOST_COLUMNS}")
 
 
 def refuse_large(called: str, column: str, size: int) -> None:
-    """Refuse a column of so many bytes."""
+    """Refuse a column that is too large."""
     if size > MOST_BYTES:
         raise SceneError(f"{called}: column {column} has {size} bytes, which are too many; at most {MOST_BYTES}")
 
 
 def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
-    """Return the index of a snapshot among several steps; a negative one counts from the last.
+    """Return the index of a snapshot among several steps; a negative number counts from the last.
 
     Raises
     ------
@@ -119,16 +119,16 @@ def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
 
 
 def periodic_note(called: str, size: Sequence[float] = ()) -> str:
-    """Return the note that the periodic box of a file, of this size if it is known, is ignored."""
+    """Return the note that the periodic box of a file, with its size if known, is ignored."""
     shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
-    return f'{called}: its box{shown} is periodic, which is not taken over; domain.boundary = "periodic" is for that'
+    return f'{called}: its box{shown} is periodic, which is ignored; set domain.boundary = "periodic" for that'
 
 
 def refuse_bomb(called: str, claimed: int, stored: int) -> None:
     """Refuse a file whose columns would take far more memory than the file, before they are read."""
     if claimed > max(ROOMY, MOST_TIMES * stored):
         raise SceneError(
-            f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged or a decompression bomb"
+            f"{called}: its {stored} bytes would take {claimed} bytes of memory: it is damaged, or a decompression bomb"
         )
 
 
@@ -138,7 +138,7 @@ def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> F
     Raises
     ------
     SceneError
-        With the first row that is not a number.
+        The message names the first row that is not a number.
     """
     if raw.dtype.kind in "fiu":
         return raw.astype(np.float64)
@@ -154,7 +154,7 @@ def numbers_of(called: str, column: str, raw: Raw, with_gaps: bool = False) -> F
 
 
 def number_in(value: Any) -> float | None:
-    """Return a value as a number, in Fortran's forms, too (1.0D-01); None if it is none."""
+    """Return a value as a number, also in Fortran's form (1.0D-01); None if it is not a number."""
     try:
         return float(value)
     except (TypeError, ValueError):
@@ -183,14 +183,15 @@ def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
 
 
 def texts_of(raw: Raw) -> list[str]:
-    """Return a column as texts; one that is missing is empty."""
+    """Return a column as texts; missing ones are empty."""
     return [_text(value) for value in raw.tolist()]
 
 
 def _text(value: Any) -> str:
-    if value is None or (isinstance(value, float) and math.isnan(value)):  # as pandas marks missing values
+    if value is None or (isinstance(value, float) and math.isnan(value)):  # pandas' mark of a missing value
         return ""
-    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:  # pandas' form of 5 beside a gap
+    # pandas' form of 5 in a column with a gap
+    if isinstance(value, float) and value.is_integer() and abs(value) < _EXACT:
         return str(int(value))
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
 
@@ -199,7 +200,7 @@ def _shown(value: Any) -> str:
     return "empty, which" if value is None or value == "" else repr(value)[:60]
 
 
-_LONGEST_REASON = 200  # characters of the message of a library
+_LONGEST_REASON = 200  # characters of a library's message
 
 
 def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | None = None) -> DataTable:
@@ -212,19 +213,19 @@ def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | N
     called
         Its name in messages.
     snapshot
-        Index of the step in a file with several.
+        Index of the step in a file with several steps.
     header
-        The names of all columns of a text file, if the scene has them.
+        The names of all columns of a text file, if the scene gives them.
 
     Raises
     ------
     SceneError
-        If the format is unknown, a package for it is missing, or the file is not of this format.
+        If the format is unknown, its package is missing, or the file is not of this format.
     """
     ending = path.suffix.lower()
     known = [f".{name}" for name in registry.names("data_formats")]
     if ending not in known:
-        raise SceneError(f'{called}: no format has the ending "{path.suffix}"; {suggestion(path.suffix, known)}')
+        raise SceneError(f'{called}: no format has the suffix "{path.suffix}"; {suggestion(path.suffix, known)}')
     form: DataFormat = registry.load("data_formats", ending[1:])
     with _reading(called, form):
         table = form.open(path, called, snapshot)
@@ -240,7 +241,7 @@ def open_table(path: Path, called: str, snapshot: int, header: Sequence[str] | N
 
 
 class _Guarded(DataTable):
-    """A table whose errors are all `SceneError`."""
+    """A table that raises only `SceneError`."""
 
     def __init__(self, table: DataTable, form: DataFormat) -> None:
         self._table = table

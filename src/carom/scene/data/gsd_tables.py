@@ -1,4 +1,4 @@
-"""GSD files of HOOMD-blue, by the package gsd."""
+"""GSD files of HOOMD-blue, read by the package gsd."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ _CHUNKS = ("position", "velocity", "mass", "diameter", "angmom", "moment_inertia
 def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
     """Open a GSD file at one of its frames.
 
-    HOOMD leaves out what is the same as in the first frame, and what has its default: a mass or a diameter of 1, which
-    the scene has to state.
+    HOOMD omits data equal to the first frame's, and defaults: a mass or a diameter of 1, which the scene must state.
     """
     try:
         from gsd import fl  # noqa: PLC0415 - an extra
@@ -36,7 +35,7 @@ def open_gsd(path: Path, called: str, snapshot: int) -> DataTable:
     with fl.open(str(path), "r") as file:
         frames = int(file.nframes)
         if file.schema != "hoomd":
-            raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}", and "hoomd" is needed')
+            raise SceneError(f'{called}: a GSD file of the schema "{file.schema[:40]}"; "hoomd" is needed')
         frame = step_at(called, snapshot, frames)
 
         def chunk(name: str) -> Any:

@@ -1,4 +1,4 @@
-"""Tables in HDF5, by h5py: datasets anywhere in the file, by their names or full paths; snapshots of Gadget."""
+"""HDF5 tables, read by h5py: datasets anywhere in the file, by their names or full paths; Gadget snapshots."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from carom.scene.data.formats import (
 )
 
 _MOST_DATASETS = 10_000
-_HEADER = "Header"  # group of Gadget's snapshots, and of those of AREPO, GIZMO and SWIFT
+_HEADER = "Header"  # group in Gadget's snapshots, and in those of AREPO, GIZMO and SWIFT
 _OF_TYPE = re.compile(r"PartType(\d)/\w+")
 _MASSES = "Masses"
-_OF_GAS = ("Density",)  # of the gas at a particle, not of a sphere
+_OF_GAS = ("Density",)  # of the gas around a particle, not of a sphere
 
 
 def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
@@ -44,7 +44,7 @@ def open_hdf5(path: Path, called: str, snapshot: int) -> DataTable:
                 names.append(name)
             return True if len(names) > _MOST_DATASETS else None
 
-        file.visititems(add)  # follows no links, which could lead out of the file
+        file.visititems(add)  # ignores links, which could lead out of the file
         if _HEADER in file and "NumPart_ThisFile" in file[_HEADER].attrs:
             return _Snapshot(path, called, names, dict(file[_HEADER].attrs))
     return _Datasets(path, called, names)
@@ -59,7 +59,7 @@ class _Datasets(DataTable):
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read datasets; their shapes are checked before memory is allocated."""
+        """Read datasets, whose shapes are checked before memory is allocated."""
         import h5py  # noqa: PLC0415 - an extra
 
         with h5py.File(self._path, "r") as file:
@@ -77,9 +77,9 @@ class _Datasets(DataTable):
 
 
 class _Snapshot(_Datasets):
-    """A snapshot of Gadget: particles of all types, one type after the other.
+    """A snapshot of Gadget: the particles of all types, one type after another.
 
-    A dataset that every type has is one column. The mass of a type stands in the header's table or in a dataset.
+    A dataset that every type has becomes one column. The mass of a type is in the header's table, or in a dataset.
     """
 
     def __init__(self, path: Path, called: str, names: Sequence[str], header: Mapping[str, Any]) -> None:
@@ -87,7 +87,9 @@ class _Snapshot(_Datasets):
         self.hidden = names
         files = int(np.max(header.get("NumFilesPerSnapshot", 1)))
         if files > 1:
-            raise SceneError(f"{called}: one of the {files} files of a snapshot; join them, or write one file")
+            raise SceneError(
+                f"{called}: one of the {files} files of a snapshot; join them, or write the snapshot to one file"
+            )
         counts = [int(count) for count in np.ravel(header["NumPart_ThisFile"])]
         refuse_many_rows(called, sum(counts))
         masses = [float(mass) for mass in np.ravel(header.get("MassTable", 0.0))]
@@ -111,13 +113,13 @@ class _Snapshot(_Datasets):
             notes.append(periodic_note(called, np.ravel(header["BoxSize"]).tolist()))
         if float(np.max(header.get("Omega0", 0.0))) > 0.0:
             notes.append(
-                f"{called}: Omega0 is above 0: its lengths are comoving, its velocities have Gadget's factor √a; "
-                "its numbers are read as they are"
+                f"{called}: Omega0 is above 0, so its lengths are comoving and its velocities contain Gadget's factor "
+                "√a; its numbers are used unchanged"
             )
         self.notes = tuple(notes)
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read datasets, and columns of all types."""
+        """Read datasets, and columns that join all types."""
         paths = [name for name in names if "/" in name]
         columns = [name for name in names if "/" not in name]
         parts = [
@@ -136,7 +138,7 @@ class _Snapshot(_Datasets):
         return {name: found[name] for name in names}
 
     def _has_in_header(self, kind: int, name: str) -> bool:
-        """Return whether a column of a type stands in the header."""
+        """Return whether a column of a type is in the header."""
         return name == _MASSES and kind in self._masses
 
 

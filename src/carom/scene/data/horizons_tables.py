@@ -1,4 +1,4 @@
-"""Vector tables of JPL's Horizons: a body for each block between $$SOE and $$EOE, at one of its epochs."""
+"""Vector tables of JPL Horizons: each block between $$SOE and $$EOE is a body, at one of its epochs."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _TARGET = re.compile(r"Target body name:\s*(.*?)(?:\s{2,}|\s*\{|\s*$)", re.MULTI
 _CENTRE = re.compile(r"Center body name:\s*(.*?)(?:\s{2,}|\s*\{|\s*$)", re.MULTILINE)
 _UNITS = re.compile(r"Output units\s*:\s*([A-Z]+)-([A-Z]+)")
 _FRAME = re.compile(r"Reference frame\s*:\s*(\S.*?)\s*$", re.MULTILINE)
-_NAMES = {"AU": "au", "KM": "km", "D": "day", "S": "s"}  # of units, in Horizons and here
-_LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # of a table that is not CSV
+_NAMES = {"AU": "au", "KM": "km", "D": "day", "S": "s"}  # names of units in Horizons and in carom
+_LABELLED = re.compile(r"\b(V?[XYZ])\s*=\s*(\S+)")  # a value in a table that is not CSV
 _EPOCH = re.compile(r"\s*(\d{7}\.\d+)\s*=", re.MULTILINE)
 _VECTOR = ("X", "Y", "Z", "VX", "VY", "VZ")
 _LARGEST = 200_000_000  # bytes
 
 
 class _Block(NamedTuple):
-    """A body."""
+    """The block of a body."""
 
     name: str
     epoch: str  # Julian day
@@ -37,7 +37,7 @@ class _Block(NamedTuple):
 
 
 def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open an answer of Horizons, or several in one file; ``snapshot`` selects the epoch."""
+    """Open a reply of Horizons, or several in one file; ``snapshot`` selects the epoch."""
     size = path.stat().st_size
     if size > _LARGEST:
         refuse_large(called, "file", size)
@@ -46,7 +46,7 @@ def open_horizons(path: Path, called: str, snapshot: int) -> DataTable:
     for part in parts[1:]:
         rows, found, after = part.partition(_END)
         if not found:
-            raise SceneError(f"{called}: a block begins with {_BEGIN} and has no {_END}; the file ends early")
+            raise SceneError(f"{called}: a block begins with {_BEGIN} but has no {_END}; the file ends early")
         blocks.append(_block(before, rows, called, snapshot, len(blocks)))
         before = after
     if not blocks:
@@ -115,4 +115,4 @@ def _labelled(rows: str) -> list[tuple[str, Sequence[str]]]:
     return found
 
 
-HORIZONS = DataFormat("an answer of Horizons", open_horizons)
+HORIZONS = DataFormat("a reply of Horizons", open_horizons)

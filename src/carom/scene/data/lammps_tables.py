@@ -1,6 +1,6 @@
 """Text files of LAMMPS and LIGGGHTS: dumps (dump custom) and data files (write_data).
 
-carom reads them itself: lammpsio leaves out the radii, spins and densities of spheres.
+carom reads them itself: lammpsio omits the radii, spins and densities of spheres.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from carom.scene.data.mapping import printable
 from carom.scene.data.text_rows import TextRows
 
 _STEP = b"ITEM: TIMESTEP"
-_UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # of LAMMPS, and here
+_UNITS = {"si": "m, s, kg", "cgs": "cm, s, g"}  # names of units in LAMMPS and in carom
 _MOST_STEPS = 10_000_000
 
 
@@ -53,7 +53,7 @@ def open_dump(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 class _Dump(DataTable):
-    """The atoms of one step, in the order of their ids; scaled positions become lengths."""
+    """The atoms of one step, in the order of their ids; scaled positions are converted to lengths."""
 
     def __init__(self, called: str, text: str, line: int) -> None:
         self.called = called
@@ -98,7 +98,7 @@ class _Dump(DataTable):
         return {name: self._length(column, raw[column])[order] for name, column in zip(names, wanted, strict=True)}
 
     def _length(self, column: str, raw: Raw) -> Raw:
-        """Return a column, a scaled position as a length."""
+        """Return a column; a scaled position as a length."""
         if column not in self._scaled:
             return raw
         if self._skewed or self._box is None:
@@ -140,7 +140,7 @@ _COLUMNS = {  # of the section Atoms, by style
 
 
 def open_data(path: Path, called: str, snapshot: int) -> DataTable:
-    """Open a data file: the sections Atoms, Velocities and Masses."""
+    """Open a data file: its sections Atoms, Velocities and Masses."""
     refuse_large(called, "file", path.stat().st_size)
     sections = _sections(path.read_text(encoding="utf-8", errors="surrogateescape").splitlines())
     if "Atoms" not in sections:
@@ -174,7 +174,7 @@ def open_data(path: Path, called: str, snapshot: int) -> DataTable:
         velocities = moving.read(moving.names)
         order = np.argsort(numbers_of(called, "id", velocities["id"]), kind="stable")
         if not np.array_equal(velocities["id"][order], arrays["id"]):
-            raise SceneError(f"{called}: the sections Atoms and Velocities have other ids")
+            raise SceneError(f"{called}: the sections Atoms and Velocities have different ids")
         arrays |= {name: velocities[name][order] for name in moving.names if name != "id"}
     result = Arrays(arrays, called)
     result.notes = (f"{called}: data file of LAMMPS, atoms of the style {atoms.style}",)

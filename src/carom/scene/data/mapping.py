@@ -1,4 +1,4 @@
-"""The columns of a table for each quantity: named by the scene, or with usual names."""
+"""The columns of a table that hold each quantity: named by the scene, or with usual names."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ USUAL: dict[str, tuple[str, ...]] = {
     "fixed": ("fixed",),
     "name": ("name", "names", "label"),
 }
-USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z in place of the star
+USUAL_AXES: dict[str, tuple[str, ...]] = {  # with x, y and z instead of the star
     "position": ("*", "p*", "pos*", "pos_*", "position*", "position_*", "*u"),
     "velocity": ("v*", "v_*", "vel*", "vel_*", "velocity*", "velocity_*"),
     "angular_velocity": ("w*", "w_*", "omega*", "omega_*", "angvel*", "angvel_*", "angular_velocity_*"),
 }
-ELEMENTS = {  # of orbits: names of their columns; one capital is not the same as a small letter
+ELEMENTS = {  # columns of orbital elements; capitals differ from small letters
     "a": ("a", "semi_major_axis", "sma"),
     "q": ("q", "perihelion_distance", "pericentre_distance"),
     "e": ("e", "ecc", "eccentricity"),
@@ -49,14 +49,15 @@ ELEMENTS = {  # of orbits: names of their columns; one capital is not the same a
     "tp": ("tp", "t_p", "T", "time_of_perihelion", "time_of_pericentre"),
     "epoch": ("epoch",),
 }
-_RIVALS = (("mass", "density"), ("radius", "diameter"))  # each determines the other
+_RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
 _LONGEST_NAME = 40  # characters
 
-_ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))  # of elements
+# further columns of elements
+_ORBIT = frozenset(("a", "e", "ecc", "inc", "incl", "om", "node", "peri", "ma", "tp", "epoch", "moid"))
 _SPHERICAL = frozenset(("theta", "phi", "lat", "lon", "ra", "dec", "delta", "rdot", "rr"))
-_MEANINGS = {  # names with several meanings: these, and columns beside them that suggest one of these
+_MEANINGS = {  # names with several meanings: the meanings, and columns that suggest one of them
     "r": ("a distance or a colour", _ORBIT | _SPHERICAL | {"g", "b"}),
     "rho": ("a distance", _SPHERICAL),
     "m": ("a mean anomaly or a magnitude", frozenset[str]()),
@@ -64,7 +65,7 @@ _MEANINGS = {  # names with several meanings: these, and columns beside them tha
 _WITH_UNIT = re.compile(r"(.*?)\s*(?:\[([^\[\]]+)\]|\(([^()]+)\))\s*")  # "x [au]", "mass (kg)"
 
 _COEFFICIENTS = "[contact] or a [[material]] gives coefficients"
-_ELSEWHERE = {  # reasons why some columns about spheres are not used
+_ELSEWHERE = {  # why some columns of spheres are not used
     **dict.fromkeys(("mu", "friction", "friction_coefficient", "mu_s", "mu_k", "mus", "muk"), _COEFFICIENTS),
     **dict.fromkeys(("restitution", "cor", "coefficient_of_restitution"), _COEFFICIENTS),
     **dict.fromkeys((f"quat{axis}" for axis in "wxyzijk"), "a sphere starts without a rotation"),
@@ -79,12 +80,12 @@ ColumnMapping = dict[str, tuple[str, ...]]  # quantity → one column, or three
 
 
 def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMapping:
-    """Return the columns of each quantity without a value in the scene.
+    """Return the columns of each quantity that has no value in the scene.
 
     Raises
     ------
     SceneError
-        If a column is missing, or two hold the same quantity.
+        If a column is missing, or two columns hold the same quantity.
     """
     mapping: ColumnMapping = {}
     for quantity in QUANTITIES:
@@ -113,7 +114,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
 
 
 def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
-    """Return a section completed by its material, where neither the section nor a column has a value."""
+    """Return a table completed by its material, where neither the table nor a column has a value."""
 
     def is_known(*quantities: str) -> bool:
         return any(
@@ -130,7 +131,7 @@ def with_material(section: BodyData, material: Material, names: Sequence[str]) -
 
 
 def unused_columns(section: BodyData, mapping: ColumnMapping, names: Sequence[str]) -> str:
-    """List the columns that are not used for bodies, with known reasons; empty if there are none."""
+    """List the columns that are not used for bodies, with reasons where known; empty if there are none."""
     used = {column for columns in mapping.values() for column in columns}
     if STEP in names and BODY in names:
         used |= {STEP, BODY}  # step and body select the rows
@@ -153,7 +154,7 @@ def printable(name: str) -> str:
 
 
 def unit_in(name: str) -> str:
-    """Return the unit in the name of a column, such as "au" in "x [au]"; empty if it has none."""
+    """Return the unit in the name of a column, such as "au" in "x [au]"; empty without one."""
     return _split(name.strip())[1]
 
 
@@ -171,9 +172,9 @@ def elements_in(names: Sequence[str]) -> dict[str, str]:
 
 
 def column_factor(called: str, column: str, quantity: str, dimensions: Sequence[Dimension], units: UnitSystem) -> float:
-    """Return the units of the simulation in one unit of a column: that in its name, or that of the scene.
+    """Return the units of the simulation in one unit of a column, which its name or the scene states.
 
-    The quantity has the product of the dimensions.
+    The dimension of the quantity is the product of these.
     """
     text = unit_in(column)
     if not text or units.dimensionless:
@@ -217,13 +218,13 @@ def question(called: str, column: str, quantity: str, others: str) -> SceneError
 
 
 def _refuse_doubtful(quantity: str, column: str, names: Sequence[str], called: str) -> None:
-    """Refuse a name with several meanings unless the rest of the header confirms the usual one."""
+    """Refuse a name with several meanings unless other columns confirm the usual one."""
     plain, own = [_plain(name) for name in names], _split(column.strip())[0]
     others, signs = _MEANINGS.get(_plain(column), ("", frozenset[str]()))
     if not others or unit_in(column):
         return
     place = plain.index(_plain(column))
-    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in names:  # "m, r", as REBOUND has it
+    if "m" in plain[max(0, place - 1) : place + 2] and own == "r" and "M" not in names:  # "m, r", as in REBOUND
         return
     if beside := [name for name, known in zip(names, plain, strict=True) if known in signs]:
         raise question(called, column, quantity, f"{others}, since there is a column {printable(beside[0])}")
@@ -232,7 +233,7 @@ def _refuse_doubtful(quantity: str, column: str, names: Sequence[str], called: s
 
 
 def _is_given(section: BodyData, quantity: str) -> bool:
-    """Return whether the scene gives a value for all bodies, so that no column is needed."""
+    """Return whether the scene has a value for all bodies, so that no column is needed."""
     if quantity in ("mass", "density"):
         return section.mass is not None or section.density is not None
     if quantity == "diameter":
@@ -254,7 +255,7 @@ def _named(column: str, names: Sequence[str], called: str, quantity: str) -> str
 
 
 def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the usual columns of a quantity; none for the inertia if the scene replaces the radius or the mass."""
+    """Return the usual columns of a quantity; none for the inertia if the scene states the radius or the mass."""
     columns = _usual(quantity, names)
     if quantity != "inertia" or not columns:
         return columns
@@ -264,7 +265,7 @@ def _candidates(section: BodyData, quantity: str, names: Sequence[str]) -> list[
 
 
 def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
-    """Return the columns that may hold a quantity: single ones, and threes."""
+    """Return the columns that may hold a quantity: single ones and triples."""
     plain = [_plain(name) for name in names]
     single = [(name,) for name, known in zip(names, plain, strict=True) if known in USUAL[quantity]]
     threes = []
@@ -278,7 +279,7 @@ def _usual(quantity: str, names: Sequence[str]) -> list[tuple[str, ...]]:
 
 
 def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
-    """Refuse a vector for which a table has only one or two of the usual columns."""
+    """Refuse a vector with only one or two of the usual columns."""
     plain = {_plain(name) for name in names}
     for pattern in USUAL_AXES.get(quantity, ()):
         axes = [pattern.replace("*", axis) for axis in "xyz"]
@@ -291,18 +292,18 @@ def _refuse_part(quantity: str, names: Sequence[str], called: str) -> None:
 
 
 def _plain(name: str) -> str:
-    """Return a name for comparisons: in lower case, without a unit, and only the last part of a path in HDF5."""
+    """Return a name for comparisons: in lower case, without a unit, and only the last part of an HDF5 path."""
     return _split(name.strip())[0].rsplit("/", 1)[-1].strip().casefold()
 
 
 def _refuse_rivals(section: BodyData, mapping: ColumnMapping, first: str, second: str, called: str) -> None:
-    """Refuse two quantities that determine each other; a quantity named by the scene takes precedence."""
+    """Refuse two quantities that determine each other, unless the scene names the column of one."""
     if first in mapping and second in mapping:
         asked = [quantity for quantity in (first, second) if getattr(section.columns, quantity) is not None]
         if len(asked) != 1:
             raise SceneError(
-                f"{called}: columns for {first} and for {second}, {mapping[first][0]} and {mapping[second][0]}; "
-                f'say which: columns = {{ {first} = "{mapping[first][0]}" }}'
+                f"{called}: columns for both {first} and {second}, {mapping[first][0]} and {mapping[second][0]}; "
+                f'select one: columns = {{ {first} = "{mapping[first][0]}" }}'
             )
         del mapping[second if asked == [first] else first]
 

@@ -1,4 +1,4 @@
-"""MPCORB, the Minor Planet Center's table of orbits: an object in each line, its elements in fixed columns."""
+"""MPCORB, the Minor Planet Center's table of orbits: one object per line, with its elements in fixed columns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carom.errors import SceneError
 from carom.scene.data.formats import Arrays, DataFormat, DataTable, Raw, number_in, refuse_large
 from carom.scene.data.mapping import printable
 
-_PLACES = {  # of the elements, with their units: the first and the last column, counted from 1
+_PLACES = {  # the elements with their units, first and last column, counted from 1
     "epoch [day]": (21, 25),
     "ma [deg]": (27, 35),
     "w [deg]": (38, 46),
@@ -22,7 +22,7 @@ _PLACES = {  # of the elements, with their units: the first and the last column,
 }
 _DESIGNATION, _READABLE = slice(0, 7), slice(166, 194)
 _CENTURIES = {"I": 1800, "J": 1900, "K": 2000}
-_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"  # of months and days
+_DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUV"  # digits of months and days in packed dates
 _JULIAN = 1_721_424.5  # Julian date of the day before day 1 of `datetime`
 _LARGEST = 2_000_000_000  # bytes; the whole table has 300 million
 
@@ -56,7 +56,7 @@ def open_mpc(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def julian_date(packed: str) -> float | None:
-    """Return the Julian date of a packed date, such as K24AH for 17 October 2024; None if it is none."""
+    """Return the Julian date of a packed date, such as K24AH for 17 October 2024; None if it is not one."""
     if len(packed) != len("K24AH") or packed[0] not in _CENTURIES or not packed[1:3].isdecimal():
         return None
     month, day = _DIGITS.find(packed[3]), _DIGITS.find(packed[4])

@@ -1,4 +1,4 @@
-"""Tables in NumPy's .npz. Files are data: pickled objects are refused."""
+"""Tables in NumPy's .npz. Files are only data: pickled objects are refused."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Archive(DataTable):
         self.names = names
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read arrays; their headers are checked before memory is allocated."""
+        """Read arrays, whose headers are checked before memory is allocated."""
         with zipfile.ZipFile(self._path) as archive:
             claimed = sum(archive.getinfo(name + _SUFFIX).file_size for name in names)
             refuse_bomb(self.called, claimed, self._path.stat().st_size)

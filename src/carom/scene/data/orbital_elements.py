@@ -1,11 +1,11 @@
-"""Orbital elements: positions and velocities of bodies on orbits of two bodies, about a central mass at the origin.
+"""Orbital elements: positions and velocities of bodies on Kepler orbits about a central mass at the origin.
 
-With the distance q of the pericentre, the eccentricity e and the time t since the pericentre, the universal anomaly χ
-solves Kepler's equation for ellipses, parabolas and hyperbolas (Danby, *Fundamentals of Celestial Mechanics*, §6.9),
+With the pericentre distance q, the eccentricity e and the time t since the pericentre, the universal anomaly χ solves
+Kepler's equation for ellipses, parabolas and hyperbolas (Danby, *Fundamentals of Celestial Mechanics*, §6.9),
 
     √μ t = q χ + e χ³ c₃(z),   z = χ² (1 - e) / q,
 
-and in the plane of the orbit, with x towards the pericentre,
+and in the orbital plane, with x towards the pericentre,
 
     x = q - χ² c₂,           ẋ = -√μ χ c₁ / r,                r = q + e χ² c₂,
     y = √(q (1 + e)) χ c₁,   ẏ = √(μ q (1 + e)) c₀ / r,       μ = G M,
@@ -32,19 +32,19 @@ from carom.scene.units.system import UnitSystem
 _ANGLES = ("i", "node", "peri", "M")
 _DEGREES = ("deg", "degree", "degrees", "°")
 _DEGREE = math.pi / 180.0
-_OF_JPL = {"full_name", "pdes", "spkid"}  # columns by which a table of JPL's small bodies is recognised
+_OF_JPL = {"full_name", "pdes", "spkid"}  # columns that identify a table of JPL's small bodies
 _UNITS_OF_JPL = {"a": "au", "q": "au", "tp": "day", "epoch": "day", "diameter": "km"}
-_TERMS = 9  # of the series of Stumpff's functions; the next one is less than 1e-18
-_MOST_STEPS = 1000  # of Newton's method: some 6 of an ellipse, one for each unit of the anomaly of a hyperbola
+_TERMS = 9  # terms in the series of Stumpff's functions; the next one is less than 1e-18
+_MOST_STEPS = 1000  # of Newton's method: about 6 for an ellipse, one per unit of the anomaly for a hyperbola
 
 
 class OrbitTable(DataTable):
-    """A table of orbital elements as one of positions and velocities.
+    """A table of orbital elements as a table of positions and velocities.
 
     Raises
     ------
     SceneError
-        With the elements that are missing, or with the first row that is no orbit.
+        The message names the missing elements, or the first row that is not an orbit.
     """
 
     def __init__(self, table: DataTable, orbit: Orbit, constant: float, units: UnitSystem) -> None:
@@ -56,12 +56,12 @@ class OrbitTable(DataTable):
         is_of_jpl = bool(_OF_JPL & set(table.names))
         units_of = _UNITS_OF_JPL if is_of_jpl else {}
         self._inner = {f"{name} [{units_of[name]}]" if name in units_of else name: name for name in table.names}
-        if "full_name" in table.names:  # has a designation where an object has no name
+        if "full_name" in table.names:  # it has a designation where an object has no name
             self._inner |= {"name": "full_name"}
             del self._inner["full_name"]
         self._columns = elements_in(list(self._inner))
         self._refuse_missing()
-        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # the units of the simulation
+        length, speed = ("", "") if units.own else (" [m]", " [m/s]")  # in the units of the simulation
         self.position, self.velocity = f"position on the orbit{length}", f"velocity on the orbit{speed}"
         used = set(self._columns.values())
         self.names = [self.position, self.velocity, *(name for name in self._inner if name not in used)]
@@ -72,7 +72,7 @@ class OrbitTable(DataTable):
         self.notes = (*table.notes, about)
 
     def _refuse_missing(self) -> None:
-        """Refuse a table without an element that an orbit needs."""
+        """Refuse a table that lacks an element."""
         there = self._columns
         missing = [
             f"{element} ({ELEMENTS[element][0]})" for element in ("e", "i", "node", "peri") if element not in there
@@ -88,7 +88,7 @@ class OrbitTable(DataTable):
             raise SceneError(f"{self.called}: tp needs an epoch: a column, or orbit.epoch in the same unit")
 
     def read(self, names: Sequence[str], texts: Sequence[str] = ()) -> dict[str, Raw]:
-        """Read columns, and convert the elements if their position or velocity is among them."""
+        """Read columns, and convert the elements if a position or a velocity is requested."""
         own = (self.position, self.velocity)
         inner = {name: self._inner.get(name, name) for name in names if name not in own}
         raw = self._table.read(list(inner.values()), [self._inner.get(name, name) for name in texts])
@@ -120,9 +120,9 @@ class OrbitTable(DataTable):
         """Return the positions and velocities (n, 3) at the epoch."""
         e = self._element("e")
         beta, q = self._shape(e)
-        # √μ t since the pericentre, of an ellipse within half a period of it
+        # √μ t since the pericentre; for an ellipse within half a period of it
         ellipse, root_mu = beta > 0.0, math.sqrt(self._mu)
-        rate = np.abs(beta) * np.sqrt(np.abs(beta))  # of the mean anomaly with √μ t
+        rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu
         with np.errstate(divide="ignore", invalid="ignore"):
             if "M" in self._columns:
@@ -139,7 +139,7 @@ class OrbitTable(DataTable):
         (cos_i, sin_i), (cos_node, sin_node), (cos_peri, sin_peri) = (
             cosine_and_sine(self._element(element)) for element in ("i", "node", "peri")
         )
-        towards = np.stack(  # the pericentre
+        towards = np.stack(  # direction of the pericentre
             (
                 cos_node * cos_peri - sin_node * sin_peri * cos_i,
                 sin_node * cos_peri + cos_node * sin_peri * cos_i,
@@ -160,7 +160,7 @@ class OrbitTable(DataTable):
         return position, velocity
 
     def _shape(self, e: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return 1/a, which is 0 of a parabola, and the distance of the pericentre."""
+        """Return 1/a, which is 0 for a parabola, and the pericentre distance."""
         if "q" in self._columns:
             q = self._element("q")
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -180,7 +180,7 @@ class OrbitTable(DataTable):
         return beta, q
 
     def _elapsed(self, bodies: int) -> FloatArray:
-        """Return the time from the epoch of the mean anomaly, or from the pericentre, to that of the scene."""
+        """Return the time from the epoch of the mean anomaly, or from the pericentre, to the epoch of the scene."""
         own = self._element("epoch") if "epoch" in self._columns else None
         if self._epoch is None and own is not None and np.any(own != own[:1]):
             raise SceneError(
@@ -198,7 +198,7 @@ class OrbitTable(DataTable):
 
 
 def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatArray) -> tuple[FloatArray, ...]:
-    """Return x, y and their rates over √μ, at a time in units of 1/√μ since the pericentre."""
+    """Return x, y and their rates over √μ, at a time since the pericentre in units of 1/√μ."""
     wanted, closed = np.abs(time), beta > 0.0
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         # Newton's method descends from above, since r grows with χ: from the apocentre, or from two bounds of χ
@@ -218,7 +218,7 @@ def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatA
 
 
 def _stumpff(z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return Stumpff's functions c₀ to c₃: from series at z / 4ᵏ below 1 in size, and from there by their doubling."""
+    """Return Stumpff's functions c₀ to c₃: from series at z / 4ᵏ, below 1 in size, then by k doublings."""
     _, exponent = np.frexp(np.abs(z))
     halvings = np.maximum(0, (exponent + 1) // 2)
     small = np.ldexp(z, -2 * halvings)

@@ -1,4 +1,4 @@
-"""Simulationarchives of REBOUND, read by rebound, with the law of motion of their particles."""
+"""Simulationarchives of REBOUND, read by the package rebound, with the law of motion of their particles."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from carom.scene.data.mapping import printable
 from carom.scene.units.system import units_of_rebound
 from carom.scene.wording import counted
 
-_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same law
-_DAMAGED = "corrupted"  # word in the warning about a truncated archive
+_GRAVITY = ("basic", "compensated", "tree", "jacobi", "mercurius", "trace")  # methods of summing the same forces
+_DAMAGED = "corrupted"  # in the warning about a truncated archive
 _KNOWN = (
     "test particle (type 0) has finite mass",
     "might not be synchronized",
-)  # warnings about handled cases
+)  # warnings about cases that are handled here
 
 
 def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
@@ -37,7 +37,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         if not -count <= snapshot < count:
             raise SceneError(f"{called}: there is no snapshot {snapshot}; the file has {count}")
         simulation = archive[snapshot % count]
-        simulation.synchronize()  # between outputs, maps hold positions and velocities of different times
+        simulation.synchronize()  # between outputs, symplectic maps hold positions and velocities of different times
     texts = list(dict.fromkeys(str(warning.message) for warning in given))
     notes = [
         f"REBOUND warns: {text.splitlines()[0]}" for text in texts if not any(k in text for k in (_DAMAGED, *_KNOWN))
@@ -46,13 +46,11 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
         which = f"of {counted(count, 'intact snapshot')} number {snapshot % count}, t = {simulation.t:g}, is read"
         notes.insert(0, f"the file is damaged or ends early; {which}")
     if simulation.gravity not in (*_GRAVITY, "none"):
-        raise SceneError(f'{called}: its gravity is "{printable(str(simulation.gravity))}", which carom does not have')
+        raise SceneError(f'{called}: its gravity is "{printable(str(simulation.gravity))}", which carom lacks')
     if simulation.boundary not in ("none", "open", "periodic"):
-        raise SceneError(
-            f'{called}: its boundary is "{printable(str(simulation.boundary))}", which carom does not have'
-        )
+        raise SceneError(f'{called}: its boundary is "{printable(str(simulation.boundary))}", which carom lacks')
     if simulation.boundary == "open":
-        notes.append('boundary = "open": REBOUND removes bodies that leave its box, and carom keeps them')
+        notes.append('boundary = "open": REBOUND removes bodies that leave its box, but carom keeps them')
     refuse_many_rows(called, simulation.N)
     if simulation.N_var:
         notes.append(f"{counted(simulation.N_var, 'variational particle')} not used")
@@ -70,7 +68,7 @@ def open_rebound(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str, Raw]:
-    """Return the particles, without radii or masses that are all 0."""
+    """Return the particles, without radii or masses if these are all 0."""
     everything = simulation.N
     position, velocity = np.zeros((everything, 3)), np.zeros((everything, 3))
     mass, radius = np.zeros(everything), np.zeros(everything)
@@ -84,9 +82,9 @@ def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str,
 
 
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
-    """Return the attracting masses: those of REBOUND's test particles have no effect."""
+    """Return the attracting masses: those of REBOUND's test particles attract nothing."""
     n, active = len(mass), int(simulation.N_active)
-    light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest whole number
+    light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest integer
     if not light.any():
         return mass
     if simulation.testparticle_type == 0:

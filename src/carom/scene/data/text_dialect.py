@@ -1,4 +1,4 @@
-"""How a text file writes its table: separators, decimal commas, comments, and the line that names the columns."""
+"""The dialect of a text table: separators, decimal commas, comments, and the line that names the columns."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from carom.scene.data.formats import MOST_COLUMNS, number_in, refuse_many_column
 from carom.scene.data.mapping import printable
 from carom.scene.wording import counted
 
-_HEAD = 1_000_000  # bytes in which the dialect shows; no line is longer
-_SAMPLE = 50  # lines of it
-_LARGEST = 500_000_000  # bytes of a file that has to be rewritten in memory
+_HEAD = 1_000_000  # bytes from which the dialect is recognised; no line is longer
+_SAMPLE = 50  # lines of these bytes
+_LARGEST = 500_000_000  # bytes of a file that must be rewritten in memory
 _COMMENTS = ("#", "%", "!", "//")
 _SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "blanks"}
-_USUAL = {".csv": ",", ".tsv": "\t"}  # if no separator divides all lines alike
+_USUAL = {".csv": ",", ".tsv": "\t"}  # by suffix, if no separator divides all lines alike
 _COMMA = re.compile(r"[+-]?\d*,\d+(?:[eEdD][+-]?\d+)?")  # a number with a decimal comma
-_YADE = re.compile(r"#\s*format\s+(\S+)")  # columns of YADE's text export, such as x_y_z_r
-_UNIT = re.compile(r"\s+(?=[\[(])")  # before the unit of a name
+_YADE = re.compile(r"#\s*format\s+(\S+)")  # columns in YADE's text export, such as x_y_z_r
+_UNIT = re.compile(r"\s+(?=[\[(])")  # blanks before the unit of a name
 
 
 @dataclass
@@ -33,15 +33,15 @@ class TextDialect:
     Attributes
     ----------
     names
-        Of the columns; empty if no line has them.
+        Names of the columns; empty if no line has them.
     columns
-        Their number.
+        Number of columns.
     separator
-        Between values.
+        Character between values.
     skipped
-        Lines before the first row, of a file that pyarrow reads as it is.
+        Number of lines before the first row, in a file that pyarrow reads unchanged.
     rows
-        The rows as plain CSV, if the file has to be rewritten.
+        The rows as plain CSV, if the file must be rewritten.
     note
         What was recognised; empty for plain tables.
     """
@@ -60,7 +60,7 @@ def dialect_of(path: Path, called: str) -> TextDialect:
     Raises
     ------
     SceneError
-        With the first line that is not a row of the table.
+        The message names the first line that is not a row of the table.
     """
     with path.open("rb") as file:
         head = file.read(_HEAD)
@@ -68,9 +68,9 @@ def dialect_of(path: Path, called: str) -> TextDialect:
         raise SceneError(f"{called}: not a table of values: it is empty")
     encoding = "utf-16" if head[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     if max(map(len, head.split(b"\n", MOST_COLUMNS))) >= _HEAD:
-        raise SceneError(f"{called}: a line has more than {_HEAD} characters, which is no table of values")
+        raise SceneError(f"{called}: not a table of values: a line has more than {_HEAD} characters")
     text = head[: head.rfind(b"\n") + 1 or None].decode(encoding, "replace")
-    if text.partition("\n")[0].count('"') % 2:  # a quoted name that goes on in the next line
+    if text.partition("\n")[0].count('"') % 2:  # a quoted name that continues in the next line
         separator = _USUAL.get(path.suffix.lower(), ",")
         reader = csv.reader(io.StringIO(text), delimiter=separator)
         names = next(reader)
@@ -117,7 +117,7 @@ def dialect_of(path: Path, called: str) -> TextDialect:
 
 
 def refuse_uneven(path: Path, dialect: TextDialect, called: str) -> None:
-    """Refuse a plain table by its first line of another number of values, if it has one."""
+    """Refuse a plain table if a line has another number of values than the first."""
     with path.open(encoding="utf-8-sig", errors="surrogateescape", newline="") as file:
         _rewritten(_Lines(file), dialect, False, dialect.skipped, called)
 
@@ -127,7 +127,7 @@ class _Lines(Iterator[str]):
 
     def __init__(self, file: Iterable[str]) -> None:
         self._lines = iter(file)
-        self.number = 0  # of the last line
+        self.number = 0  # number of the last line
         self.first = 0  # number of the first line that is not a comment
         self.comments = 0
         self.comments_before = list[str]()
@@ -136,7 +136,7 @@ class _Lines(Iterator[str]):
         while True:
             text = next(self._lines).strip("\r\n ")
             self.number += 1
-            if not text or (self.number == 1 and text.startswith("sep=")):  # Excel's hint
+            if not text or (self.number == 1 and text.startswith("sep=")):  # Excel's hint of the separator
                 continue
             if text.startswith(_COMMENTS):
                 self.comments += 1
@@ -148,7 +148,7 @@ class _Lines(Iterator[str]):
 
 
 def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
-    """Return the separator that divides most numbers, all lines alike, and whether decimals follow a comma."""
+    """Return the separator that divides most numbers, the same in all lines, and whether decimals follow a comma."""
     body, best = sample[1:] or sample, (0, usual, False)
     for separator in _SEPARATORS:
         rows = [_cells(line, separator, whole=True) for line in body]
@@ -162,7 +162,7 @@ def _separator(sample: Sequence[str], usual: str) -> tuple[str, bool]:
 
 
 def _cells(line: str, separator: str, whole: bool = False) -> list[str]:
-    """Divide a line; a separator at its end is left out, unless ``whole``."""
+    """Divide a line; a separator at its end is ignored, unless ``whole``."""
     if separator == " ":
         line = line.replace("\t", " ").strip()
     found = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
@@ -180,7 +180,7 @@ def _with_point(cell: str) -> str:
 
 
 def _names_in(comments: Sequence[str], columns: int, separator: str) -> list[str]:
-    """Return the names of the columns in the last comment that has as many as there are values; empty if none has."""
+    """Return the column names in the last comment with as many names as values; empty if there is none."""
     for comment in reversed(comments):
         if yade := _YADE.match(comment):
             names = yade[1].split("_")

@@ -1,4 +1,4 @@
-"""Rows of values that blanks separate, in files whose formats name the columns elsewhere."""
+"""Rows of values separated by blanks, in files that name the columns elsewhere."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class TextRows(DataTable):
     """A table of such rows, each of which is checked."""
 
     def __init__(self, called: str, names: Sequence[str], lines: Iterable[str], first: int) -> None:
-        """Take rows, whose first has this number in the file; all must have a value for each name."""
+        """Read rows, the first of which has this line number; all must have a value for each name."""
         refuse_many_columns(called, len(names))
         self.called, self.names = called, list(names)
         buffer = io.StringIO()
@@ -27,7 +27,7 @@ class TextRows(DataTable):
             values = line.split()
             if len(values) != len(names):
                 raise SceneError(
-                    f"{called}: line {number} has {len(values)} values ({printable(line.strip())}), and there are "
+                    f"{called}: line {number} has {len(values)} values ({printable(line.strip())}), but there are "
                     f"{len(names)} columns"
                 )
             buffer.write("\t".join(values) + "\n")

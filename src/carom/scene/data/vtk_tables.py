@@ -1,6 +1,6 @@
 """Legacy VTK files of points, as LIGGGHTS, ParaView and `carom export` write them (VTK File Formats, Kitware).
 
-A reader of our own, since meshio reads neither POLYDATA nor .vtp.
+carom has its own reader, since meshio reads neither POLYDATA nor .vtp.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _KINDS = {
 }
 _DATASETS = ("POLYDATA", "UNSTRUCTURED_GRID")
 _CELLS = ("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS", "CELLS")
-_LONGEST = 10_000  # characters of a line
+_LONGEST = 10_000  # characters in a line
 
 
 def open_vtk(path: Path, called: str, snapshot: int) -> DataTable:
@@ -56,7 +56,7 @@ class _Reader:
         return text
 
     def words(self) -> list[str]:
-        """Return the words of the next line that has some; none at the end."""
+        """Return the words of the next line that has any; none at the end."""
         while self._place < len(self._content):
             if words := self.line().split():
                 return words
@@ -70,7 +70,7 @@ class _Reader:
         left = len(self._content) - self._place
         if count * (number.itemsize if self.binary else 2) > left + 1:  # the last number needs no blank after it
             raise SceneError(
-                f"{self.called}: {count} values of the type {kind} are announced, and {left} bytes are left"
+                f"{self.called}: {count} values of the type {kind} are announced, but {left} bytes are left"
             )
         if self.binary:
             size = count * number.itemsize
@@ -100,14 +100,14 @@ def _arrays(reader: _Reader) -> dict[str, Raw]:
         values = reader.array(kind, rows * width)
         if of_points or name == "points":
             if rows != points:
-                raise SceneError(f"{reader.called}: {printable(name)} has {rows} rows, and there are {points} points")
+                raise SceneError(f"{reader.called}: {printable(name)} has {rows} rows, but there are {points} points")
             arrays[name] = values if width == 1 else values.reshape(rows, width)
             refuse_many_columns(reader.called, len(arrays))
 
     while words := reader.words():
         title, rest = words[0].upper(), [*words[1:], "", "", ""]
         if title == "DATASET" and rest[0].upper() not in _DATASETS:
-            raise SceneError(f"{reader.called}: a dataset {printable(rest[0])}, and points are needed: POLYDATA")
+            raise SceneError(f"{reader.called}: a dataset {printable(rest[0])}; points are needed: POLYDATA")
         if title == "POINTS":
             points = whole(rest[0])
             add("points", rest[1], 3, points)

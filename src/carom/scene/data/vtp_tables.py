@@ -24,15 +24,15 @@ _LARGEST = 2_000_000_000  # bytes
 
 
 class _Blocks(NamedTuple):
-    """How the arrays of a file are written."""
+    """The encoding of a file's arrays."""
 
     called: str
-    stored: int  # bytes of the file
-    order: str  # of bytes
+    stored: int  # size of the file in bytes
+    order: str  # byte order
     header: np.dtype[np.uint64] | np.dtype[np.uint32]
     compressed: bool
     appended: bytes
-    raw: bool  # whether what is appended is not in base64
+    raw: bool  # whether the appended data are not in base64
 
 
 def open_vtp(path: Path, called: str, snapshot: int) -> DataTable:
@@ -71,7 +71,7 @@ def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
     """Read the points of a piece, and their arrays."""
     rows = piece.get("NumberOfPoints", "")
     if not rows.isdecimal() or len(rows) > 12:
-        raise SceneError(f"{blocks.called}: NumberOfPoints is {printable(rows)}, and a number is needed")
+        raise SceneError(f"{blocks.called}: NumberOfPoints is {printable(rows)}, not a number")
     refuse_many_rows(blocks.called, int(rows))
     arrays = dict[str, Raw]()
     for section in ("Points", "PointData"):
@@ -79,12 +79,12 @@ def _piece(blocks: _Blocks, piece: ElementTree.Element) -> dict[str, Raw]:
             name = "points" if section == "Points" else element.get("Name", "")
             width = element.get("NumberOfComponents", "1") or "1"
             if element.get("type") not in _KINDS or not width.isdecimal() or len(width) > 4:
-                continue  # texts
+                continue  # an array of texts
             kind = np.dtype(blocks.order + _KINDS[element.get("type", "")])
             size = int(rows) * int(width)
             values = _values(blocks, element, kind, size)
             if len(values) != size:
-                raise SceneError(f"{blocks.called}: {printable(name)} has {len(values)} values, and {size} are needed")
+                raise SceneError(f"{blocks.called}: {printable(name)} has {len(values)} values, but {size} are needed")
             arrays[name] = values if int(width) == 1 else values.reshape(int(rows), int(width))
     if "points" not in arrays:
         raise SceneError(f"{blocks.called}: a piece has no Points")
@@ -102,11 +102,11 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
         data, raw = blocks.appended[int(place) :], blocks.raw
     else:
         raise SceneError(
-            f"{blocks.called}: an offset {printable(place)} is not in what is appended; the file ends early"
+            f"{blocks.called}: the offset {printable(place)} is beyond the appended data; the file ends early"
         )
     refuse_bomb(blocks.called, count * kind.itemsize, blocks.stored)
     content = _unpacked(blocks, data, raw, count * kind.itemsize)
-    whole = len(content) - len(content) % kind.itemsize  # what a file that ends early has
+    whole = len(content) - len(content) % kind.itemsize  # all that a truncated file has
     return np.frombuffer(content[:whole], kind).astype(kind.newbyteorder("="))
 
 
@@ -129,7 +129,7 @@ def _unpacked(blocks: _Blocks, data: bytes, raw: bool, size: int) -> bytes:
         return b""
     sizes = words(3, count)
     header = (3 + count) * word
-    if not raw:  # in base64, the header is encoded alone
+    if not raw:  # in base64, the header is encoded separately
         data, header = data[-(-header // 3) * 4 :], 0
     content = b""
     for length in sizes:

@@ -12,10 +12,10 @@ from carom.scene.data.formats import DataFormat, DataTable, periodic_note, refus
 from carom.scene.data.mapping import printable
 from carom.scene.data.text_rows import TextRows
 
-_LONGEST = 1_000_000  # characters of a line
+_LONGEST = 1_000_000  # characters in a line
 _PROPERTIES = re.compile(r'\bProperties="?([^\s"]+)"?', re.IGNORECASE)
 _PERIODIC = re.compile(r'\bpbc="?[^"]*T', re.IGNORECASE)
-_OWN = {"velo": "velocity"}  # names of quantities in OVITO, and here
+_OWN = {"velo": "velocity"}  # names of quantities in OVITO and in carom
 _NAMED = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w")}
 _AXES = {"pos": "{}", "velocity": "v{}", "vel": "v{}", "omega": "w{}", "orientation": "q{}"}
 
@@ -23,7 +23,7 @@ _AXES = {"pos": "{}", "velocity": "v{}", "vel": "v{}", "omega": "w{}", "orientat
 def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
     """Open an XYZ file at one of its steps."""
     with path.open(encoding="utf-8", errors="surrogateescape", newline="\n") as file:
-        places = list[tuple[int, int, int]]()  # of each step: offset, line, count
+        places = list[tuple[int, int, int]]()  # of each step: offset, line, number of rows
         line = 1
         while True:
             offset = file.tell()
@@ -32,7 +32,7 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
                 break
             if not first.strip().isdecimal() or len(first) > 20:
                 raise SceneError(
-                    f"{called}: line {line} is {printable(first.strip())}, and the number of rows is needed"
+                    f"{called}: line {line} is {printable(first.strip())}, but the number of rows is needed"
                 )
             count = int(first)
             refuse_many_rows(called, count)
@@ -56,12 +56,12 @@ def open_xyz(path: Path, called: str, snapshot: int) -> DataTable:
 
 
 def _skip(file: IO[str], lines: int) -> int:
-    """Skip lines; return how many there were."""
+    """Skip lines; return the number skipped."""
     return next((k for k in range(lines) if not file.readline(_LONGEST)), lines)
 
 
 def _names(called: str, comment: str, rows: list[str]) -> list[str]:
-    """Return the names of the columns: of the extended form, or a species and three coordinates."""
+    """Return the names of the columns: those of the extended form, or a species and three coordinates."""
     found = _PROPERTIES.search(comment)
     if found is None:
         columns = len(rows[0].split()) if rows else 4

@@ -1,7 +1,7 @@
 """The scene: everything that a run depends on, as validated data. Each description states the unit.
 
-Sections and keys have the names that they have in the TOML file. All are optional, except that a scene needs a body or
-a group. Unknown keys are refused.
+Sections and keys have the same names as in the TOML file. All are optional, but a scene needs a body or a group.
+Unknown keys are refused.
 """
 
 from carom.scene.schema.body import Body, BodyData, BodyGroup, RadiusRange, Region, Spin, StaticPlane, Velocity

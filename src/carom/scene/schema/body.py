@@ -1,4 +1,4 @@
-"""[[body]], [[bodies]], [[group]] and [[plane]]: what a scene consists of."""
+"""[[body]], [[bodies]], [[group]] and [[plane]]: the contents of a scene."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ SOLID = 2 / 5  # moment of inertia over m r² of a solid sphere
 
 
 class Matter(Section):
-    """Matter of a sphere: a density or a mass, not both."""
+    """The matter of a sphere: a density or a mass, not both."""
 
     density: Annotated[Positive, DENSITY] | None = Field(
-        None, description="kg/m³, 1000 unless mass or a material is given; more than 0"
+        None, description="kg/m³, 1000 unless a mass or a material is given; more than 0"
     )
     mass: Annotated[NonNegative, MASS] | None = Field(
         None,
-        description="kg, of each body, in place of a density; 0 for test particles, which are attracted and do not "
-        "attract, and need contact.enabled = false",
+        description="kg, of each body, instead of a density; 0 for test particles, which are attracted but attract "
+        "nothing, and need contact.enabled = false",
     )
     inertia_factor: Positive | None = Field(
         None,
         le=2 / 3,
-        description="moment of inertia over m r²: 2/5, a solid sphere, unless given; 2/3 for a thin shell",
+        description="moment of inertia over m r²; by default 2/5, that of a solid sphere; 2/3 for a thin shell",
     )
     material: str | None = Field(
-        None, description="name of a [[material]], which may give the density and the inertia_factor"
+        None, description="name of a [[material]], which may define the density and the inertia_factor"
     )
 
     @property
@@ -55,7 +55,7 @@ class Body(Matter):
     angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] = Field(ORIGIN, description="rad/s, [x, y, z]")
     radius: Annotated[Positive, LENGTH] = Field(1.0, description="m; more than 0")
     fixed: Annotated[bool, Field(strict=True)] = Field(
-        False, description="true: the body neither moves nor turns, whatever acts on it"
+        False, description="true: the body neither moves nor rotates, whatever acts on it"
     )
 
     @model_validator(mode="after")
@@ -75,21 +75,21 @@ _RIVALS = {
     "density": "mass",
     "inertia": "inertia_factor",
     "diameter": "radius",
-}  # each follows from the other
+}  # pairs that determine each other
 
 
 class Columns(Section):
-    """Which columns of a file hold which quantity; a column that is left out has its usual name."""
+    """The column of a file for each quantity; where none is given, the usual name is used."""
 
     position: Axes | Name | None = Field(None, description="m; three columns, or one that holds [x, y, z]")
     velocity: Axes | Name | None = Field(None, description="m/s; three columns, or one that holds [x, y, z]")
-    angular_velocity: Axes | Name | None = Field(None, description="rad/s; three columns, or one of [x, y, z]")
+    angular_velocity: Axes | Name | None = Field(None, description="rad/s; three columns, or one that holds [x, y, z]")
     mass: Name | None = Field(None, description="kg")
-    density: Name | None = Field(None, description="kg/m³, in place of a mass")
+    density: Name | None = Field(None, description="kg/m³, instead of a mass")
     radius: Name | None = Field(None, description="m")
-    diameter: Name | None = Field(None, description="m, in place of a radius")
-    inertia: Name | None = Field(None, description="kg m², moment of inertia, in place of inertia_factor")
-    fixed: Name | None = Field(None, description="true or 1: the body neither moves nor turns")
+    diameter: Name | None = Field(None, description="m, instead of a radius")
+    inertia: Name | None = Field(None, description="kg m², moment of inertia, instead of inertia_factor")
+    fixed: Name | None = Field(None, description="true or 1: the body neither moves nor rotates")
     name: Name | None = Field(None, description="names of the bodies")
     header: tuple[Name, ...] | None = Field(
         None, description="names of all columns, for a text file without a header; also columns = [...]"
@@ -97,12 +97,12 @@ class Columns(Section):
 
 
 def _list_as_header(value: Any) -> Any:
-    """Read a list of names as those of all columns."""
+    """Read a list of names as the names of all columns."""
     return {"header": value} if isinstance(value, list | tuple) else value
 
 
 class _OrNames:
-    """States in the JSON schema that a list of names may stand in place of a section."""
+    """States in the JSON schema that a list of names may replace a section."""
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
         """Describe a section, or a list of names."""
@@ -110,12 +110,12 @@ class _OrNames:
 
 
 class Orbit(Section):
-    """How a file of orbital elements is read: columns a or q, e, i, om, w, and ma or tp, in degrees."""
+    """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp, in degrees."""
 
-    central_mass: Annotated[Positive, MASS] = Field(description="kg, at rest at the origin; more than 0")
+    central_mass: Annotated[Positive, MASS] = Field(description="kg, mass at rest at the origin; more than 0")
     epoch: Real | None = Field(
         None,
-        description="time of the scene's start, in the unit of the columns epoch and tp, such as a Julian date; by "
+        description="initial time of the scene, in the unit of the columns epoch and tp, such as a Julian date; by "
         "default that of the file",
     )
 
@@ -132,37 +132,37 @@ class Missing(Section):
 
 
 class BodyData(Matter):
-    """[[bodies]]: many bodies, from a file or from arrays; a value given here holds for all of them."""
+    """[[bodies]]: many bodies, from a file or from arrays; a value given here applies to all of them."""
 
-    name: str = Field("", description="shown in the recording with a number for each body")
+    name: str = Field("", description="shown in the recording, with a number for each body")
     file: Name | None = Field(
         None,
         description=".csv, .txt, .parquet, .arrow, .npz, .h5, .bin (REBOUND) or another of docs/data.md; relative to "
         "the scene",
     )
     columns: Annotated[Columns, _OrNames(), BeforeValidator(_list_as_header)] = Field(
-        Columns(), description="names of the columns; by default the usual ones are found"
+        Columns(), description="names of the columns; by default the usual names"
     )
     snapshot: Annotated[int, Field(strict=True)] = Field(
-        -1, description="which step of a file of several, counted from 0, or from the end with -1, the last"
+        -1, description="step of a file with several steps, counted from 0, or from the end: -1 is the last"
     )
     missing: Missing | None = Field(
         None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
     orbit: Orbit | None = Field(
-        None, description="{ central_mass, epoch }, for a file with orbital elements in place of positions"
+        None, description="{ central_mass, epoch }, for a file with orbital elements instead of positions"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
-        None, description="m, of all bodies, in place of a column; more than 0"
+        None, description="m, of all bodies, instead of a column; more than 0"
     )
     velocity: Annotated[Vector, VELOCITY] | None = Field(
-        None, description="m/s, [x, y, z], of all bodies, in place of columns"
+        None, description="m/s, [x, y, z], of all bodies, instead of columns"
     )
     angular_velocity: Annotated[Vector, ANGULAR_VELOCITY] | None = Field(
-        None, description="rad/s, [x, y, z], of all bodies, in place of columns"
+        None, description="rad/s, [x, y, z], of all bodies, instead of columns"
     )
     fixed: Annotated[bool, Field(strict=True)] | None = Field(
-        None, description="true: the bodies neither move nor turn; in place of a column"
+        None, description="true: the bodies neither move nor rotate; instead of a column"
     )
     count: Count | None = Field(None, description="number of bodies; written by carom, and checked if given")
     sha256: Annotated[str, Field(strict=True, pattern=DIGEST)] | None = Field(
@@ -184,7 +184,7 @@ class BodyData(Matter):
 
     @property
     def called(self) -> str:
-        """The name of the source of the bodies in messages."""
+        """The source of the bodies, as messages name it."""
         return self.file or "the arrays"
 
     def is_like(self, other: BodyData) -> bool:
@@ -196,8 +196,8 @@ class BodyData(Matter):
         )
 
 
-STEEPEST = 300  # decades that a power of radii may span
-LENGTHS = {  # that each shape of a region needs, and those that it may have
+STEEPEST = 300  # decades that a power of the radii may span
+LENGTHS = {  # lengths that each shape of a region requires, and those that it allows
     "ball": (("radius",), ()),
     "box": (("size",), ()),
     "cylinder": (("radius", "height"), ()),
@@ -220,8 +220,10 @@ class RadiusRange(Section):
 
     min: Annotated[Positive, LENGTH] = Field(description="m, smallest radius; more than 0")
     max: Annotated[Positive, LENGTH] = Field(description="m, largest radius; more than 0")
-    distribution: Literal["uniform", "log-uniform", "power-law"] = Field("uniform", description="of the radii")
-    exponent: Real = Field(-3.5, description="of the power law, dN/dr ∝ r^exponent")
+    distribution: Literal["uniform", "log-uniform", "power-law"] = Field(
+        "uniform", description="distribution of the radii"
+    )
+    exponent: Real = Field(-3.5, description="exponent of the power law, dN/dr ∝ r^exponent")
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -235,20 +237,24 @@ class RadiusRange(Section):
 
 
 class Region(Section):
-    """Where the bodies of a group are placed; every sphere lies entirely inside, but in a plummer region its centre."""
+    """Where the bodies of a group are placed.
+
+    Every sphere lies entirely inside; in a plummer region, its centre does.
+    """
 
     shape: Literal["ball", "box", "cylinder", "shell", "plummer"] = Field(
         "ball", description="ball, box, upright cylinder, shell between two radii, or Plummer's model of a star cluster"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
         None,
-        description="m, of a ball, a cylinder or a shell; in a plummer region the farthest centre, 10 scale if absent",
+        description="m, of a ball, a cylinder or a shell; in a plummer region the largest distance of a centre, by "
+        "default 10 scale",
     )
     size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
         None, description="m, [x, y, z] of a box"
     )
     height: Annotated[Positive, LENGTH] | None = Field(None, description="m, of a cylinder along z; more than 0")
-    inner_radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of the hollow in a shell")
+    inner_radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, radius of the cavity in a shell")
     scale: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, Plummer's radius a; half of the mass is within 1.3 a"
     )
@@ -277,7 +283,7 @@ class Velocity(Section):
     )
     virial: NonNegative | None = Field(
         None,
-        description="kinetic over potential energy of a plummer region, whose velocities are added: 0.5 is equilibrium",
+        description="kinetic over potential energy of a plummer region, whose velocities are added; 0.5 is equilibrium",
     )
 
 
@@ -302,46 +308,48 @@ class BodyGroup(Matter):
     )
     arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
         "random",
-        description="at random up to a packing of 0.38; compressed: at random up to 0.62, of unequal radii more, and "
-        "together with all groups of the same region; or on a lattice",
+        description="random, up to a packing of 0.38; compressed: random up to 0.62, or more with unequal radii, "
+        "together with all groups in the same region; or a lattice",
     )
     spacing: Annotated[Positive, LENGTH] | None = Field(
-        None, description="m, between neighbours on a lattice; by default the bodies fill the region"
+        None, description="m, distance of neighbours on a lattice; by default the bodies fill the region"
     )
     velocity: Velocity = Field(Velocity(), description="{ mean, dispersion, virial } in m/s")
     spin: Spin = Field(Spin(), description="{ dispersion } in rad/s")
     bulk_rotation: Annotated[Vector, ANGULAR_VELOCITY] = Field(
-        ORIGIN, description="rad/s, [x, y, z], rigid rotation of the whole group about its centre"
+        ORIGIN, description="rad/s, [x, y, z], of a rigid rotation of the whole group about its centre"
     )
 
     @model_validator(mode="after")
     def _arranged_where_it_can_be(self) -> Self:
         shape = None if self.region is None else self.region.shape
         if self.spacing is not None and self.arrangement not in LATTICES:
-            raise ValueError(f'spacing with arrangement = "{self.arrangement}"; take {", ".join(LATTICES)}')
+            raise ValueError(f'spacing with arrangement = "{self.arrangement}"; use {", ".join(LATTICES)}')
         if self.arrangement in LATTICES and self.region is None:
             raise ValueError(f'arrangement = "{self.arrangement}" needs a region')
         if self.arrangement != "random" and shape == "plummer":
-            raise ValueError(f'arrangement = "{self.arrangement}" in a plummer region, which is random; leave one out')
+            raise ValueError(
+                f'arrangement = "{self.arrangement}" in a plummer region, which is random; remove one of them'
+            )
         if self.velocity.virial is not None and shape != "plummer":
-            raise ValueError('velocity.virial without a region of shape = "plummer"; leave it out')
+            raise ValueError('velocity.virial without a region of shape = "plummer"; remove it')
         if self.velocity.virial is not None and self.mass == 0.0:
-            raise ValueError("velocity.virial of test particles (mass = 0), which have no potential; leave it out")
+            raise ValueError("velocity.virial of test particles (mass = 0), which have no potential; remove it")
         return self
 
 
 class StaticPlane(Surface):
     """[[plane]]: a static half-space; the normal points out of the solid.
 
-    Its coefficients hold for all contacts with it; those that it does not give follow from both materials.
+    Its coefficients apply to all contacts with it; missing ones are combined from both materials.
     """
 
     name: str = Field("", description="shown in warnings")
-    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of any point of the surface")
+    point: Annotated[Vector, LENGTH] = Field(ORIGIN, description="m, [x, y, z] of any point on the surface")
     normal: tuple[AnyReal, AnyReal, AnyReal] = Field(
-        (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid; any length but 0"
+        (0.0, 0.0, 1.0), description="[x, y, z], direction out of the solid, of any length but 0"
     )
-    material: str | None = Field(None, description="name of a [[material]], in place of coefficients")
+    material: str | None = Field(None, description="name of a [[material]], instead of coefficients")
 
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:

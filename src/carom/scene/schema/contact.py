@@ -18,7 +18,7 @@ from carom.scene.schema.quantity import AnyReal, Count, Friction, Positive, Sect
 from carom.scene.units.dimension import DENSITY, TIME, VELOCITY
 from carom.scene.wording import suggestion
 
-DEFAULT = "default"  # the material of [contact]
+DEFAULT = "default"  # name of the material of [contact]
 COLOURS = ("orange", "sky-blue", "green", "yellow", "blue", "vermilion", "purple", "grey", "white")
 _HEX = re.compile(r"#[0-9a-fA-F]{6}")
 
@@ -34,7 +34,7 @@ class Coefficients(NamedTuple):
 def combined(one: Coefficients, other: Coefficients) -> Coefficients:
     """Return the coefficients of a contact of two materials: the smaller restitution, the mean friction.
 
-    The geometric mean, as in Box2D: friction is 0 where one of the two is smooth. A material keeps its own coefficients
+    The mean is geometric, as in Box2D: friction is 0 if one of the two is smooth. A material keeps its own coefficients
     against itself, to the last bit.
     """
     if one == other:
@@ -47,18 +47,21 @@ def combined(one: Coefficients, other: Coefficients) -> Coefficients:
 
 
 def _geometric_mean(a: float, b: float) -> float:
-    return a if a == b else math.sqrt(a) * math.sqrt(b)  # the product of both may underflow
+    return a if a == b else math.sqrt(a) * math.sqrt(b)  # the product could underflow
 
 
 class Surface(Section):
-    """Coefficients of the contact law, each of which may be left out."""
+    """Coefficients of the contact law, each of which may be missing."""
 
     restitution: AnyReal | None = Field(
-        None, ge=0, le=1, description="rebound speed over approach speed, from 0 to 1; else that of [contact]"
+        None, ge=0, le=1, description="rebound speed over approach speed, from 0 to 1; by default that of [contact]"
     )
-    static_friction: Friction | None = Field(None, description="of a sticking contact; else that of [contact]")
+    static_friction: Friction | None = Field(
+        None, description="Coulomb coefficient of a sticking contact; by default that of [contact]"
+    )
     kinetic_friction: Friction | None = Field(
-        None, description="of a sliding contact, at most static_friction; else that of [contact]"
+        None,
+        description="Coulomb coefficient of a sliding contact, at most static_friction; by default that of [contact]",
     )
 
     @model_validator(mode="after")
@@ -72,7 +75,7 @@ class Surface(Section):
 
     @property
     def given(self) -> list[str]:
-        """The coefficients, and the sections of a contact law, that are given."""
+        """The coefficients and the sections of contact laws that are given."""
         return [name for name in (*Coefficients._fields, *_known_laws) if getattr(self, name, None) is not None]
 
     def completed(self, default: Coefficients) -> Coefficients:
@@ -93,17 +96,19 @@ def _known_colour(colour: str) -> str:
 
 
 class Material(Surface):
-    """[[material]]: what bodies, groups and planes may be made of; they name it by ``material``."""
+    """[[material]]: what bodies, groups and planes are made of; they refer to it by ``material``."""
 
-    name: str = Field(min_length=1, description='what bodies, groups, planes and pairs call it; not "default"')
+    name: str = Field(
+        min_length=1, description='name by which bodies, groups, planes and pairs refer to it; not "default"'
+    )
     density: Annotated[Positive, DENSITY] | None = Field(
-        None, description="kg/m³, of bodies that have no mass of their own; more than 0"
+        None, description="kg/m³, of bodies without a mass of their own; more than 0"
     )
     inertia_factor: Positive | None = Field(
         None, le=2 / 3, description="moment of inertia over m r²: 2/5 for a solid sphere, 2/3 for a thin shell"
     )
     colour: Annotated[str, AfterValidator(_known_colour)] | None = Field(
-        None, description=f'in the viewer: "#rrggbb", or {", ".join(COLOURS)}'
+        None, description=f'colour in the viewer: "#rrggbb", or {", ".join(COLOURS)}'
     )
 
     @model_validator(mode="after")
@@ -114,17 +119,17 @@ class Material(Surface):
 
 
 class MaterialPair(Surface):
-    """[[pair]]: the coefficients of contacts between two materials, in place of the combined ones."""
+    """[[pair]]: the coefficients of contacts between two materials, instead of the combined ones."""
 
     materials: tuple[str, str] = Field(
-        description='names of two materials, or of one twice for contacts of it with itself; "default" is that of '
-        "[contact]"
+        description='names of two materials, or one name twice for contacts of a material with itself; "default" is '
+        "the material of [contact]"
     )
 
     @model_validator(mode="after")
     def _gives_a_coefficient(self) -> Self:
         if not self.given:
-            raise ValueError(f"gives none of {', '.join(Coefficients._fields)}; add one, or leave the pair out")
+            raise ValueError(f"gives none of {', '.join(Coefficients._fields)}; add one, or remove the pair")
         return self
 
 
@@ -137,7 +142,7 @@ def _known_law(law: str | list[str]) -> str | list[str]:
         if name not in known:
             raise ValueError(f'no contact law "{name}"; {suggestion(name, known)}')
     if not law:
-        raise ValueError(f'names no law; leave it out for "{DEFAULT_LAW}"')
+        raise ValueError(f'names no law; remove it for "{DEFAULT_LAW}"')
     return law
 
 
@@ -145,9 +150,12 @@ class Sleep(Section):
     """[contact.sleep]: islands at rest are not computed until something disturbs them."""
 
     speed: Annotated[Positive, VELOCITY] = Field(
-        description="m/s; bodies that move at most this fast, and turn at most ten times as fast, may fall asleep"
+        description="m/s; bodies that move at most this fast, and whose surfaces rotate at most ten times as fast, "
+        "may fall asleep"
     )
-    after: Annotated[Positive, TIME] = Field(0.5, description="s, for which all bodies of an island must be so slow")
+    after: Annotated[Positive, TIME] = Field(
+        0.5, description="s, time for which all bodies of an island must be that slow"
+    )
 
 
 class ContactSettings(Section):
@@ -169,11 +177,11 @@ class ContactSettings(Section):
     )
     solver: Literal["lasting", "staged"] = Field(
         "lasting",
-        description="solver of resting contacts: warm-started impulses (lasting), or impulses that start from 0 "
-        "in every step (staged)",
+        description="solver of resting contacts: with impulses that start from those of the previous step (lasting) "
+        "or from 0 (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(
-        "contacts", description="graph colouring that finds contacts to solve in parallel: of contacts or of bodies"
+        "contacts", description="what the graph colouring that finds parallel contacts colours: contacts or bodies"
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split",
@@ -182,7 +190,7 @@ class ContactSettings(Section):
     )
     timing: Literal["auto", "end-of-step", "time-of-impact"] = Field(
         "auto",
-        description="when impacts are resolved: at the end of their step, or at their own times within it; auto is "
+        description="when impacts are resolved: at the end of their step, or at their exact times within it; auto is "
         "time-of-impact, unless a step of the integrator is more than one drift (yoshida4, leapfrog-dkd)",
     )
     search: Literal["grid", "k-d-tree"] = Field(
@@ -190,13 +198,13 @@ class ContactSettings(Section):
     )
     sweeps: Sweeps | Annotated[Count, Field(le=10_000)] = Field(
         "auto",
-        description="solver iterations in a step: until the impulses converge (auto); until no contact changes by 3e-6 "
-        "of a radius, cheaper for heaps at rest (as-needed); at most four of these, cheaper while heaps fall, with "
-        "deeper overlaps (quick); or at most this many, up to 10000",
+        description="solver iterations in a step: until the impulses converge (auto); until no contact changes by "
+        "3e-6 of a radius, cheaper for heaps at rest (as-needed); at most four of these, cheaper for "
+        "falling heaps, with deeper overlaps (quick); or at most this number, up to 10000",
     )
     sleep: Sleep | None = Field(
         None,
-        description="skip islands that lie still on something fixed until something disturbs them; none by default",
+        description="skip islands at rest on something fixed until something disturbs them; none by default",
     )
     allow_overlap: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: explicit bodies may overlap at the start"
@@ -205,7 +213,7 @@ class ContactSettings(Section):
     @model_validator(mode="before")
     @classmethod
     def _follow_the_given_friction(cls, data: Any) -> Any:
-        """Adapt the default of one coefficient if it contradicts the other, which is given."""
+        """Adapt the default of one coefficient if it contradicts the given one."""
         if not isinstance(data, dict):
             return data
         static, kinetic = data.get("static_friction"), data.get("kinetic_friction")
@@ -228,16 +236,16 @@ class ContactSettings(Section):
     def _only_lasting_contacts_sleep(self) -> Self:
         if self.sleep is not None and self.solver != "lasting":
             raise ValueError(
-                f'sleep needs impulses that last; leave it out, or set solver = "lasting" instead of "{self.solver}"'
+                f'sleep needs impulses that last; remove it, or set solver = "lasting" instead of "{self.solver}"'
             )
         return self
 
     @model_validator(mode="after")
     def _has_the_coefficients_of_its_law(self) -> Self:
-        """Refuse the coefficients of other laws; a law whose coefficients all have defaults needs no section."""
+        """Refuse coefficients of laws not chosen; a law whose coefficients all have defaults needs no section."""
         for name in law_sections(self):
             if name not in self.laws:
-                raise SectionError((name,), f'needs contact.law = "{name}"; set it, or leave this out')
+                raise SectionError((name,), f'needs contact.law = "{name}"; set it, or remove this section')
         for name in self.laws:
             try:
                 _ = self.law_section(name)
@@ -258,7 +266,7 @@ class ContactSettings(Section):
 
     @property
     def law_key(self) -> str:
-        """The key ``law`` with its value, as messages name it."""
+        """The key ``law`` and its value, for messages."""
         return f"contact.law = {json.dumps(self.law)}"
 
     def law_section(self, name: str) -> Any:
@@ -269,26 +277,26 @@ class ContactSettings(Section):
 
     @property
     def coefficients(self) -> Coefficients:
-        """Those of bodies and planes without a material."""
+        """Coefficients of bodies and planes without a material."""
         return Coefficients(self.restitution, self.static_friction, self.kinetic_friction)
 
 
-_known_laws: list[str] = []  # that have a section
+_known_laws: list[str] = []  # laws with a section
 
 
 def law_sections(holder: Surface | ContactSettings) -> list[str]:
-    """Return the names of the contact laws of which a section is given."""
+    """Return the names of the contact laws that have a section here."""
     return [name for name in _known_laws if getattr(holder, name, None) is not None]
 
 
 @cache
 def know_contact_laws(*holders: type[Section]) -> None:
-    """Let the models that hold coefficients have a section for each contact law; see `know_installed_forces`.
+    """Add a section for each contact law to the models that hold coefficients; see `know_installed_forces`.
 
     Parameters
     ----------
     holders
-        Models with coefficients, and the models that these are in.
+        Models with coefficients, and the models that contain them.
     """
     for name in registry.names("contact_laws"):
         section = None if name == DEFAULT_LAW else section_of("contact_laws", name)

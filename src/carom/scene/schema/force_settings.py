@@ -14,21 +14,21 @@ from carom.scene.units.dimension import ACCELERATION, GRAVITATIONAL_CONSTANT, LE
 
 
 class Gravity(Section):
-    """[gravity]: the gravity of the bodies on each other, and a uniform field."""
+    """[gravity]: the gravity between bodies, and a uniform field."""
 
     constant: Annotated[NonNegative, GRAVITATIONAL_CONSTANT] = Field(
-        6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 is no gravity; not negative"
+        6.6743e-11, description="m³ kg⁻¹ s⁻², gravitational constant; 0 for no gravity; not negative"
     )
     method: Literal["auto", "direct", "tree", "fast-multipole", "none"] = Field(
         "auto",
-        description="how gravity is summed; auto takes a tree for 5000 bodies or more; "
-        "fast-multipole conserves momentum and is faster at small errors",
+        description="how gravity is summed; auto uses a tree for 5000 bodies or more; fast-multipole conserves "
+        "momentum and is faster at small errors",
     )
     opening_angle: Positive = Field(
         0.5,
         le=1,
-        description="in radians: boxes of a tree that look smaller, by their radius, pull as a whole; with "
-        "fast-multipole, pairs of boxes whose radii together look smaller; more than 0, at most 1",
+        description="radians; with a tree, boxes with a smaller angular radius attract as a whole; with "
+        "fast-multipole, pairs of boxes whose radii together have a smaller one; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
         True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
@@ -41,7 +41,7 @@ class Drag(Section):
     """[drag]: Stokes' drag in a medium, a = -(v - u)/τ."""
 
     relaxation_time: Annotated[Positive, TIME] = Field(
-        description="s, τ, in which the velocity relative to the medium falls to 1/e; more than 0"
+        description="s, τ, time in which the velocity relative to the medium falls to 1/e; more than 0"
     )
     medium_velocity: Annotated[Vector, VELOCITY] = Field(
         ORIGIN, description="m/s, u, the velocity [x, y, z] of the medium"
@@ -63,7 +63,7 @@ class InstalledForces(Section):
 
     @property
     def given(self) -> dict[str, Any]:
-        """The sections that the scene has, by the names of their forces, in alphabetical order."""
+        """The sections of the scene by the names of their forces, in alphabetical order."""
         return {name: section for name, section in sorted(self) if section is not None}
 
 
@@ -79,13 +79,15 @@ class _NotLoaded(Section):
 class Forces(Section):
     """The keys of the forces in a scene."""
 
-    gravity: Gravity = Field(Gravity(), description="gravity of the bodies on each other, and a uniform field")
+    gravity: Gravity = Field(Gravity(), description="gravity between bodies, and a uniform field")
     drag: Drag | None = Field(None, description="Stokes' drag in a medium; none by default")
-    forces: InstalledForces = Field(InstalledForces(), description="forces of installed packages, a section each")
+    forces: InstalledForces = Field(
+        InstalledForces(), description="forces of installed packages, with a section for each"
+    )
 
 
 def section_of(kind: str, name: str) -> Any:
-    """Return the section of the scene of a part of an installed package; that of one that cannot be loaded says why."""
+    """Return the scene's section for a part of an installed package; it says why a part cannot be loaded."""
     try:
         return registry.load(kind, name).section
     except registry.ExtensionError as error:
@@ -94,9 +96,9 @@ def section_of(kind: str, name: str) -> Any:
 
 @cache
 def know_installed_forces(*holders: type[Section]) -> None:
-    """Let `InstalledForces`, and the models that hold it, have a field for each force of an installed package.
+    """Add a field for each force of an installed package to `InstalledForces` and the models that contain it.
 
-    This is done at the first use of a scene, not when this module is imported: a package that defines a force imports
+    This is done when a scene is first used, not when this module is imported: a package that defines a force imports
     this module.
     """
     names = registry.installed("forces")

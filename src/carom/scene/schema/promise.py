@@ -1,4 +1,4 @@
-"""[expect], [promise] and [sweep]: what is checked, written or varied by the commands that run a scene."""
+"""[expect], [promise] and [sweep]: keys that are checked, written or varied by the commands that run a scene."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ ABOUT_THE_END = ("final_kinetic", "impacts")  # promises that apply only to a ru
 
 
 class Expect(Section):
-    """[expect]: promises that are checked at the end; a run that misses one reports it and exits with 1."""
+    """[expect]: promises that are checked at the end; a run that breaks one reports it and exits with 1."""
 
     energy_error: NonNegative | None = Field(
         None,
-        description="largest |integration error| over the energy scale, or energy put in by contacts if that is more",
+        description="largest |integration error|, or energy added by contacts if that is larger, over the energy scale",
     )
     energy_gain: NonNegative | None = Field(
         None,
-        description="largest rise of the total energy above its lowest so far, over the energy scale, among the "
+        description="largest rise of the total energy above its previous minimum, over the energy scale, at the "
         "checks of the energy",
     )
-    momentum_error: NonNegative | None = Field(None, description="largest change of momentum over its scale")
+    momentum_error: NonNegative | None = Field(None, description="largest change of the momentum over its scale")
     angular_momentum_error: NonNegative | None = Field(
-        None, description="largest change of angular momentum over its scale"
+        None, description="largest change of the angular momentum over its scale"
     )
     max_overlap: NonNegative | None = Field(None, description="deepest overlap over the smaller radius")
     final_kinetic: NonNegative | None = Field(
-        None, description="kinetic energy at the end, of motion and spin, over the energy scale"
+        None, description="kinetic energy at the end, including spin, over the energy scale"
     )
     impacts: Count | None = Field(None, description="smallest number of impacts; 1 or more")
     contact_audit: NonNegative | None = Field(
@@ -40,7 +40,7 @@ class Expect(Section):
     )
     duration: Annotated[Positive, TIME] | None = Field(
         None,
-        description="s, the duration for which final_kinetic, impacts and warned are promised; default: that of [time]",
+        description="s, the duration to which final_kinetic, impacts and warned apply; by default that of [time]",
     )
     warned: tuple[Literal["energy-rise", "energy-ledger", "energy-lost", "limit"], ...] = Field(
         (), description='kinds of warnings that the run must give, such as "energy-lost"'
@@ -48,41 +48,41 @@ class Expect(Section):
 
 
 class Promise(Section):
-    """[promise]: what a run needs to keep time.accuracy; carom finds it and writes it into the recorded scene."""
+    """[promise]: what a run needs to keep time.accuracy; carom determines it and writes it into the recorded scene."""
 
     refinement: Positive = Field(
-        description="longest useful steps over those of the run, or the usual ones of gauss-radau15 and wisdom-holman; "
-        "more than 0"
+        description="ratio of the longest useful steps, or of the usual ones of gauss-radau15 and wisdom-holman, to "
+        "the steps of the run; more than 0"
     )
     until: Annotated[Positive, TIME] = Field(
-        description="s, time up to which runs ahead examined the accuracy; more than 0"
+        description="s, time up to which trial runs examined the accuracy; more than 0"
     )
     looked: Annotated[NonNegative, TIME] | None = Field(
         None,
-        description="s, time that the runs ahead reached, where their budget ended before `until`; none: all of it; "
-        "not negative",
+        description="s, time that the trial runs reached if their budget ended before `until`; none if they reached "
+        "it; not negative",
     )
     horizon: Annotated[NonNegative, TIME] | None = Field(
-        None, description="s, time up to which the accuracy is kept; none: as far as the runs ahead went; not negative"
+        None,
+        description="s, time up to which the accuracy is kept; none if it is kept as far as the trial runs "
+        "went; not negative",
     )
     integrator: Literal["wisdom-holman"] | None = Field(
-        None, description="the integrator, where the run ahead chose another one than the scene"
+        None, description="the integrator, if the trial runs chose another than the scene"
     )
-    lyapunov: Annotated[Real, RATE] = Field(
-        description="1/s, largest Lyapunov exponent, over the time of the runs ahead"
-    )
+    lyapunov: Annotated[Real, RATE] = Field(description="1/s, largest Lyapunov exponent, measured over the trial runs")
     error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
-        description="expected error of positions over the size of the system, at equally spaced times up to `looked`, "
-        "or `until`"
+        description="expected error of positions over the size of the system, at equally spaced times up to "
+        "`looked`, or `until`"
     )
 
     @property
     def kept_until(self) -> float:
-        """The time in s up to which the accuracy is kept."""
+        """The time (s) up to which the accuracy is kept."""
         return self.until if self.horizon is None else self.horizon
 
     def error_at(self, time: float) -> float:
-        """Return the expected error at a time in s, over the size of the system; 1 where it is unknown."""
+        """Return the expected error at a time (s), over the size of the system; 1 where it is unknown."""
         known = self.until if self.looked is None else self.looked
         if self.looked is not None and time > known:
             return 1.0
@@ -93,7 +93,7 @@ class Promise(Section):
 
 
 def _values_by_key(given: Any) -> Any:
-    """Read the varied values: lists as they are, text in the syntax of `--vary`."""
+    """Read the varied values: lists unchanged, text in the syntax of `--vary`."""
     if not isinstance(given, dict):
         return given
     values: dict[str, Values] = {}

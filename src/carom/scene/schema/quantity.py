@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-LARGEST = 1e100  # cubes and most products of such numbers are finite
+LARGEST = 1e100  # cubes and most products of numbers up to this are finite
 SMALLEST = 1e-100
 
 
@@ -22,7 +22,7 @@ AnyReal = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Real = Annotated[float, Field(strict=True, allow_inf_nan=False), _Sized]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0), _Sized]
 NonNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0), _Sized]
-Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # has no unit that could be changed
+Friction = Annotated[float, Field(strict=True, ge=0, le=LARGEST)]  # without a unit that could be changed
 Count = Annotated[int, Field(strict=True, ge=1)]
 Vector = tuple[Real, Real, Real]
 ORIGIN: Vector = (0.0, 0.0, 0.0)
@@ -35,7 +35,7 @@ class Section(BaseModel):
 
 
 class SectionError(ValueError):
-    """A contradiction between sections, and the key that should be changed."""
+    """A contradiction between sections, and the key to change."""
 
     def __init__(self, path: tuple[str | int, ...], message: str) -> None:
         super().__init__(message)

@@ -45,17 +45,19 @@ class Scene(Forces, Heading):
 
     contact: ContactSettings = Field(ContactSettings(), description="how contacts are modelled")
     domain: Domain = Field(Domain(), description="the space around the bodies")
-    model: ForcedParts = Field(ForcedParts(), description="parts to model even though the scene does not require them")
+    model: ForcedParts = Field(ForcedParts(), description="parts to model although the scene does not require them")
     record: Record = Field(Record(), description="how often frames are recorded and the energy is checked")
     group: tuple[BodyGroup, ...] = Field((), description="many bodies at random positions")
     body: tuple[Body, ...] = Field((), description="single bodies")
     bodies: tuple[BodyData, ...] = Field((), description="many bodies, from data files or arrays")
     plane: tuple[StaticPlane, ...] = Field((), description="static half-spaces")
     material: tuple[Material, ...] = Field((), description="what bodies, groups and planes may be made of")
-    pair: tuple[MaterialPair, ...] = Field((), description="how two materials meet, in place of the rule")
+    pair: tuple[MaterialPair, ...] = Field(
+        (), description="coefficients of two materials, instead of the combined ones"
+    )
     expect: Expect = Field(Expect(), description="promises that are checked at the end")
     sweep: Sweep = Field(Sweep(), description="what `carom sweep` varies")
-    promise: Promise | None = Field(None, description="what time.accuracy takes; written by carom, not by hand")
+    promise: Promise | None = Field(None, description="how a run keeps time.accuracy; written by carom, not by hand")
 
     _toml: str = PrivateAttr("")
     _unit_system: UnitSystem = PrivateAttr(SI)
@@ -64,24 +66,24 @@ class Scene(Forces, Heading):
 
     @property
     def toml(self) -> str:
-        """The scene as TOML: the text it was loaded from with overrides applied, or one written from its values."""
+        """The scene as TOML: its original text with overrides applied, or a text written from its values."""
         return self._toml
 
     @property
     def unit_system(self) -> UnitSystem:
-        """The units that the scene is written, simulated and printed in."""
+        """The units in which the scene is written, simulated and printed."""
         units: UnitSystem = self._private("_unit_system")
         return units
 
     @property
     def places(self) -> KeyPlaces | None:
-        """Where its keys were written; None if it was not read from a text."""
+        """The places of its keys; None if it was not read from a text."""
         places: KeyPlaces | None = self._private("_places")
         return places
 
     @property
     def refinement(self) -> float:
-        """The refinement that the accuracy takes; 1 where none is asked for."""
+        """The refinement that the accuracy needs; 1 without an accuracy."""
         return 1.0 if self.promise is None else self.promise.refinement
 
     @property
@@ -98,24 +100,24 @@ class Scene(Forces, Heading):
 
     @property
     def held(self) -> HeldBodies | None:
-        """The bodies of all [[bodies]], and where they are from."""
+        """The bodies of all [[bodies]] tables, and their sources."""
         held: HeldBodies | None = self._private("_held")
         return held
 
     @property
     def data(self) -> tuple[BodyColumns, ...]:
-        """The bodies of each [[bodies]]."""
+        """The bodies of each [[bodies]] table."""
         held = self.held
         return () if held is None else tuple(bodies.columns for bodies in held.bodies)
 
     @property
     def notes(self) -> list[tuple[str, ...]]:
-        """Sentences for each [[bodies]]: what of its file is not used, or is read in another way."""
+        """Notes for each [[bodies]] table: parts of its file that are unused or reinterpreted."""
         held = self.held
         return [] if held is None else [bodies.notes for bodies in held.bodies]
 
     def _private(self, name: str) -> Any:
-        """Return a private attribute. By its name Pydantic takes 2 µs, and a run that begins asks 250 times."""
+        """Return a private attribute. By its name, Pydantic takes 2 µs, and a starting run asks 250 times."""
         assert self.__pydantic_private__ is not None, "Pydantic sets them before it validates the whole scene"
         return self.__pydantic_private__[name]
 
@@ -126,14 +128,14 @@ class Scene(Forces, Heading):
 
     @property
     def anchored(self) -> bool:
-        """Whether there are planes, walls or fixed bodies, which take up momentum."""
+        """Whether there are planes, walls or fixed bodies, which absorb momentum."""
         return bool(self.plane) or self.domain.boundary == "walls" or self.has_fixed_bodies
 
     @classmethod
     def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
         """Load a TOML file, or a bundled scene by its name; see `carom.scene.load.load_scene`."""
         if not isinstance(source, str | PathLike):
-            made = "; Scene.from_dict makes one of a dict" if isinstance(source, dict) else ""
+            made = "; Scene.from_dict makes one from a dict" if isinstance(source, dict) else ""
             raise TypeError(f"a scene is the path of a file or a bundled name, not {type(source).__name__}{made}")
         if isinstance(overrides, str):
             raise TypeError(f'overrides are a list of texts, such as ["{overrides}"]')
@@ -166,22 +168,22 @@ class Scene(Forces, Heading):
         made_of: str | None = None,
         **sections: Any,
     ) -> Scene:
-        """Build a scene of bodies that are given as arrays.
+        """Build a scene from bodies in arrays.
 
         Parameters
         ----------
         position
             (n, 3) m.
         radius, mass, density, inertia, fixed
-            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor turns; (n,), or one value
-            for all. A mass or a density is needed, or a material that has one. Without ``inertia`` the bodies are solid
-            spheres, unless their material has another factor.
+            m, kg, kg/m³, kg m² (or as ``units`` says), and whether a body neither moves nor rotates; (n,), or one value
+            for all. A mass or a density is needed, or a material that defines one. Without ``inertia``, bodies are
+            solid spheres, unless their material defines another factor.
         velocity, angular_velocity
             m/s and rad/s; (n, 3), or (3,) for all. Zero by default.
         name
-            n names, or one that each body has with its number.
+            n names, or one name to which each body adds its number.
         made_of
-            The name of a [[material]], of all these bodies. `with_bodies` adds bodies of another one.
+            The name of a [[material]] for all these bodies. `with_bodies` adds bodies of another material.
         sections
             The other keys of a scene, such as ``time={"duration": 1.0}``.
 
@@ -208,7 +210,7 @@ class Scene(Forces, Heading):
         Parameters
         ----------
         keep
-            Whether the scene's own bodies and groups stay, besides the new ones.
+            Whether the scene's own bodies and groups stay in addition to the new ones.
         arrays
             ``position``, ``radius`` and so on.
         """
@@ -217,15 +219,15 @@ class Scene(Forces, Heading):
         return scene_with_arrays(self, keep, arrays)
 
     def changed(self, overrides: list[str]) -> Scene:
-        """Return this scene with keys changed, as ``--set`` changes them; raises `SceneError` like `load`."""
+        """Return this scene with changed keys, in the syntax of ``--set``; raises `SceneError` like `load`."""
         from carom.scene.load import scene_from_text  # noqa: PLC0415 - load needs Scene
 
-        if isinstance(overrides, str | Mapping):  # it would be taken letter by letter, or key by key
+        if isinstance(overrides, str | Mapping):  # it would be read letter by letter, or key by key
             raise TypeError(f'overrides: expected a list of texts such as ["time.duration=5"], got {overrides!r}')
         return scene_from_text(self.toml, self.title, overrides, self._held)
 
     def promising(self, promise: Promise) -> Scene:
-        """Return this scene with a promise, in its text as well."""
+        """Return this scene with a promise, also in its text."""
         values = promise.model_dump(exclude_none=True)
         lines = [f"{key} = {list(value) if isinstance(value, tuple) else value!r}\n" for key, value in values.items()]
         promised = self.model_copy(update={"promise": promise})
@@ -242,22 +244,22 @@ class Scene(Forces, Heading):
     def _names_its_materials(self) -> Self:
         check_materials(self)
         if self.record.colour_by == "material" and not self.material:
-            raise ValueError('record.colour_by = "material" without a [[material]]; add one, or take "group"')
+            raise ValueError('record.colour_by = "material" without a [[material]]; add one, or set "group"')
         return self
 
     @model_validator(mode="after")
     def _an_accuracy_needs_times_of_impact(self) -> Self:
         if self.time.accuracy is not None and self.contact.timing == "end-of-step":
             raise ValueError(
-                f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late by '
-                f"up to a step; remove one of them (the override contact.timing= removes it)"
+                f'contact.timing = "end-of-step" with time.accuracy = {self.time.accuracy:g}: impacts would be late '
+                "by up to a step; remove one of them (the override contact.timing= removes the former)"
             )
         return self
 
     @model_validator(mode="after")
     def _nothing_drags_sleepers(self) -> Self:
         if self.contact.sleep is not None and self.drag is not None:
-            raise ValueError("contact.sleep with a [drag]: a medium may move what sleeps; remove one of them")
+            raise ValueError("contact.sleep with a [drag]: a medium may move sleeping bodies; remove one of them")
         return self
 
     @model_validator(mode="after")
@@ -270,7 +272,7 @@ class Scene(Forces, Heading):
     def _periodic_space_has_no_uniform_field(self) -> Self:
         if self.domain.boundary == "periodic" and any(self.gravity.uniform):
             raise ValueError(
-                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box for ever, and '
+                'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever, and '
                 "the potential of the field is not periodic; set gravity.uniform = [0, 0, 0]"
             )
         return self
@@ -290,18 +292,18 @@ class Scene(Forces, Heading):
         if self.domain.boundary == "periodic" and pulls:
             raise ValueError(
                 'domain.boundary = "periodic" with self-gravity: the sum over infinitely many images does not '
-                "converge, so there is no right answer to compute; set gravity.constant = 0"
+                "converge, so there is no correct result; set gravity.constant = 0"
             )
         return self
 
 
 def check_materials(scene: Scene) -> None:
-    """Refuse names of materials that are unknown or given twice, and bodies that contradict their material.
+    """Refuse names of materials that are unknown or used twice, and bodies that contradict their material.
 
     Raises
     ------
     SectionError
-        Naming the key.
+        The message names the key.
     """
     known: dict[str, Material | None] = {DEFAULT: None}
 
@@ -334,7 +336,7 @@ def check_materials(scene: Scene) -> None:
                 if getattr(matter, key) is not None and getattr(known[matter.material], key, None) is not None:
                     raise SectionError(
                         (section, index, key),
-                        f'given, and material = "{matter.material}" has one; leave one of the two out',
+                        f'given, but material = "{matter.material}" has one; remove one of the two',
                     )
     for index, plane in enumerate(scene.plane):
         if plane.material is not None:
@@ -342,20 +344,20 @@ def check_materials(scene: Scene) -> None:
             if plane.given:
                 raise SectionError(
                     ("plane", index, plane.given[0]),
-                    f'given, and material = "{plane.material}" has one; leave one of the two out',
+                    f'given, but material = "{plane.material}" has one; remove one of the two',
                 )
     for section, surfaces in (("material", scene.material), ("pair", scene.pair), ("plane", scene.plane)):
         for index, surface in enumerate(surfaces):
             for name in law_sections(surface):
                 if name not in scene.contact.laws:
                     raise SectionError(
-                        (section, index, name), f'needs contact.law = "{name}"; set it, or leave this out'
+                        (section, index, name), f'needs contact.law = "{name}"; set it, or remove this section'
                     )
     if scene.domain.material is not None:
         check_name(("domain", "material"), scene.domain.material)
 
 
 def know_installed_parts() -> None:
-    """Let scenes have the sections of forces and contact laws of installed packages."""
+    """Add the sections of forces and contact laws of installed packages to scenes."""
     know_installed_forces(Scene)
     know_contact_laws(ContactSettings, Material, MaterialPair, StaticPlane, Scene)

@@ -1,4 +1,4 @@
-"""[units], [time], [record], [domain] and [model], and the keys that a scene begins with."""
+"""[units], [time], [record], [domain] and [model], and the keys at the top of a scene."""
 
 from __future__ import annotations
 
@@ -24,7 +24,10 @@ from carom.scene.units.dimension import LENGTH, TIME
 
 
 class Units(Section):
-    """[units]: the units of plain numbers, and of what carom prints. The simulation and the recording are in SI."""
+    """[units]: the units of plain numbers, and of the numbers that carom prints.
+
+    The simulation and the recording are in SI.
+    """
 
     length: str | None = Field(None, description='such as "km" or "au"; m by default')
     time: str | None = Field(None, description='such as "h" or "day"; s by default')
@@ -37,7 +40,8 @@ class Units(Section):
     angular_velocity: str | None = Field(None, description='such as "rpm"; by default the angle over the time')
     density: str | None = Field(None, description='such as "g/cm^3"; by default the mass over the length cubed')
     energy: str | None = Field(
-        None, description='such as "erg", printed only; by default mass times length squared over time squared'
+        None,
+        description='such as "erg", for printed numbers only; by default mass times length squared over time squared',
     )
 
 
@@ -58,7 +62,7 @@ else:
 
 
 LARGEST_ACCURACY = 1e-2
-_STEP_KEYS = {  # keys of [time] that set the step, with the values that leave it free
+_STEP_KEYS = {  # keys of [time] that set the step, with the values that do not
     "fixed_dt": None,
     **dict.fromkeys(("target_dx", "cfl", "pull_fraction", "smoothing"), "auto"),
     "velocity_limit": "every-body",
@@ -71,53 +75,53 @@ class Time(Section):
     duration: Annotated[Positive, TIME] = Field(10.0, description="s, simulated time; more than 0")
     max_dt: Annotated[Positive, TIME] | Literal["auto"] = Field(
         "auto",
-        description='s, largest step; more than 0; "auto" is 1 s, and no limit where the integrator chooses its steps '
-        "by their error or by the orbits",
+        description='s, largest step; more than 0; "auto" is 1 s, or no limit if the integrator chooses its steps by '
+        "its error or by the orbits",
     )
     target_dx: Annotated[Positive, LENGTH] | Literal["auto"] = Field(
         "auto",
-        description="m, largest distance that an acceleration may move a body from rest in a step; "
-        '"auto" is a fraction of the smallest radius, smaller for fewer bodies, and no limit where nothing can touch',
+        description='m, largest distance that an acceleration may move a body from rest in a step; "auto" is a '
+        "fraction of the smallest radius, smaller for fewer bodies, or no limit where nothing can touch",
     )
     cfl: Positive | Literal["auto"] = Field(
         "auto",
         description="largest distance that a body may move in a step, as a fraction of its own radius; more than 0; "
-        '"auto" is 0.5, 1 where impacts are resolved at their own times and nothing presses contacts together, and '
-        "no limit where nothing can touch",
+        '"auto" is 0.5, or 1 if impacts are resolved at their exact times and nothing presses contacts '
+        "together, or no limit where nothing can touch",
     )
     pull_fraction: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
         "auto",
-        description="step as a fraction of the shortest time in which a pull changes the motion of a pair, "
-        'r/√(v² + G(m_i + m_j)/r); more than 0, at most 1; "auto" is 0.01 where bodies pull each other and cannot '
-        "touch (with more than 100 bodies 0.02, from the largest acceleration), and no limit elsewhere or with a "
-        "target_dx",
+        description="step as a fraction of the shortest time in which gravity changes the motion of a pair, r/√(v² + "
+        'G(m_i + m_j)/r); more than 0, at most 1; "auto" is 0.01 where bodies attract each other and '
+        "cannot touch (with more than 100 bodies 0.02, from the largest acceleration), otherwise and "
+        "with a target_dx no limit",
     )
     smoothing: Annotated[Positive, Field(le=1)] | Literal["auto"] = Field(
         "auto",
-        description="weight of the new step in the moving average; more than 0; 1 is no smoothing; "
-        '"auto" is 0.2, and 1 where only pull_fraction limits the step',
+        description='weight of the new step in the moving average; more than 0; 1 for no smoothing; "auto" is 0.2, '
+        "or 1 where only pull_fraction limits the step",
     )
     velocity_limit: Literal["every-body", "fastest-body"] = Field(
         "every-body", description="bodies whose radius and speed limit the step: all, or only the fastest"
     )
-    fixed_dt: Annotated[Positive, TIME] | None = Field(
-        None, description="s, constant step in place of the adaptive one"
-    )
+    fixed_dt: Annotated[Positive, TIME] | None = Field(None, description="s, constant step instead of the adaptive one")
     accuracy: Annotated[Positive, Field(le=LARGEST_ACCURACY)] | None = Field(
         None,
-        description="relative error to keep, in place of a step: of positions over the size of the system, and of "
-        "times of impact over the duration; more than 0, at most 0.01; impacts then happen at their own times",
+        description="relative error to keep, instead of a step: of positions over the size of the system, and of "
+        "times of impact over the duration; more than 0, at most 0.01; impacts are then resolved at "
+        "their exact times",
     )
     integrator: IntegratorName = Field(
         AUTO,
-        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies pull each other and cannot touch, "
-        "or up to 32 begin far apart, Wisdom–Holman where bodies that cannot touch go around a dominant one 1000 times "
-        "or more on orbits apart, Yoshida's where they cannot touch and the scene sets its step, otherwise leapfrog",
+        description=f"{described()}; auto is Gauss–Radau where up to 100 bodies attract each other and cannot touch, "
+        "or up to 32 start far apart; Wisdom–Holman where bodies that cannot touch orbit a dominant one "
+        "1000 times or more on separate orbits; Yoshida's where they cannot touch and the scene sets its "
+        "step; otherwise leapfrog",
     )
     encounters: Literal["resolve", "ignore"] = Field(
         "resolve",
-        description="wisdom-holman only: whether close encounters of light bodies are left to Gauss–Radau, which then "
-        "integrates all bodies, or pass unresolved, for many bodies of negligible masses",
+        description="wisdom-holman only: whether Gauss–Radau takes over in close encounters of light bodies and then "
+        "integrates all bodies, or the encounters are not resolved, for many bodies of negligible mass",
     )
 
     @model_validator(mode="after")
@@ -130,13 +134,12 @@ class Time(Section):
             overrides = " and ".join(f"time.{key}=" for key in steps)
             way = f"override {overrides} removes it" if len(steps) == 1 else f"overrides {overrides} remove them"
             raise ValueError(
-                f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove the one or the other "
-                f"(the {way})"
+                f"{given} with accuracy = {self.accuracy:g}, which sets the step; remove one of them (the {way})"
             )
         if self.integrator != AUTO and not integrator_called(self.integrator).keeps_accuracy:
             others = ", ".join(f'"{each.name}"' for each in INTEGRATORS.values() if each.keeps_accuracy)
             raise ValueError(
-                f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; take '
+                f'integrator = "{self.integrator}" with accuracy = {self.accuracy:g}, which needs its error; set '
                 f'{others} or "{AUTO}"'
             )
         return self
@@ -161,11 +164,11 @@ class Heading(Section):
     title: Annotated[str, AfterValidator(in_one_line)] = Field(UNTITLED, description="one line; shown everywhere")
     description: str = Field("", description="what to look for, shown in the recording")
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**63)] = Field(
-        0, description="seed of the random start; 0 or more, below 2**63"
+        0, description="seed of the random initial state; 0 or more, below 2**63"
     )
     units: str | Units | None = Field(
         None,
-        description="the units of plain numbers, a section; or those that the scene is simulated in, a text such as "
+        description="the units of plain numbers, as a section; or the units of the simulation, as a text such as "
         '"au, day, solar mass"; SI by default',
     )
     time: Time = Field(Time(), description="the duration, and how the step is chosen")
@@ -177,18 +180,18 @@ class Record(Section):
     every: Literal["auto", "step"] | Annotated[Positive, TIME] = Field(
         "auto",
         description='"auto", "step", or seconds of simulated time between frames; a frame is the end of a step, so '
-        "longer steps leave fewer frames (time.max_dt limits them)",
+        "longer steps give fewer frames (time.max_dt limits them)",
     )
     colour_by: Literal["auto", "group", "material", "speed", "graph", "island"] = Field(
         "auto",
-        description="what distinguishes bodies in the viewer: group, material, speed, their colour in the collision "
-        'graph, or the bodies that touch each other; "auto": material if one has a colour, else group; graph with '
-        'contact.colouring = "bodies"',
+        description="how bodies are coloured in the viewer: by group, material, speed, their colour in the collision "
+        'graph, or the bodies that touch each other; "auto" is material if one has a colour, graph with '
+        'contact.colouring = "bodies", otherwise group',
     )
     impacts: Literal["auto", "all", "none"] = Field(
         "auto",
-        description="impacts, and what contacts did, in the recording: all while they take at most a fifth of the "
-        'file, else the largest between frames ("auto"); "all"; or "none"',
+        description="which impacts, and what contacts did, are recorded: all while they take at most a fifth of the "
+        'file, then the largest between frames ("auto"); "all"; or "none"',
     )
     check_every: Count = Field(
         100,
@@ -199,7 +202,7 @@ class Record(Section):
         1e-3, description="rise of the energy, relative to the energy scale, that causes a warning"
     )
     series: tuple[Annotated[str, Field(strict=True)], ...] = Field(
-        (), description="recorded series of installed packages, by their names; none by default"
+        (), description="recorded series of installed packages, by name; none by default"
     )
 
     @field_validator("series")
@@ -213,7 +216,7 @@ class Record(Section):
     @classmethod
     def _has_one_name_of_each_key(cls, given: Any) -> Any:
         if isinstance(given, dict) and "log_freq" in given and "check_every" in given:
-            raise ValueError("log_freq is the old name of check_every: give one of the two")
+            raise ValueError("log_freq is the old name of check_every: give only one of them")
         return given
 
     @property
@@ -233,12 +236,12 @@ class Domain(Section):
         None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
     )
 
-    material: str | None = Field(None, description="name of a [[material]], that of the walls")
+    material: str | None = Field(None, description="name of the [[material]] of the walls")
 
     @model_validator(mode="after")
     def _walls_have_a_material(self) -> Self:
         if self.material is not None and self.boundary != "walls":
-            raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or leave it out')
+            raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or remove it')
         return self
 
     @model_validator(mode="after")
@@ -246,17 +249,17 @@ class Domain(Section):
         if self.boundary != "open" and self.size is None:
             raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z]')
         if self.size is not None and "boundary" not in self.model_fields_set:
-            raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or leave it out')
+            raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or remove it')
         return self
 
 
 class ForcedParts(Section):
-    """[model]: parts to model even though the scene does not require them."""
+    """[model]: parts to model although the scene does not require them."""
 
     force: Annotated[
         tuple[Annotated[str, Field(strict=True)], ...],
         BeforeValidator(lambda value: [value] if isinstance(value, str) else value),
-    ] = Field((), description="parts to switch on, by the names that `carom explain` prints; one, or a list")
+    ] = Field((), description="parts to force, by the names that `carom explain` prints; one, or a list")
 
     @field_validator("force")
     @classmethod

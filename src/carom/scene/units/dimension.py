@@ -1,4 +1,4 @@
-"""The dimensions of the quantities in a scene and in what carom prints, each with its SI unit."""
+"""The dimensions of the quantities in a scene and in the output of carom, each with its SI unit."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ BASE = ("length", "time", "mass", "angle")
 
 _QUANTITY = r"^\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\D"  # a number and the beginning of a unit
 
-Exponents = tuple[int, int, int, int]  # of the dimensions in `BASE`
+Exponents = tuple[int, int, int, int]  # powers of the dimensions in `BASE`
 
 
 @dataclass(frozen=True, slots=True)
 class Dimension:
-    """A dimension, such as that of an energy."""
+    """A dimension, such as energy."""
 
     name: str
     unit: str  # SI unit, as it is printed and accepted in texts
     exponents: Exponents
     example: str  # a quantity, as a person writes it
-    plain: str = ""  # the key of [units] for its unit; empty for a derived unit
+    plain: str = ""  # the key of [units] that sets its unit; empty for a derived unit
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> dict[str, Any]:
-        """Describe a quantity in the JSON schema: a text with a unit may stand in place of each number."""
+        """Describe a quantity in the JSON schema: a text with a unit may replace each number."""
         return self._or_text(handler(core))
 
     def _or_text(self, schema: dict[str, Any]) -> dict[str, Any]:
@@ -74,6 +74,7 @@ DIMENSIONS: Sequence[Dimension] = (
     ANGULAR_ACCELERATION,
     ENERGY,
 )
-NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by key of [units]
+NAMED = {dimension.plain: dimension for dimension in DIMENSIONS if dimension.plain}  # by the key of [units]
 OF_UNIT = {dimension.unit: dimension for dimension in DIMENSIONS}  # by SI unit
-OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}  # a torque has the exponents of an energy
+# torque is excluded: it has the exponents of an energy
+OF_EXPONENTS = {dimension.exponents: dimension for dimension in DIMENSIONS}

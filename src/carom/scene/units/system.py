@@ -1,4 +1,4 @@
-"""The units of a scene: for its plain numbers, for the simulation, and for printed numbers."""
+"""The units of a scene: of its plain numbers, of the simulation, and of printed numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from carom.scene.units.dimension import BASE, LENGTH, MASS, NAMED, OF_UNIT, TIME
 from carom.scene.units.unit import UnitError, nearest_float, quantity, unit, unit_of
 
 OWN = (LENGTH, TIME, MASS)  # the dimensions in ``units = "au, day, solar mass"``
-WITHOUT = "dimensionless"  # ``units`` of a scene without units
+WITHOUT = "dimensionless"  # value of ``units`` for a scene without units
 
 _IN_PRINT = ("mass", "length", "angle", "time")  # order of the base units in a product
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -19,7 +19,7 @@ _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 @dataclass(frozen=True)
 class UnitSystem:
-    """Units by the key of [units] that names them; SI where none is given.
+    """Units by their keys in [units]; SI where none is given.
 
     By default, a scene is simulated and recorded in SI, and plain numbers are converted. With `own`, it is simulated
     and recorded in its own units, without conversion.
@@ -65,7 +65,7 @@ class UnitSystem:
         Raises
         ------
         UnitError
-            If an entry is no unit.
+            If an entry is not a unit.
         """
         if "units" in properties:
             parts = str(properties["units"]).split(", ")
@@ -84,7 +84,7 @@ class UnitSystem:
 
     @property
     def is_si(self) -> bool:
-        """Whether numbers are read, kept and printed in SI."""
+        """Whether numbers are read, stored and printed in SI."""
         return not self.given
 
     @property
@@ -113,7 +113,7 @@ class UnitSystem:
         Raises
         ------
         UnitError
-            If the text is no quantity of that dimension.
+            If the text is not a quantity of that dimension.
         """
         if self.dimensionless:
             raise UnitError(f'units = "{WITHOUT}": expected a plain number')
@@ -126,7 +126,7 @@ class UnitSystem:
             return number
         try:
             return nearest_float(Fraction(float.__repr__(float(number))) * self._size(dimension))
-        except (ValueError, OverflowError):  # not finite: the schema refuses it
+        except (ValueError, OverflowError):  # not finite: the schema will refuse it
             return number
 
     def literal(self, number: float, dimension: Dimension) -> str:
@@ -135,7 +135,7 @@ class UnitSystem:
         return f'"{plain} {dimension.unit}"' if self.converts else plain
 
     def of_si(self, number: float, dimension: Dimension) -> float:
-        """Return a number in SI in the units of the simulation."""
+        """Convert a number in SI to the units of the simulation."""
         return nearest_float(Fraction(repr(number)) / self._size(dimension)) if self.own else number
 
     def factor(self, dimension: Dimension) -> float:
@@ -174,7 +174,7 @@ class UnitSystem:
         return f"{label} ({self.unit(dimension)})" if self.unit(dimension) else label
 
     def recorded_unit(self, si: str) -> str:
-        """Name the unit of a recorded series, by its unit in SI; "1" for none."""
+        """Name the unit of a recorded series, given its SI unit; "1" for none."""
         if not self.own or si not in OF_UNIT:
             return si
         return self._names(OF_UNIT[si]) or "1"
@@ -206,7 +206,7 @@ class UnitSystem:
 
 
 def composed(powers: Sequence[tuple[str, int]]) -> str:
-    """Write a product of powers of units, such as "solar mass au²/day²"; units without a name are left out."""
+    """Write a product of powers of units, such as "solar mass au²/day²"; units without a name are omitted."""
     product = " ".join(_power(name, power) for name, power in powers if name and power > 0)
     below = [_power(name, -power) for name, power in powers if name and power < 0]
     divisor = f"({' '.join(below)})" if len(below) > 1 else "".join(below)
@@ -229,7 +229,7 @@ def _not_wanted(kind: Dimension | None, given: Mapping[str, str]) -> str:
 SI = UnitSystem()
 
 
-_NAMES = {  # carom's names of units, by those of REBOUND
+_NAMES = {  # carom's names of units, by REBOUND's names
     **dict.fromkeys(("m", "cm", "km", "pc", "s", "yr", "kyr", "kg", "g"), ""),
     **{"au": "au", "aus": "au", "parsec": "pc", "hr": "h", "d": "day", "day": "day", "days": "day"},
     **dict.fromkeys(("year", "years", "yrs", "jyr"), "yr"),

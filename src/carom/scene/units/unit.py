@@ -1,9 +1,9 @@
-"""Units by their names, their sizes in SI, and texts of quantities such as "3 km". The one place that imports pint.
+"""Units by their names, their sizes in SI, and texts of quantities such as "3 km". The only module that imports pint.
 
 The definitions are carom's own and exact (`definitions.txt`). A conversion is a product of fractions that is rounded
 once, with the same bits for every version of pint and on every machine. pint takes a quarter of a second to import, so
 it is imported when the first unit is read. Prefixes are accepted only where they are customary: with all prefixes,
-typing errors such as "12 hh" would become valid units (hectohours).
+typing errors such as "12 hh" would be valid units (hectohours).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _PREFIX_WORDS = (
 _FEW = ("n", "µ", "μ", "u", "m")
 _MANY = ("k", "M", "G", "T")
 
-# The prefixes of each unit. Symbols precede symbols, words precede words.
+# The prefixes of each unit. Symbols combine with symbols, words with words.
 _TAKEN: dict[str, Iterable[str]] = {
     **dict.fromkeys(("m", "g", "L"), ("c", "d", "h", *_SYMBOLS)),
     **dict.fromkeys(("s", "J", "N", "W", "Hz", "eV"), _SYMBOLS),
@@ -63,12 +63,12 @@ _TAKEN: dict[str, Iterable[str]] = {
     **dict.fromkeys(("parsec", "year", "tonne"), ("kilo", "mega", "giga", "tera")),
     "calorie": ("kilo",),
 }
-_IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no s
-_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions, which take an s
+_IRREGULAR = ("s", "x", "z", "i", "ch", "y", "foot", "feet")  # endings of words that take no plural s
+_SHORT = ("day", "deg", "erg", "hr", "lb", "min", "rev", "sec", "yr")  # exceptions with a plural s
 
 
 def written_names(defined: Iterable[str]) -> Iterator[str]:
-    """Yield all names of the units that are defined: their own, with prefixes, and in the plural."""
+    """Yield all names of the defined units: their own, with prefixes, and in the plural."""
     for name in defined:
         takes_s = name in _SHORT or (len(name) > 3 and name.islower() and not name.endswith(_IRREGULAR))
         for prefixed in (name, *(f"{prefix}{name}" for prefix in _TAKEN.get(name, ()))):
@@ -77,7 +77,7 @@ def written_names(defined: Iterable[str]) -> Iterator[str]:
                 yield f"{prefixed}s"
 
 
-LONGEST = 80  # characters of a text
+LONGEST = 80  # characters of a text that are read
 DEFINITIONS = Path(__file__).with_name("definitions.txt")
 
 _SUPERSCRIPTS = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
@@ -94,15 +94,15 @@ _BESIDE = re.compile(r"(?<=[\w°)])\s+(?=[^\W\d]|[°(])")  # the space between t
 
 
 class UnitError(ValueError):
-    """A text names no unit, or one of another dimension."""
+    """A text is not the name of a unit, or of a unit of another dimension."""
 
 
 class UnknownUnitError(UnitError):
-    """A name is no unit."""
+    """A name is not a unit."""
 
     def __init__(self, name: str, known: Iterable[str]) -> None:
         near = _nearest(name, known)
-        # the usual form of a name of several words; symbols, which have capitals, do not change
+        # the usual form of a name of several words; symbols with capitals are unchanged
         hint = f' (did you mean "{near.replace("_", " ") if near.islower() else near}"?)' if near else ""
         super().__init__(f'there is no unit "{name}"{hint}')
         self.name = name
@@ -110,14 +110,14 @@ class UnknownUnitError(UnitError):
 
 @dataclass(frozen=True, slots=True)
 class Unit:
-    """A unit: its size in SI, exactly, and its dimension."""
+    """A unit: its exact size in SI, and its dimension."""
 
     size: Fraction  # in SI units
     exponents: Exponents
 
     @property
     def dimension(self) -> Dimension | None:
-        """Its dimension, if quantities of a scene have it."""
+        """Its dimension, if it is one of the quantities in a scene."""
         return OF_EXPONENTS.get(self.exponents)
 
 
@@ -128,7 +128,7 @@ def unit(text: str) -> Unit:
     Raises
     ------
     UnitError
-        If the text is no unit; the message has the nearest one.
+        If the text is not a unit; the message names the most similar one.
     """
     written = _joined(text.strip().translate(_SUPERSCRIPTS)) if len(text) <= LONGEST else ""
     if not _UNIT.fullmatch(written):
@@ -140,7 +140,7 @@ def unit(text: str) -> Unit:
     try:
         size, base = known.get_root_units(_with_signs(written))
         dimensions = known.get_dimensionality(base)
-    except Exception:  # from a foreign parser: a user's text must never cause a traceback
+    except Exception:  # from another package's parser: a user's text must never cause a traceback
         raise UnitError(f'"{text}" is not a unit') from None
     exponents = tuple(int(dimensions.get(f"[{name}]", 0)) for name in BASE)
     return Unit(
@@ -154,12 +154,12 @@ def unit_of(text: str, dimension: Dimension) -> Unit:
     Raises
     ------
     UnitError
-        If the text is no unit, or one of another dimension.
+        If the text is not a unit, or one of another dimension.
     """
     try:
         known = unit(text)
     except UnknownUnitError as error:
-        if error.name != text.strip():  # one of a product, which may have any dimension
+        if error.name != text.strip():  # a unit in a product, which may have any dimension
             raise
         alike = set(written_names(name for name in names() if unit(name).exponents == dimension.exponents))
         raise UnknownUnitError(error.name, alike if _nearest(error.name, alike) else _written()) from None
@@ -171,7 +171,7 @@ def unit_of(text: str, dimension: Dimension) -> Unit:
 
 @cache
 def registry() -> UnitRegistry[Any]:
-    """Return the units that carom knows."""
+    """Return the registry of the units that carom knows."""
     from pint import UnitRegistry  # noqa: PLC0415 - slow to import, and most scenes need none
 
     units: UnitRegistry[Any] = UnitRegistry(None, non_int_type=Fraction)
@@ -196,7 +196,7 @@ def _with_signs(written: str) -> str:
 
 
 def _joined(text: str) -> str:
-    """Join words that are one name, such as "solar mass", by an underscore."""
+    """Join words that form one name, such as "solar mass", by an underscore."""
     known = set(names())
     return _WORDS.sub(lambda pair: f"{pair[1]}{'_' if f'{pair[1]}_{pair[2]}' in known else ' '}", text)
 
@@ -208,7 +208,7 @@ def _written() -> frozenset[str]:
 
 
 def _nearest(name: str, known: Iterable[str]) -> str:
-    """Return the most similar of some names, in small and capital letters alike; empty if none is similar."""
+    """Return the most similar of some names, ignoring case; empty if none is similar."""
     by_lower: dict[str, list[str]] = {}
     for word in sorted(known):
         by_lower.setdefault(word.lower(), []).append(word)
@@ -223,12 +223,12 @@ _DECIMAL_COMMA, _POINT = re.compile(r"\s*([+-]?\d+),(?=\d)"), r"\1."
 
 
 def quantity(text: str, dimension: Dimension) -> Fraction:
-    """Read a quantity of a dimension; returns it in SI, exactly.
+    """Read a quantity of a dimension; return it exactly, in SI.
 
     Raises
     ------
     UnitError
-        If the text is not a number with a unit of that dimension. The message says what would be right.
+        If the text is not a number with a unit of that dimension. The message names a valid form.
     """
     parts = _parts(text)
     if text.lstrip().startswith("["):
@@ -265,7 +265,7 @@ class Physical(NamedTuple):
 
 
 def physical(text: str) -> Physical | None:
-    """Read a quantity of any dimension; None if the text is none."""
+    """Read a quantity of any dimension; None if the text is not one."""
     parts = _parts(text)
     if not parts or not parts[2].strip():
         return None
