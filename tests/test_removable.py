@@ -205,6 +205,13 @@ def test_nothing_is_built_on_a_tool_but_what_is_named_here() -> None:
         assert others == built_on.get(tool.name, set()), tool.name
 
 
+def test_statistics_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("lab/statistics")
+    assert run("run", "two-spheres", "-o", "run.rrd").returncode == 0
+    assert run("contacts", "run.rrd", "--impacts").returncode == 0
+    assert "carom.lab.statistics" in refusal(run("contacts", "run.rrd", "--statistics"))
+
+
 @pytest.mark.parametrize("engine", ["rebound", "mujoco", "box3d", "pybullet", "newton"])
 def test_an_engine_can_be_removed(engine: str, without: Callable[..., Carom]) -> None:
     run = without(f"lab/engines/{engine}.py")

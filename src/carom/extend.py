@@ -162,6 +162,7 @@ if TYPE_CHECKING:
     from carom.scene.units.dimension import BASE as BASE
     from carom.scene.units.dimension import DENSITY as DENSITY
     from carom.scene.units.dimension import ENERGY as ENERGY
+    from carom.scene.units.dimension import FORCE as FORCE
     from carom.scene.units.dimension import IMPULSE as IMPULSE
     from carom.scene.units.dimension import LENGTH as LENGTH
     from carom.scene.units.dimension import MASS as MASS
@@ -197,7 +198,7 @@ SECTIONS = {  # purpose → module → names
     "Sections of a scene and units": {
         "carom.scene.schema.quantity": "Section Count NonNegative Positive Real",
         "carom.scene.units.dimension": (
-            "Dimension ACCELERATION ANGULAR_VELOCITY DENSITY ENERGY IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
+            "Dimension ACCELERATION ANGULAR_VELOCITY DENSITY ENERGY FORCE IMPULSE LENGTH MASS RATE TIME TORQUE VELOCITY"
         ),
         "carom.scene.units.system": "SI WITHOUT UnitSystem units_of_rebound",
     },

@@ -51,7 +51,9 @@ def measure(interval: Interval) -> Statistic:
         "free_times": Histogram.of("free time", paths.free_times, TIME),
         "free_paths": Histogram.of("free path", paths.free_paths, LENGTH),
     }
-    return Statistic(values, histograms)
+    left_out = interval.impacts_left_out
+    lack = f"of these impacts, {left_out} were not recorded; with --replay they are computed again" if left_out else ""
+    return Statistic(values, histograms, note=lack)
 
 
 def paths_of(interval: Interval) -> Paths:

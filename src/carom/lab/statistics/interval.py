@@ -14,8 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from carom import Recording
+from carom import Recording, Scene
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import RecordingError, SceneError
 from carom.extend import (
@@ -31,8 +32,24 @@ from carom.extend import (
 
 Watcher = Callable[[StepStatus], None]
 
-MOST_STATES = 64  # exact states of which velocities are used, and frames of which contacts are
+MOST_STATES = 64  # of which velocities are used
+MOST_CONTACT_FRAMES = 32
 MOST_VELOCITIES = 2_000_000  # in memory
+MOST_CONTACTS = 2_000_000  # bodies of these frames
+
+
+class ContactColumns(NamedTuple):
+    """The lasting contacts that carry an impulse, in the steps of some frames."""
+
+    frames: int
+    elapsed: float  # s, the length of these steps in all
+    frame: IntArray  # (k,) index of the frame, from 0
+    i: IntArray  # (k,) i < j
+    j: IntArray  # (k,) from n on: planes and walls
+    normal: FloatArray  # (k, 3) from i to j
+    impulse: FloatArray  # (k,) N s, along the normal
+    force: FloatArray  # (k,) N, likewise
+    friction: FloatArray  # (k,) N
 
 
 class ImpactColumns(NamedTuple):
@@ -102,13 +119,17 @@ class Interval:
     def moving(self) -> BoolArray:
         """Mask (n,) of the bodies that are not fixed."""
         first = next(iter(self.recording.checkpoint_times), None)
-        try:
-            scene = recorded_scene(self.recording)
-        except (RecordingError, SceneError):  # of another engine: fixed bodies are its planes
-            scene = None
-        if scene is None or first is None:
+        if self.scene is None or first is None:
             return np.ones(self.bodies, dtype=bool)
-        return ~start_of(self.recording, scene, self.recording.checkpoint(first)).fixed
+        return ~start_of(self.recording, self.scene, self.recording.checkpoint(first)).fixed
+
+    @cached_property
+    def scene(self) -> Scene | None:
+        """The scene; None if another engine made the run, or this version cannot read it."""
+        try:
+            return recorded_scene(self.recording)
+        except (RecordingError, SceneError):
+            return None
 
     @cached_property
     def positions(self) -> RecordedPositions:
@@ -157,6 +178,66 @@ class Interval:
             return int((self._impact_table.schema.metadata or {}).get(b"left_out", b"0"))
         first, last = (count_at(self.recording, int(step)) for step in self.step[[0, -1]])
         return max(0, last - first - len(self.impacts.step))
+
+    @property
+    def contacts(self) -> ContactColumns:
+        """The lasting contacts of some frames, without impacts.
+
+        Raises
+        ------
+        RecordingError
+            If there are none.
+        """
+        self.require_contacts()
+        if not len(self._contacts.i):
+            raise RecordingError(f"there are no lasting contacts from {self.text}")
+        return self._contacts
+
+    @cached_property
+    def _contacts(self) -> ContactColumns:
+        rows = self.chosen(max(1, min(MOST_CONTACT_FRAMES, MOST_CONTACTS // self.bodies)))
+        times = self.time[rows].tolist()
+        if self.replay or not self.recording.records_contacts:
+            window = self.recording.rerun(times[0], contacts=True, watch=self.watch)
+            tables = [window.contacts(time) for time in times]
+        else:
+            tables = [self.recording.contacts(time) for time in times]
+        table = pa.concat_tables(
+            [each.append_column("frame", pa.array(np.full(each.num_rows, k))) for k, each in enumerate(tables)]
+        )
+        table = table.filter(pc.and_(pc.is_valid(table["normal_force"]), pc.greater(table["normal_impulse"], 0.0)))
+        normal = np.stack([table[name].to_numpy() for name in ("nx", "ny", "nz")], axis=1)
+        names = ("normal_impulse", "normal_force", "tangential_force")
+        impulse, force, friction = (table[name].to_numpy() for name in names)
+        frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
+        steps = self.recording.steps("dt")
+        elapsed = float(steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])].sum())
+        return ContactColumns(len(rows), elapsed, frame, i, j, normal, impulse, force, friction)
+
+    def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
+        """Return the name of each group of bodies, and a mask of its members among all bodies or some.
+
+        A group is called after the common beginning of its bodies' names, such as "molecule" of "molecule 17".
+        """
+        among = np.ones(self.bodies, dtype=bool) if among is None else among
+        group, names = self.recording.bodies.group, self.recording.bodies.name
+        found = []
+        for number in np.unique(group[among]).tolist():
+            own = np.flatnonzero(group == number)
+            first, last = names[int(own[0])], names[int(own[-1])]
+            name = first if len(own) == 1 else first.rstrip(" 0123456789")
+            if not name or not last.startswith(name):
+                name = "other bodies" if number < 0 else f"group {number}"
+            found.append((name, (group == number)[among]))
+        return found
+
+    @cached_property
+    def volume(self) -> float | None:
+        """Volume of the periodic box or of the walls, m³; None in open space."""
+        if self.box is not None:
+            return float(np.prod(self.box))
+        size = None if self.scene is None or self.scene.domain.boundary == "open" else self.scene.domain.size
+        return None if size is None else float(np.prod(size))
 
     def chosen(self, count: int) -> IntArray:
         """Return evenly spaced rows of the frames, the last one among them; frame 0 only if it is the only one."""

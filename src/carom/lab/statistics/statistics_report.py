@@ -12,12 +12,26 @@ from rich.table import Table
 from carom import Recording
 from carom.errors import RecordingError
 from carom.extend import UnitSystem, counted, print_whole, say
-from carom.lab.statistics import free_paths
+from carom.lab.statistics import (
+    contact_network,
+    force_chains,
+    free_paths,
+    impact_rates,
+    pair_correlation,
+    stress_tensor,
+    velocity_distribution,
+)
 from carom.lab.statistics.interval import Interval, Watcher
 from carom.lab.statistics.statistic import MeasuredValue, Statistic
 
 KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name → title, function
     "free_paths": ("free times and free paths", free_paths.measure),
+    "impacts": ("impacts", impact_rates.measure),
+    "velocities": ("velocity distribution", velocity_distribution.measure),
+    "stress": ("stress tensor", stress_tensor.measure),
+    "pair_correlation": ("pair correlation", pair_correlation.measure),
+    "contacts": ("network of lasting contacts", contact_network.measure),
+    "forces": ("forces and force chains", force_chains.measure),
 }
 MOST_ROWS = 12  # of a table that is printed
 
