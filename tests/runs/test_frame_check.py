@@ -27,9 +27,9 @@ WHERE_IT_CHANGES = ("phase", "step/limit")
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of 12 bodies, of 60 steps or so with impacts and friction."""
+    """A run of 12 bodies, of 30 steps or so with impacts and friction."""
     path = tmp_path_factory.mktemp("altered") / "cloud.rrd"
-    carom.run(cloud(12, time={"duration": 1.0, "max_dt": 0.02}), path)
+    carom.run(cloud(12, time={"duration": 0.6, "max_dt": 0.02}), path)
     return path
 
 
@@ -160,7 +160,7 @@ def test_a_whole_run_leaves_nothing_out_and_a_window_or_a_clip_says_what(whole: 
         "the outcome and its numbers",
     ]
     for bodies in (None, [1, 5, 7]):
-        clip(whole, tmp_path / "clip.rrd", later + 0.05, 1.0, bodies)
+        clip(whole, tmp_path / "clip.rrd", later + 0.05, 0.6, bodies)
         part = replay(Recording.open(tmp_path / "clip.rrd"))
         assert part.same and part.compared == part.frames > 2
 
@@ -240,7 +240,7 @@ def test_an_older_recording_whose_scene_was_altered_is_compared_before_it_is_res
     run = resumable_run(altered_scene(whole, tmp_path / "altered.rrd", digest=False), 2.0)
     with pytest.raises(RecordingError, match="cannot be resumed: a replay differs at step"):
         continue_run(run, run.space())
-    untouched = resumable_run(Recording.open(whole), 1.5)
+    untouched = resumable_run(Recording.open(whole), 0.8)
     assert continue_run(untouched, untouched.space(), tmp_path / "longer.rrd").ok
 
 
