@@ -89,7 +89,10 @@ def test_a_tool_can_be_removed(tool: str, without: Callable[..., Carom]) -> None
     help_text = run("--help")  # imports every other command
     assert help_text.returncode == 0 and f" {tool} " not in help_text.stdout
     assert f"No such command '{tool}'" in refusal(run(tool))
-    ended = run("run", "two-spheres", "-o", "run.rrd")
+
+
+def test_a_scene_runs_without_any_tool(without: Callable[..., Carom]) -> None:
+    ended = without(*(f"lab/{tool}" for tool in TOOLS))("run", "two-spheres", "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr
 
 

@@ -52,7 +52,7 @@ def explained(seed: int, answer: dict[str, Any]) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("count", [400])
+@pytest.mark.parametrize("count", [200])
 def test_hostile_scenes_run_or_are_refused_with_a_reason(count: int, seed: int) -> None:
     answers = judged(seed, count)
     wrong = [answer for answer in answers if answer["faults"]]

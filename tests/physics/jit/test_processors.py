@@ -13,7 +13,7 @@ import pytest
 import carom
 from other_processor import OtherProcessor
 
-STEPS = 200
+STEPS = 50
 # Enough bodies that gravity is shared among threads, colliding from the start.
 RUN = f"""
 import sys
@@ -44,12 +44,12 @@ def fingerprints(method: str, threads: list[int], environment: dict[str, str] | 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["direct", "tree", "fast-multipole"])
-def test_200_steps_end_with_the_same_bits_on_any_processor_and_number_of_threads(
+def test_50_steps_end_with_the_same_bits_on_any_processor_and_number_of_threads(
     method: str, other_processor: OtherProcessor
 ) -> None:
-    here = fingerprints(method, [1, 2, 4])
+    here = fingerprints(method, [1, 4])
     elsewhere = fingerprints(method, [2], other_processor.environment)
-    assert len(here) == 3
+    assert len(here) == 2
     assert len({*here, *elsewhere}) == 1
 
 
