@@ -14,6 +14,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from carom import registry
+from carom.recording.source.engine_contacts import CONTACT
 from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.source import Model, Plane, Source, State, StateMemory
 from carom.runs.engine_recorder import Recorder
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from carom.lab.engines.rebound import rebound
 
 __all__ = [
+    "CONTACT",
     "Fault",
     "Model",
     "Plane",

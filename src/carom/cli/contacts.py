@@ -83,6 +83,7 @@ def contacts(
 
     FILE may be the zip that `carom report` made. Contacts that the recording lacks are computed again.
     """
+    from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened
     from carom.recording.export.export import refuse_format
     from carom.recording.read.recording import Recording
@@ -95,6 +96,11 @@ def contacts(
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
+        if (impacts or statistics) and recording.engine and recording.records_contacts:
+            raise RecordingError(
+                f"{recording.path} was recorded from {recording.engine}: its frames have the forces of contacts, but "
+                f"it has no impacts; leave --{'impacts' if impacts else 'statistics'} out, and select a frame with --at"
+            )
         at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
         if statistics:
             _measure(recording, start, end, again, as_json, as_csv, output)

@@ -140,7 +140,8 @@ class SnapshotWriter:
 
     def _record(self, step: int, state: State) -> None:
         try:
-            self._observer.named(state.contacts)
+            if state.contacts is not None:
+                self._observer.named(state.contacts)
         except (RecordingError, TypeError, ValueError) as error:
             self._unrecorded.add(step, state.time, error, "Its contacts are those of the distances.")
             state.contacts = None

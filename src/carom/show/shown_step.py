@@ -10,10 +10,12 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray
 from carom.errors import PhysicsError, RecordingError
+from carom.physics.contact.graph import CollisionGraph
 from carom.physics.frame import Frame
 from carom.physics.simulation import StepStatus
 from carom.recording.read.frame_rows import RecordedPositions
 from carom.recording.read.moment import frame_of, tolerance
+from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import STEP
@@ -84,6 +86,8 @@ def shown_step(
     drawn = ShownStep(int(steps[last]), float(times[last]), position)
     if not recording.shows_all:
         return drawn if row is not None else replace(drawn, missing="the clip shows only some of the bodies")
+    if recording.engine and recording.records_contacts and row is not None:
+        return replace(drawn, frame=_frame_of_engine(recording, row))
     try:
         found = _run(recording, goal, times, IMPATIENCE if row is not None else PATIENCE, dense, watch)
     except (RecordingError, PhysicsError) as error:
@@ -93,6 +97,41 @@ def shown_step(
             return found
         missing = f"running it again takes more than {PATIENCE:.0f} s"
     return drawn if row is not None else replace(drawn, missing=missing)
+
+
+def _frame_of_engine(recording: Recording, row: int) -> Frame | None:
+    """Return a frame of another engine with its state and its contacts; None if it has no exact state."""
+    step = int(recording.fingerprints()[STEP][row].as_py())
+    if step not in recording.checkpoint_times:
+        return None
+    state = recording.checkpoint(step)
+    rows, dt = rows_of_engine(recording, row)
+    pairs = np.stack([rows["i"], rows["j"]], axis=1)
+    normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+    return Frame(
+        step=step,
+        time=state.time,
+        dt=dt,
+        dt_limit="",
+        position=state.position,
+        velocity=state.velocity,
+        acceleration=state.acceleration,
+        orientation=state.orientation,
+        angular_velocity=state.angular_velocity,
+        torque=None,
+        angular_acceleration=None,
+        contacts=CollisionGraph(pairs, normals, np.zeros(len(rows)), np.zeros(len(rows), dtype=np.int64)),
+        energy=state.energy,
+        momentum=np.zeros(3),
+        angular_momentum=np.zeros(3),
+        sweeps=0,
+        phase="",
+        events=(),
+        previous_dt=dt,
+        memory=None,
+        books=state.books,
+        contact_rows=rows,
+    )
 
 
 def at_impact(

@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 
 from carom import Scene
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
-from carom.record import Model, Plane, Source, State
+from carom.record import CONTACT, Model, Plane, Source, State
 
 WORLD = 0  # the body that owns everything static
 
@@ -37,9 +37,11 @@ class MuJoCoSource:
     ----------
     model, data
         mujoco.MjModel and mujoco.MjData.
+    contacts
+        Whether to record the forces of contacts.
     """
 
-    def __init__(self, model: Any, data: Any) -> None:
+    def __init__(self, model: Any, data: Any, contacts: bool = False) -> None:
         package = engine_package("mujoco")
         self._package, self._model, self._data = package, model, data
         shapes = package.mjtGeom
@@ -67,6 +69,7 @@ class MuJoCoSource:
         self._simple = bool(free.all())
         self._joint = model.body_jntadr[self._moving]
         self._end_of = _ends(model, moving, still, planes)
+        self._forces, self._wrench = contacts, np.empty(6)
         self._velocity = np.empty(6)
         n = len(moving) + len(still)
         self._position, self._speed, self._spin = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
@@ -102,7 +105,26 @@ class MuJoCoSource:
             self._spin[:k] = _turned(places[:, 3:], rates[:, 3:])
         else:
             self._of_any_bodies(k)
-        return State(data.time, self._position, self._speed, self._turn, self._spin)
+        forces = self.forces() if self._forces else None
+        return State(data.time, self._position, self._speed, self._turn, self._spin, forces)
+
+    def forces(self) -> Records:
+        """Return the contacts of the last step with their forces, (m,) `CONTACT`, between bodies and planes."""
+        contacts = self._data.contact
+        ends = self._end_of[contacts.geom].reshape(-1, 2)
+        known = np.flatnonzero((ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1]))
+        found = np.zeros(len(known), CONTACT)
+        if len(known) == 0:
+            return found
+        local = np.empty((len(known), 3))
+        for row, contact in enumerate(known.tolist()):
+            self._package.mj_contactForce(self._model, self._data, contact, self._wrench)
+            local[row] = self._wrench[:3]
+        frames = contacts.frame[known].reshape(-1, 3, 3)  # the normal, from the first shape to the second, and tangents
+        found["i"], found["j"] = ends[known].T
+        found["point"], found["normal"], found["force"] = contacts.pos[known], frames[:, 0], local[:, 0]
+        found["friction"] = local[:, 1:2] * frames[:, 1] + local[:, 2:] * frames[:, 2]
+        return found
 
     def _of_any_bodies(self, k: int) -> None:
         package, model, data = self._package, self._model, self._data
@@ -116,15 +138,10 @@ class MuJoCoSource:
             package.mj_objectVelocity(model, data, package.mjtObj.mjOBJ_BODY, int(body), self._velocity, 0)
             self._spin[row], self._speed[row] = self._velocity[:3], self._velocity[3:]  # of the centre of mass
 
-    def contacts(self) -> IntArray:
-        """Return the pairs in contact at the last step, (m, 2)."""
-        ends = self._end_of[self._data.contact.geom]
-        return np.asarray(ends[(ends >= 0).all(axis=1)], dtype=np.int64)
 
-
-def mujoco(model: Any, data: Any) -> MuJoCoSource:
-    """Return the source of a mujoco.MjModel and its mujoco.MjData; see `MuJoCo`."""
-    return MuJoCoSource(model, data)
+def mujoco(model: Any, data: Any, contacts: bool = True) -> MuJoCoSource:
+    """Return the source of a mujoco.MjModel and its mujoco.MjData, with or without contact forces; see `MuJoCo`."""
+    return MuJoCoSource(model, data, contacts)
 
 
 def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> bool:

@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from carom import Scene
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, Records
 from carom.errors import RecordingError
 from carom.extend import SPHERE, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.record import Model, Plane, State
+from carom.record import CONTACT, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
 SLOW = 200  # bodies; copying their states takes a thirtieth of a step
@@ -47,6 +47,8 @@ class PyBulletSource:
         The number of the physics client.
     steps_per_frame
         Number of steps between two calls of `Recorder.frame`.
+    contacts
+        Whether to record the forces of contacts.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class PyBulletSource:
         gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
         client: int = 0,
         steps_per_frame: int = 1,
+        contacts: bool = False,
     ) -> None:
         package = engine_package("pybullet")
         self._package, self._client, self._frames = package, client, 0
@@ -65,6 +68,8 @@ class PyBulletSource:
         self._bodies = [b for b in everything if b not in planes]
         if not self._bodies:
             raise RecordingError("pybullet: the physics server has no body besides planes")
+        self._forces = contacts
+        self._end_of = {body: end for end, body in enumerate([*self._bodies, *planes])}
         dynamics = [package.getDynamicsInfo(b, BASE, client) for b in self._bodies]
         mass = np.array([found[0] for found in dynamics])
         spheres = np.array([_is_sphere(package, b, shapes[b], client) for b in self._bodies])
@@ -102,7 +107,21 @@ class PyBulletSource:
         places = map(self._package.getBasePositionAndOrientation, self._bodies, repeat(self._client))
         rates = map(self._package.getBaseVelocity, self._bodies, repeat(self._client))
         place, rate = _rows(places, len(self._bodies), 7), _rows(rates, len(self._bodies), 6)
-        return State(self._frames * self._stride, place[:, :3], rate[:, :3], place[:, 3:], rate[:, 3:])
+        forces = self.forces() if self._forces else None
+        return State(self._frames * self._stride, place[:, :3], rate[:, :3], place[:, 3:], rate[:, 3:], forces)
+
+    def forces(self) -> Records:
+        """Return the contacts of the last step with their forces, (m,) `CONTACT`."""
+        rows = self._package.getContactPoints(physicsClientId=self._client)
+        if not rows:
+            return np.zeros(0, CONTACT)
+        _, a, b, _, _, _, point, normal, _, push, f, u, g, v = zip(*rows, strict=True)
+        found = np.zeros(len(rows), CONTACT)
+        ends = [[self._end_of.get(body, -1) for body in each] for each in (b, a)]
+        found["i"], found["j"], found["point"], found["normal"], found["force"] = *ends, point, normal, push
+        # the normal points from B to A, and the friction is that on A
+        found["friction"] = np.array(f)[:, None] * np.array(u) + np.array(g)[:, None] * np.array(v)
+        return np.compress((found["i"] >= 0) & (found["j"] >= 0) & (found["i"] != found["j"]), found)
 
 
 def pybullet(
@@ -110,9 +129,10 @@ def pybullet(
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0),
     client: int = 0,
     steps_per_frame: int = 1,
+    contacts: bool = True,
 ) -> PyBulletSource:
-    """Return the source of a physics server; see `PyBullet`."""
-    return PyBulletSource(time_step, gravity, client, steps_per_frame)
+    """Return the source of a physics server, with or without the forces of contacts; see `PyBullet`."""
+    return PyBulletSource(time_step, gravity, client, steps_per_frame, contacts)
 
 
 def calls_per_frame(bodies: int) -> int:

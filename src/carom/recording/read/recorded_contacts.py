@@ -12,7 +12,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, IntArray, Records
-from carom.contact_table import IMPACT_MODE, MODES
+from carom.contact_table import CONTACT_ROW, IMPACT_MODE, MODES
 from carom.errors import DamageError, RecordingError, SceneError
 from carom.recording.read.entities import reading
 from carom.recording.read.moment import frame_of, goal_of
@@ -149,19 +149,44 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
     return replayed()
 
 
+def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
+    """Return the contacts (k,) `CONTACT_ROW` in a frame of another engine's run, and the time (s) since the one before.
+
+    Raises
+    ------
+    RecordingError
+        If the recording lacks them.
+    """
+    with reading(recording.path):
+        chunk, own, step, time = _row_of_contacts(recording, row)
+        return _rows_of_engine(recording, chunk, own, step, time), _dt(recording, step)
+
+
 def _recorded(recording: Recording, row: int) -> pa.Table:
+    return _table(recording, *_row_of_contacts(recording, row))
+
+
+def _row_of_contacts(recording: Recording, row: int) -> tuple[Chunk, int, int, float]:
+    """Return the chunk with the contacts of a frame, the row in it, and the frame's step and time (s)."""
     frames = recording.fingerprints()
     step, time = int(frames[STEP][row].as_py()), float(frames["time"][row].as_py())
     held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
     for chunk in recording.chunks(held):
         own = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
         if len(own):
-            return _table(recording, chunk, int(own[-1]), step, time)
+            return chunk, int(own[-1]), step, time
     raise RecordingError(f"{recording.path} has no contacts at step {step}: part of the file is missing")
 
 
 def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> pa.Table:
     """Read a row; its lines have the contact points and normals."""
+    if recording.engine:
+        rows, unknown = _rows_of_engine(recording, chunk, row, step, time), ("approach_speed", "energy_lost")
+        table = table_of_rows(rows, "recorded", _dt(recording, step))
+        for name in unknown:
+            place = table.schema.get_field_index(name)
+            table = table.set_column(place, table.schema.field(place), pa.nulls(len(rows), pa.float64()))
+        return table
     radius = recording.bodies.radius
     pairs = _values(chunk, "bodies", row, pa.uint32()).astype(np.int64).reshape(-1, 2)
     check_pairs(pairs, len(radius), paths.CONTACTS)
@@ -189,10 +214,35 @@ def _table(recording: Recording, chunk: Chunk, row: int, step: int, time: float)
     }
     apart = length > (radii[0] + np.where(meets, radii[1], 0.0)) * (1.0 + _SAME)
     columns |= _of_impacts(recording, columns, mode == IMPACT_MODE, apart)
+    columns |= forces(columns, mode, _dt(recording, step))
+    return table_of(columns, "recorded")
+
+
+def _dt(recording: Recording, step: int) -> float:
+    """Return the length of a step in s; 0 if it is not recorded."""
     steps = recording.steps("dt")
     dt = steps["dt"].to_numpy()[steps[STEP].to_numpy() == step]
-    columns |= forces(columns, mode, float(dt[0]) if len(dt) else 0.0)
-    return table_of(columns, "recorded")
+    return float(dt[0]) if len(dt) else 0.0
+
+
+def _rows_of_engine(recording: Recording, chunk: Chunk, row: int, step: int, time: float) -> Records:
+    """Read a row of another engine's contacts, whose points are not on the lines between the centres."""
+    pairs = _values(chunk, "bodies", row, pa.uint32()).astype(np.int64).reshape(-1, 2)
+    check_pairs(pairs, len(recording.bodies.radius), paths.CONTACTS)
+    rows = np.zeros(len(pairs), CONTACT_ROW)
+    rows["step"], rows["time"] = step, time
+    rows["i"], rows["j"] = pairs.T
+    columns = {"mode": _values(chunk, "mode", row, pa.uint8())}
+    columns["normal_impulse"] = _values(chunk, "normal_impulse", row, pa.float32())
+    for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
+        vectors = _values(chunk, name, row, pa.float32()).astype(np.float64).reshape(-1, 3)
+        vectors = vectors + recording.origin if name == "point" else vectors
+        columns |= dict(zip((f"{prefix}{axis}" for axis in "xyz"), vectors.T, strict=True))
+    if any(len(values) != len(rows) for values in columns.values()):
+        raise DamageError(f"/{paths.CONTACTS} has columns of different lengths at step {step}")
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
 
 
 def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:

@@ -99,8 +99,8 @@ def _clip(recording: Recording) -> dict[str, Any]:
 
 
 def _impacts(recording: Recording) -> dict[str, int]:
-    """Count recorded and unrecorded impacts; empty if the scene records none."""
-    if not recording.records_contacts or not recording.frames:
+    """Count recorded and unrecorded impacts; empty if the scene records none, as in runs of other engines."""
+    if recording.engine or not recording.records_contacts or not recording.frames:
         return {}
     last = int(recording.fingerprints()["step"][-1].as_py())
     return asdict(impacts_until(recording, last))

@@ -165,7 +165,8 @@ SERIES = (
     Series("energy/ledger/restitution", "J", "restitution", BLUE, _TAKEN,
            lambda s: s.energy.ledger.restitution, "removed by normal impulses since the start", "contact"),
     Series("energy/ledger/friction", "J", "friction", RED, _TAKEN,
-           lambda s: s.energy.ledger.friction, "removed by tangential impulses since the start", "friction"),
+           lambda s: s.energy.ledger.friction, "removed by tangential impulses since the start", "friction",
+           inside=True),
     Series("energy/ledger/stabilisation", "J", "stabilisation (put in)", GREEN, _TAKEN,
            lambda s: s.energy.ledger.stabilisation, "added by the correction of overlaps since the "
                "start", "stabilisation"),

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import IntArray
+from carom.arrays import Records
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.bodies import Bodies
@@ -23,6 +23,7 @@ from carom.physics.forces.gravity.direct import DirectGravity
 from carom.physics.frame import Frame, FrameStore, copies
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.properties import LARGEST
+from carom.recording.source.engine_contacts import checked_contacts, has_forces, rows_of_contacts, rows_of_graph
 from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
 from carom.recording.source.proximity import EngineMoment, Proximity
 from carom.recording.source.source import Setup, State
@@ -79,7 +80,7 @@ class Observer:
         now, before = self._moment(state), self._before
         dt = 0.0 if before is None else now.time - before.time
         potentials, pull = self._potentials()
-        seen, contacts = self._judge(step, before or now, now, state.contacts, pull)
+        seen, contacts, rows = self._judge(step, before or now, now, state.contacts, pull)
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
         motion = TotalMotion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
@@ -117,6 +118,7 @@ class Observer:
             momentum_error=momentum.linear_error,
             angular_momentum_error=momentum.angular_error,
             slot=slot,
+            contact_rows=rows,
         )
 
     def _see(
@@ -166,19 +168,29 @@ class Observer:
 
     def _judge(
         self, step: int, before: EngineMoment, now: EngineMoment, known: Any, pull: float | None
-    ) -> tuple[AuditFinding, CollisionGraph]:
-        near = self._proximity.between(before, now)
-        contacts = self._proximity.graph(near, self.named(known))
+    ) -> tuple[AuditFinding, CollisionGraph, Records | None]:
+        setup, near, rows = self.setup, self._proximity.between(before, now), None
+        if setup.forces and known is not None:
+            rows = rows_of_contacts(self.named(known), step, now.time, now.time - before.time)
+            contacts = self._proximity.graph_of_rows(rows, now.position)
+        else:
+            contacts = self._proximity.graph(near, None if known is None else self.named(known))
+            if setup.forces:
+                rows = rows_of_graph(contacts, now.position, setup.radius, step, now.time)
         potentials = None if pull is None else (pull if self._pull is None else self._pull, pull)
         if before is now:
-            return AuditFinding(), contacts
-        return self.audit.see(step, before, now, near, potentials), contacts
+            return AuditFinding(), contacts, rows
+        return self.audit.see(step, before, now, near, potentials), contacts, rows
 
-    def named(self, known: Any) -> IntArray | None:
-        """Return the contacts that the engine reports, if it does; refuse ends that are neither bodies nor planes."""
-        if known is None:
-            return None
-        pairs, ends = np.asarray(known, dtype=np.int64), len(self.setup) + len(self.setup.planes)
+    def named(self, known: Any) -> Any:
+        """Return the contacts that the engine reports, (m,) `CONTACT` or pairs (m, 2); refuse invalid ones."""
+        ends = len(self.setup) + len(self.setup.planes)
+        if has_forces(known) or self.setup.forces:
+            if not has_forces(known):
+                raise RecordingError(f"{self.setup.engine}: contacts have no forces, and had some in the first state")
+            records = checked_contacts(self.setup.engine, known, len(self.setup), ends)
+            return records if self.setup.forces else np.stack([records["i"], records["j"]], axis=1)
+        pairs = np.asarray(known, dtype=np.int64)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
             raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} in place of (m, 2)")
         if pairs.size and not (pairs.min() >= 0 and pairs.max() < ends):
@@ -258,7 +270,7 @@ def header_of_source(
         spins=setup.spins,
         has_orientation=setup.turns,
         has_torque=False,
-        has_friction=False,
+        has_friction=setup.forces,
         forces=frozenset(name for name, there in forces.items() if there),
         collides=setup.collides,
         stabilises=False,
@@ -269,6 +281,7 @@ def header_of_source(
         planes=setup.planes if len(setup.planes) else None,
         properties=properties,
         units=units,
+        record_impacts="auto" if setup.forces else "none",
         engine=setup.engine,
         exact=exact,
     )

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.physics.contact.broad_phase.grid import HierarchicalGrid
 from carom.physics.contact.graph import CollisionGraph, empty_graph
 from carom.physics.vector import minimum_images
@@ -97,6 +97,22 @@ class Proximity:
         touching = touching[np.lexsort((pairs[:, 1], pairs[:, 0]))]
         colours = np.zeros(len(touching), dtype=np.int64)
         return CollisionGraph(near.pairs[touching], near.normal[touching], -near.gap_now[touching], colours)
+
+    def graph_of_rows(self, rows: Records, position: FloatArray) -> CollisionGraph:
+        """Return the graph of an engine's contacts, (m,) `CONTACT_ROW`; their overlaps are those of the spheres."""
+        if len(rows) == 0:
+            return empty_graph()
+        setup, n = self._setup, len(self._setup)
+        pairs = np.stack([rows["i"], rows["j"]], axis=1)
+        i, j, overlap = *pairs.T, np.empty(len(rows))
+        plane = j >= n
+        a, b = i[~plane], j[~plane]
+        overlap[~plane] = setup.radius[a] + setup.radius[b] - lengths(self._image(position[b] - position[a]))
+        a, k = i[plane], j[plane] - n
+        height = np.einsum("ij,ij->i", position[a], setup.planes.normal[k]) - setup.planes.offset[k]
+        overlap[plane] = setup.radius[a] - height
+        normals = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1)
+        return CollisionGraph(pairs, normals, overlap, np.zeros(len(rows), dtype=np.int64))
 
     def _is_named(self, near: Near, known: IntArray) -> BoolArray:
         """Return a mask of the near pairs that the engine reports."""

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from carom.arrays import BoolArray, FloatArray
 from carom.errors import RecordingError
 from carom.recording.schema.properties import LARGEST
+from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 
 MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
@@ -96,7 +97,9 @@ class State:
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
     angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; None if the engine has none
-    contacts: Any = None  # (m, 2) indices of touching bodies, n + k for plane k; None: computed from distances
+    contacts: Any = (
+        None  # (m,) `CONTACT` with forces, or (m, 2) indices of touching bodies, n + k for plane k; None: unknown
+    )
 
 
 class Source(Protocol):
@@ -139,6 +142,7 @@ class Setup:
     time_step: float
     spins: bool
     turns: bool  # whether orientations are known
+    forces: bool  # whether contacts have forces
 
     def __len__(self) -> int:
         return len(self.mass)
@@ -172,6 +176,7 @@ def setup_of(model: Model, first: State) -> Setup:
     names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
     if len(names) != n:
         raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
+    collides = model.collides and bool(touches.any()) and (n > 1 or len(model.planes) > 0)
     return Setup(
         engine=engine,
         mass=heavy,
@@ -185,11 +190,12 @@ def setup_of(model: Model, first: State) -> Setup:
         softening=_not_negative(engine, "softening", model.softening),
         planes=_planes(engine, model.planes),
         box=_box(engine, model.box),
-        collides=model.collides and bool(touches.any()) and (n > 1 or len(model.planes) > 0),
+        collides=collides,
         touches=touches,
         time_step=_not_negative(engine, "time_step", model.time_step),
         spins=first.angular_velocity is not None,
         turns=first.orientation is not None,
+        forces=collides and has_forces(first.contacts),
     )
 
 

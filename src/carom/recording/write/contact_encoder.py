@@ -120,6 +120,17 @@ def contact_columns(
     return columns, array_bytes(*values)
 
 
+def _columns_of_engine(contacts: BatchContacts, origin: FloatArray) -> tuple[list[ComponentColumn], int]:
+    """Return the points, normals and frictions of the contacts of another engine, whose bodies may not be spheres."""
+    rows = np.concatenate([frame.rows for frame in contacts.frames])
+    arrays = {}
+    for name, prefix in (("point", ""), ("normal", "n"), ("friction", "friction_")):
+        vectors = np.stack([rows[f"{prefix}{axis}"] for axis in "xyz"], axis=1)
+        arrays[name] = single(vectors - origin if name == "point" else vectors).ravel()
+    columns = [any_column(name, values, 3 * contacts.contacts) for name, values in arrays.items()]
+    return columns, array_bytes(*arrays.values())
+
+
 def force_rows(
     index: Index,
     contacts: BatchContacts,
@@ -229,6 +240,9 @@ class ContactEncoder:
         self._kept = self._plan.choose(position, contacts.edges, contacts.contacts, contacts.impacts)
         self._impacts, self._chosen = contacts.strongest_impacts(self._kept.impacts)
         columns, size = contact_columns(contacts, self._middle, self._header.radius)
+        if self._header.engine:
+            more, size_of_more = _columns_of_engine(contacts, self._origin)
+            columns, size = [*columns, *more], size + size_of_more
         counts = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
         self._before = np.concatenate(([self._count], counts[:-1]))
         self._count = int(counts[-1])

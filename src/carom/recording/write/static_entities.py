@@ -332,12 +332,17 @@ def _impulse_legend(header: Header) -> list[str]:
     """Explain how impulses and impacts are drawn."""
     longest, m, joules = arrow_length(header, FORCE_NORMAL), _drawn(header, "m"), _drawn(header, "J")
     friction = ", and the friction on it (purple)" if header.has_friction else ""
-    return [
+    lines = [
         "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
         "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
         f"body (yellow){friction}, {longest:.4g}{m} · u long.",
+    ]
+    if header.engine:
+        return [*lines, "- An impulse is the force that the engine reports, times the time since the frame before."]
+    return [
+        *lines,
         "- Points are impacts, each where the two touched: as large as the impulse (m_ref is `impacts` in the "
         "property `arrows`), as bright as "
         f"the energy lost (m_ref{' in' if joules else ''}{joules} is `impacts.energy`). On the timeline `impact` one "

@@ -1,0 +1,214 @@
+"""The contact forces that other engines report: what is recorded of them obeys Newton's laws, and commands show it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom.recording.read.moment import frame_of
+from carom.recording.read.recorded_contacts import rows_of_engine
+from carom.recording.read.recorded_scene import header_of_recording
+from carom.recording.read.recording import Recording
+from carom.show.close_up import close_up
+from carom.show.request import Pair
+from carom.show.shown_step import shown_step
+from carom_command import carom as command
+
+G = np.array([0.0, 0.0, -9.81])
+DT = 0.001  # s
+STEPS = 60
+MASS = {"ball": 1.0, "top": 0.5, "box": 2.0, "slider": 1.0}
+PLACE = {"ball": (0.0, 0.0, 0.1), "top": (0.02, 0.0, 0.299), "box": (2.0, 0.0, 0.1), "slider": (-2.0, 0.0, 0.1)}
+
+
+def run_mujoco(path: Path, **options: Any) -> None:
+    import mujoco
+
+    def body(name: str) -> str:
+        shape = 'type="box" size="0.2 0.3 0.1"' if name == "box" else 'type="sphere" size="0.1"'
+        place = " ".join(map(str, PLACE[name]))
+        geom = f'<geom {shape} mass="{MASS[name]}" friction="0.3 0 0"/>'
+        return f'<body name="{name}" pos="{place}"><freejoint/>{geom}</body>'
+
+    floor = '<geom name="floor" type="plane" size="0 0 1" friction="0.3 0 0"/>'
+    text = f'<option timestep="{DT}"/><worldbody>{floor}{"".join(map(body, MASS))}</worldbody>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco>{text}</mujoco>")
+    data = mujoco.MjData(model)
+    data.qvel[18:20] = [3.0, -1.0]
+    with carom.record.Recorder(carom.record.mujoco(model, data), path, **options) as recorder:
+        for _ in range(STEPS):
+            mujoco.mj_step(model, data)
+            recorder.frame()
+    assert recorder.problems == []
+
+
+def run_pybullet(path: Path, **options: Any) -> None:
+    pybullet = pytest.importorskip("pybullet")  # not required: it has no wheels for newer versions of Python
+    client = pybullet.connect(pybullet.DIRECT)
+    pybullet.setTimeStep(DT)
+    pybullet.setGravity(*G)
+    plane = pybullet.createCollisionShape(pybullet.GEOM_PLANE)
+    numbers = [pybullet.createMultiBody(0.0, plane)]
+    for name, mass in MASS.items():
+        kind = (
+            pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=[0.2, 0.3, 0.1])
+            if name == "box"
+            else pybullet.createCollisionShape(pybullet.GEOM_SPHERE, radius=0.1)
+        )
+        numbers.append(pybullet.createMultiBody(mass, kind, basePosition=PLACE[name]))
+    for number in numbers:
+        pybullet.changeDynamics(number, -1, linearDamping=0.0, angularDamping=0.0, lateralFriction=0.5)
+    pybullet.resetBaseVelocity(numbers[-1], [3.0, -1.0, 0.0])
+    source = carom.record.pybullet(DT, tuple(G), client)
+    with carom.record.Recorder(source, path, **options) as recorder:
+        for _ in range(STEPS):
+            pybullet.stepSimulation()
+            recorder.frame()
+    pybullet.disconnect(client)
+    assert recorder.problems == []
+
+
+RUNS = {"mujoco": run_mujoco, "pybullet": run_pybullet}
+
+
+@pytest.fixture(scope="module", params=[pytest.param("mujoco", marks=pytest.mark.needs("mujoco")), "pybullet"])
+def recording(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp(request.param) / "run.rrd"
+    RUNS[request.param](path)
+    return Recording.open(path)
+
+
+def test_recorded_contact_forces_change_momenta_as_newton_says(recording: Recording) -> None:
+    # both engines kick by F dt; the impulses are recorded in float32
+    times = [checkpoint.time for checkpoint in recording.checkpoints()]
+    mass = np.array(list(MASS.values()))
+    radius, friction = 0.1, 0.0
+    for before, after in zip(recording.checkpoints(), list(recording.checkpoints())[1:], strict=False):
+        rows = recording.contacts(after.time).to_pylist()
+        given = mass[:, None] * G * (after.time - before.time)
+        torque = np.zeros((len(mass), 3))
+        for row, impulse in zip(rows, vectors(recording, after.time), strict=True):
+            point = np.array([row["x"], row["y"], row["z"]])
+            for end, sign in ((row["i"], -1.0), (row["j"], 1.0)):
+                if end < len(mass):
+                    given[end] += sign * impulse
+                    torque[end] += np.cross(point - before.position[end], sign * impulse)
+            friction = max(friction, row["tangential_force"])
+        change = mass[:, None] * (after.velocity - before.velocity)
+        np.testing.assert_allclose(change, given, atol=1e-6 * mass.max() * 9.81 * DT + 1e-6 * np.abs(given).max())
+        assert before.angular_velocity is not None and after.angular_velocity is not None
+        for ball in (0, 1, 3):
+            spun = 0.4 * mass[ball] * radius**2 * (after.angular_velocity[ball] - before.angular_velocity[ball])
+            # contact points are on the surfaces, whose overlap is below 2 % of a radius here
+            most = 0.02 * radius * float(np.linalg.norm(given[ball])) + 1e-6 * DT
+            np.testing.assert_allclose(spun, torque[ball], atol=most)
+    assert len(times) == STEPS + 1 and friction > 1.0
+
+
+def vectors(recording: Recording, time: float) -> list[np.ndarray]:
+    """Return the impulses of the contacts of a frame on their second ends."""
+    row = frame_of(recording, time)
+    assert row is not None
+    rows, dt = rows_of_engine(recording, row)
+    assert dt == pytest.approx(DT)
+    return [
+        each["normal_impulse"] * np.array([each[f"n{axis}"] for axis in "xyz"])
+        + [each[f"friction_{axis}"] for axis in "xyz"]
+        for each in rows
+    ]
+
+
+def test_commands_show_recorded_contact_forces_and_refuse_impacts(recording: Recording) -> None:
+    folder = recording.path.parent
+    done = command("contacts", "run.rrd", "--body", "2", "--at", str(20 * DT), cwd=folder)
+    assert done.returncode == 0 and "1 contact in step 20, recorded" in done.stdout
+    rows = recording.contacts(STEPS * DT).to_pylist()
+    (box,) = [row for row in rows if row["i"] == 2]
+    # four corners as one contact below the centre; each engine's springs have settled within 2 %
+    assert box["normal_force"] == pytest.approx(2.0 * 9.81, rel=0.02) and box["mode"] == "resting"
+    assert [box["x"], box["y"], box["z"]] == pytest.approx([2.0, 0.0, 0.0], abs=2e-3)
+    assert [box["nx"], box["ny"], box["nz"]] == [0.0, 0.0, -1.0] and box["approach_speed"] is None
+    for option in ("--impacts", "--statistics"):
+        done = command("contacts", "run.rrd", option, cwd=folder)
+        assert done.returncode == 2 and f"no impacts; leave {option} out" in done.stderr
+    assert "impacts" not in recording.summary()["impacts"]
+    assert command("clip", "run.rrd", "--from", "0.02", "--to", "0.04", "-o", "c.rrd", cwd=folder).returncode == 0
+    clip = Recording.open(folder / "c.rrd")
+    assert clip.contacts(0.03).equals(recording.contacts(0.03))
+
+
+def test_a_close_up_of_a_recorded_contact_has_its_force(recording: Recording) -> None:
+    header = header_of_recording(recording)
+    close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), 1.0, None, "dark")  # type: ignore[arg-type]
+    assert close.contact is not None and close.contact.force is not None
+    (row,) = [row for row in recording.contacts(STEPS * DT).to_pylist() if (row["i"], row["j"]) == (0, 1)]
+    assert close.contact.force == pytest.approx(np.hypot(row["normal_force"], row["tangential_force"]), rel=1e-6)
+    assert close.contact.point + recording.origin == pytest.approx([row["x"], row["y"], row["z"]], abs=1e-6)
+
+
+class Balls:
+    """Two balls that push each other; the contacts are those of a function of the step."""
+
+    model = carom.record.Model(engine="balls", mass=[1.0, 1.0], radius=[0.5, 0.5])
+
+    def __init__(self, contacts: Callable[[int], Any]) -> None:
+        self.step, self._contacts = 0, contacts
+
+    def state(self) -> carom.record.State:
+        position = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+        return carom.record.State(0.1 * self.step, position, np.zeros((2, 3)), contacts=self._contacts(self.step))
+
+
+def contact(**changes: Any) -> np.ndarray:
+    """Return one contact of the balls, given from the second to the first."""
+    found = np.zeros(1, carom.record.CONTACT)
+    usual = {"i": 1, "point": [0.5, 0.0, 0.0], "normal": [-1.0, 0.0, 0.0], "force": 3.0, "friction": [0.0, 2.0, 0.0]}
+    for name, value in (usual | changes).items():
+        found[name] = value
+    return found
+
+
+def recorded(contacts: Callable[[int], Any], path: Path) -> carom.record.Recorder:
+    balls = Balls(contacts)
+    with carom.record.Recorder(balls, path) as recorder:
+        for balls.step in range(1, 5):
+            recorder.frame()
+    return recorder
+
+
+def test_contacts_of_a_source_are_recorded_from_the_smaller_body_to_the_larger(tmp_path: Path) -> None:
+    assert recorded(lambda step: contact()[: step % 2], tmp_path / "run.rrd").problems == []
+    recording = Recording.open(tmp_path / "run.rrd")
+    (row,) = recording.contacts(0.3).to_pylist()
+    assert (row["i"], row["j"], row["nx"], row["x"]) == (0, 1, 1.0, 0.5)
+    assert (row["normal_force"], row["tangential_force"]) == pytest.approx((3.0, 2.0), rel=1e-6)  # float32
+    assert recording.contacts(0.4).num_rows == 0
+    (rows, dt) = rows_of_engine(recording, 3)
+    assert dt == pytest.approx(0.1) and rows["friction_y"] == pytest.approx([-0.2])  # on the second: the opposite
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        (np.zeros(1, [("i", int), ("j", int)]), "balls: contacts lack the field point; make them"),
+        (contact(i=2), "balls: contacts names 2 and 0; bodies are 0 to 1, planes up to 1"),
+        (contact(i=0), "balls: contacts names 0 and 0;"),
+        (contact(force=np.nan), "balls: contacts[0] has a force that is not finite"),
+        (contact(normal=[-2, 0, 0]), "balls: the normal of contacts[0] has the length 2; it must be 1"),
+        ([[0, 1]], "balls: contacts have no forces, and had some in the first state"),
+    ],
+)
+def test_invalid_contacts_are_noted_and_their_frame_has_the_pairs_that_touch(
+    wrong: Any, message: str, tmp_path: Path
+) -> None:
+    recorder = recorded(lambda step: wrong if step == 2 else contact(), tmp_path / "run.rrd")
+    (problem,) = recorder.problems
+    assert problem.startswith(message) and problem.endswith("Its contacts are those of the distances.")
+    recording = Recording.open(tmp_path / "run.rrd")
+    forces = [recording.contacts(0.1 * step)["normal_force"][0].as_py() for step in range(1, 5)]
+    assert recording.frames == 5 and forces == pytest.approx([3.0, 0.0, 3.0, 3.0], rel=1e-6)
