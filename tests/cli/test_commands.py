@@ -380,7 +380,7 @@ def test_a_scene_named_without_its_ending_is_offered(tmp_path: Path) -> None:
         (["--plot", "body-3.zz"], 'there is no quantity "zz"; there are x, y, z (m)'),
         (["--plot", "nobody.z"], 'has no body "nobody"'),
         (["--plot", "3"], "expected BODY.QUANTITY"),
-        (["--view", "plot"], "a view of plots shows the curves that plot names"),
+        (["--view", "plot"], "a view of plots shows the curves named by plot"),
         (["--view", "plot", "--plot", "3.x,3.speed"], "a view of plots shows one unit"),
     ],
 )

@@ -80,7 +80,7 @@ def test_statistics_are_printed_as_json_and_as_rows(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; known endings: .parquet, .csv'),
+        (("-o", "c.txt"), 'c.txt: the format ".txt" is unknown; known suffixes: .parquet, .csv'),
         (("--at", "7"), "covers 0 to 2 s; 7 s is outside"),
         (("--body", "9"), 'has no body "9"; its bodies are 0 to 1'),
         (("--body", "0", "--body", "1", "--at", "0.5"), "body 0 and body 1 do not touch at t = 0.5 s"),

@@ -84,7 +84,7 @@ def test_islands_are_found_in_a_recording_that_was_coloured_by_group(clump: Reco
 
 def test_a_scene_without_contacts_has_no_islands(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("figure-eight", ["time.duration=0.1"]), tmp_path / "eight.rrd")
-    with pytest.raises(RecordingError, match="has no contacts to colour by island; take group or speed"):
+    with pytest.raises(RecordingError, match="has no contacts to colour by island; use group or speed"):
         presentation(recording, 0.0, colour_by="island")
 
 

@@ -68,7 +68,7 @@ def test_a_viewer_may_colour_by_group_and_by_material(hops: Recording) -> None:
 def test_a_recording_without_materials_is_not_coloured_by_them(tmp_path: Path) -> None:
     recording = carom.run(Scene.load("two-spheres", ["time.duration=0.1"]), tmp_path / "two.rrd")
     assert header_of_recording(recording).materials is None
-    with pytest.raises(RecordingError, match=r"has no \[\[material\]\] to colour by; take group"):
+    with pytest.raises(RecordingError, match=r"has no \[\[material\]\] to colour by; use group"):
         presentation(recording, 0.0, colour_by="material")
 
 

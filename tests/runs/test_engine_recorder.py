@@ -333,11 +333,11 @@ def test_a_source_with_wrong_arrays_is_refused_before_a_file_is_made(tmp_path: P
     path = tmp_path / "run.rrd"
     changes: list[tuple[dict[str, Any], str]] = [
         ({"mass": [1.0, -2.0, 1.0]}, r"mass\[1\] is -2; it cannot be negative"),
-        ({"radius": [0.1, 0.1]}, r"radius has the shape \(2,\) in place of \(3,\)"),
+        ({"radius": [0.1, 0.1]}, r"radius has the shape \(2,\) instead of \(3,\)"),
         ({"names": ["a"]}, "names has 1 entries for 3 bodies"),
         ({"fixed": ["no", "yes", "no"]}, r"fixed\[0\] is 'no'; it must be True or False"),
         ({"judged": [1, 0, 2]}, r"judged\[2\] is 2; it must be True or False"),
-        ({"fixed": [True]}, r"fixed has the shape \(1,\) in place of \(3,\)"),
+        ({"fixed": [True]}, r"fixed has the shape \(1,\) instead of \(3,\)"),
         ({"constant": -1.0}, "constant is -1; it must be a number that is not negative"),
         ({"constant": [1.0, 2.0]}, r"constant is \[1.0, 2.0\]; it must be a number that is not negative"),
         ({"softening": -0.5}, "softening is -0.5; it must be a number that is not negative"),
@@ -402,7 +402,7 @@ def test_what_is_no_source_is_named_with_what_it_needs(source: Any, tmp_path: Pa
         ({"time": None}, "the time of the state is None; it must be a number"),
         ({"time": float("nan")}, "time.* is nan, which is not finite"),
         ({"velocity": None}, "velocity has the shape|velocity is no array"),
-        ({"position": np.zeros((3, 2))}, r"position has the shape \(3, 2\) in place of \(3, 3\)"),
+        ({"position": np.zeros((3, 2))}, r"position has the shape \(3, 2\) instead of \(3, 3\)"),
         ({"orientation": np.zeros((3, 4))}, r"orientation\[0\] has the length 0; it must be a quaternion of length 1"),
     ],
 )
@@ -443,7 +443,7 @@ LEFT_OUT: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
 ]
 COMPUTED: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
     ({"contacts": [[0, 3]]}, "toy 1.0: contacts names 3; bodies and planes are 0 to 2"),
-    ({"contacts": [0, 1, 2]}, "toy 1.0: contacts has the shape (3,) in place of (m, 2)"),
+    ({"contacts": [0, 1, 2]}, "toy 1.0: contacts has the shape (3,) instead of (m, 2)"),
     ({"contacts": ["a"]}, "ValueError: invalid literal"),
 ]
 

@@ -268,7 +268,7 @@ def test_a_pair_is_found_by_names_with_commas(tmp_path: Path) -> None:
     recording = carom.run(scene_of(bodies, time={"duration": 0.1}), tmp_path / "run.rrd")
     assert named_pair(recording, "Ceres, dwarf,Vesta, 4") == Pair(0, 1)
     assert named_pair(recording, "Vesta,Ceres, dwarf") == Pair(0, 2)
-    with pytest.raises(RecordingError, match="expected two bodies with a comma between them"):
+    with pytest.raises(RecordingError, match="expected two bodies separated by a comma"):
         named_pair(recording, "Ceres, dwarf")
 
 
@@ -305,8 +305,8 @@ def test_the_pair_of_a_step_is_that_of_the_largest_impulse(bounce: Recording) ->
         (99.0, None, None, "covers 0 to 4 s; 99 s is outside"),
         (None, "bang", None, 'has no event "bang"; it has'),
         (None, None, "0,7", 'has no body "7"'),
-        (None, None, "left", "expected two bodies with a comma between them, such as 0,1"),
-        (None, None, "0,left", "is one body; give two"),
+        (None, None, "left", "expected two bodies separated by a comma, such as 0,1"),
+        (None, None, "0,left", "is one body; name two"),
     ],
 )
 def test_a_request_for_a_missing_moment_or_body_is_refused_in_one_sentence(

@@ -1,7 +1,7 @@
 """The table of commands, their loading and their help.
 
-A command is a function. Its module is imported when the command runs or shows its help, and imports other packages when
-it runs, so that `carom --help` does not wait for a compiler and a viewer.
+A command is a function. Its module is imported when the command runs or shows its help. Other packages are imported
+only when it runs, so that `carom --help` does not wait for a compiler and a viewer.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _made(name: str, function: Any, panel: str) -> Any:
 
 
 def _raising(error: registry.ExtensionError) -> Any:
-    """Return a command in place of one that cannot be loaded: its help has the error, and a call raises it."""
+    """Return a replacement for a command that cannot be loaded: its help shows the error, and a call raises it."""
 
     def broken() -> None:
         raise error

@@ -45,7 +45,7 @@ def start_compiling() -> subprocess.Popen[bytes] | None:
 def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
     """Start the second process if no kernel has been compiled since the installation; otherwise return None.
 
-    It then compiles while the run loads its modules. Only the default cache folder is checked; with another one, the
+    It then compiles while the run loads its modules. Only the default cache folder is checked; with another folder, the
     second process starts at the first compilation.
     """
     folder = Path(jit.__file__).parent / "__pycache__"

@@ -329,7 +329,7 @@ def _print(recording: Recording, table: pa.Table, at: OptionalTime) -> None:
 
 
 def _in_next_step(recording: Recording, at: float) -> str:
-    """Return a hint to the next step, if it recorded impacts at the very end of the step that contains a time (s)."""
+    """Return a hint to the next step if it recorded impacts at the very end of the step that contains a time (s)."""
     from carom.recording.read.moment import frame_of
 
     row = frame_of(recording, at)

@@ -31,7 +31,7 @@ def inspect(
 ) -> None:
     """Summarise a recording: outcome, energy, contacts, the moments worth looking at, run time, versions.
 
-    Of a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
+    For a file that compares runs, such as one by `carom fork`, it prints their names and the verdict.
     """
     from carom.recording.edit.bundle import opened
     from carom.recording.read.recorded_scene import refuse_missing_extensions
@@ -166,7 +166,7 @@ def _judgements(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
         kept = "kept" if verdict["met"] else "MISSED"
         if not verdict.get("judged", True):
             kept = "not checked, since the run did not end at its duration"
-        bound = verdict.get("bound", "at most")  # older recordings have only this bound
+        bound = verdict.get("bound", "at most")  # older recordings state only this bound
         yield "promise", f"{name} {verdict['measured']:.3g}, {bound} {verdict['limit']:.3g}: {kept}"
     for law, broken in summary.get("laws", {}).items():
         first = f"first at step {broken['step']}, t = {units.text(broken['time'], TIME)}"

@@ -41,7 +41,7 @@ def seconds(text: str) -> float:
 
 
 def simulated(given: float, units: UnitSystem) -> float:
-    """Return a time that was given as a time of the simulation; a plain number is in the units of the scene."""
+    """Return a time of the simulation, given as an option; a plain number is in the units of the scene."""
     if isinstance(given, Seconds):
         return units.of_si(float(given), TIME)
     return units.converted(given, TIME)

@@ -23,7 +23,7 @@ from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted
 
 MANY_STEPS = 10_000_000  # some 10 s of the fastest steps
-LEAST_FRAMES = 0.9  # fraction of the requested frames; fewer are reported
+LEAST_FRAMES = 0.9  # of the requested frames; if fewer are recorded, a note says so
 
 
 class RunProgress(LiveLine):
@@ -152,7 +152,7 @@ def _fewer_frames(scene: Scene, outcome: Outcome) -> str:
     """Return a note if steps were longer than the requested time between frames; otherwise an empty text."""
     if isinstance(scene.record.every, str):
         return ""
-    asked = outcome.sim_time / scene.record.every + 1.0  # and a frame of the start
+    asked = outcome.sim_time / scene.record.every + 1.0  # including a frame of the initial state
     if outcome.frames >= LEAST_FRAMES * asked:
         return ""
     return (

@@ -34,7 +34,7 @@ PATIENCE = 1.0  # s of work before a line names it
 
 
 class Terminal(Console):
-    """A console that prints text as it is: no markup unless requested, and control characters as escapes."""
+    """A console that prints text unchanged: no markup unless requested, and control characters as escapes."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(**{"markup": False, "highlight": False, **options})

@@ -224,7 +224,7 @@ def _simulated(file: Path, at: float | None) -> float | None:
 
 
 def _announce_replay(file: Path, plot: str | None, *, alone: bool = False) -> None:
-    """Say that a plot of velocities takes as long as the run did."""
+    """Note that a plot of velocities takes as long as the run did."""
     from carom.cli.printing import duration_text
     from carom.recording.read.recording import Recording
     from carom.show.body_plots import asked_quantities, needs_replay

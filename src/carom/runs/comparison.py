@@ -151,14 +151,14 @@ class StaticCheck:
         self._recording = recording
         scene = space.scene
         header = header_of(space)
-        # /scene states the circumstances of the run, such as its command, which are not those of the replay
+        # /scene states the circumstances of the run, such as its command, which differ from those of the replay
         circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
         self._header = replace(
             header, record_impacts=scene.record.impacts, group=groups_of(scene), properties=circumstances
         )
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
-            # the program of the run chose it, and the replay checks errors at it
+            # the program that ran the scene chose it, and the replay checks errors at the same interval
             self._skip(IDENTITY, "check_interval", "is not the scene's")
         self._first = int(recording.fingerprints()["step"][0].as_py())
 
@@ -177,12 +177,12 @@ class StaticCheck:
                     others.pop(name, None)
                     self._skip(path, name, "depends on the initial positions of all bodies of the run")
                 elif name not in others:
-                    self._skip(path, name, "is not there")
+                    self._skip(path, name, "is missing")
                 elif mismatch := different(self._first, path, name, others.pop(name), value):
                     if _is_data(path, name):
                         found.append(mismatch)
                     else:
-                        self._skip(path, name, "is another")
+                        self._skip(path, name, "has another type")
             for name in others.keys() - {_START_TIME}:
                 self._skip(path, name, "this version does not write")
         for path in recorded.keys() - expected.keys():

@@ -65,20 +65,20 @@ class Recorder:
         in MuJoCo, which resets itself), when an exception leaves the context, when the program ends before `finish`,
         and by `write`.
     every
-        Record one of so many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
+        Record one of this many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
         200 bodies or more.
     title
         Of the recording; by default the name of the engine.
     duration
         s, the duration of the run, needed only above 292 years.
     exact
-        Whether every frame has the exact state in float64, which cannot be recomputed. Otherwise about one frame in ten
-        has it, and the others have positions in float32.
+        Whether every frame stores the exact state in float64, which cannot be recomputed. Otherwise about one frame in
+        ten does, and the others store positions in float32.
     tolerances
         Errors above which the audit reports a fault.
     units
-        Of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``. By
-        default those of the source, or SI.
+        Units of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``. By
+        default those that the source states, or SI.
     force
         Whether to replace a file that exists.
 
@@ -343,7 +343,7 @@ def _checked(source: Source, first: State) -> Setup:
 
 
 def _counts(number: int) -> bool:
-    """Return whether a caller's number is whole and positive."""
+    """Return whether a number given by the caller is a positive integer."""
     try:
         return operator.index(number) > 0
     except TypeError:

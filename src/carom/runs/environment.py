@@ -22,7 +22,7 @@ from pathlib import Path
 from carom.private_folder import temporary_folder
 
 PACKAGES = ("carom", "rerun-sdk", "numpy", "scipy", "numba")
-_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key with one
+_ABSOLUTE = re.compile(r"^([\w.-]+=)?/(?:.*/)?")  # a path, or an option or a key that holds one
 
 
 def versions() -> dict[str, str]:

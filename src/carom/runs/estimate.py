@@ -35,11 +35,11 @@ TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
 PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps that a run takes many of in one call
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
 
-# The part of the model for each mark of a step's profile; the second applies if the scene lacks the first.
+# The part of the model for each mark in a step's profile; the second one applies if the scene lacks the first.
 MARKS = {
     "timestep": ("adaptive-step", "integrator"),
     "orientation": ("orientation", "integrator"),
@@ -156,7 +156,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 
 def _load_kernels(space: Space) -> None:
-    """Take a few steps and restore the state, so that compiling and loading kernels is not measured."""
+    """Take a few steps and restore the state, so that the compilation and loading of kernels are not measured."""
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
         if space.time < space.scene.time.duration:
@@ -183,7 +183,7 @@ def _first_frames(space: Space) -> list[Frame]:
 
 
 def flight_seconds(space: Space) -> float:
-    """Return the time of a step where nothing touches, with its part of a check and a frame.
+    """Return the time of a step without contacts, including its part of a check and a frame.
 
     A run takes many of these steps in one call. The time is infinite for many bodies, whose steps are single calls.
     """
@@ -208,7 +208,7 @@ def _part_costs(space: Space, steps: int, frames: int) -> list[PartCost]:
     modelled = {part.name for part in needs.parts if part.modelled}
     seconds = dict.fromkeys(modelled, 0.0)  # a step
     for mark, spent in space.profile.seconds().items():
-        part, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of a package marks its name
+        part, otherwise = MARKS.get(mark, (mark, "integrator"))  # a force of an installed package is marked by its name
         seconds[part if part in modelled else otherwise] += spent / space.step
     if needs.potential.modelled:
         more, duration = _more_for_the_potential(space), space.scene.time.duration
@@ -269,9 +269,9 @@ def _with_share(entity: EntityCost, whole: float) -> EntityCost:
     return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)
 
 
-STRIDES = 8.0, 64.0  # times the steps of the scene; the longer one if the shorter would take too long
+STRIDES = 8.0, 64.0  # times the steps of the scene; the longer ones if the shorter would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
-MANY_STEPS = 100  # at least so many coarse steps give a better time of a step than the first steps
+MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
 
 

@@ -30,7 +30,7 @@ from carom.runs.impact_check import ImpactCheck
 
 Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
 
-# compared together: encoding one frame costs as much as a batch of a hundred
+# compared together, since encoding one frame costs as much as a batch of a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
@@ -46,7 +46,7 @@ _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQU
 _DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
 _LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows, whose number the plan limits
 _ARROWS = "Arrows3D:vectors"
-_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # a row where it changes
+_BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # entities with a row at each change
 
 # values that depend on earlier frames, such as errors relative to the largest energy so far
 _RELATIVE = {
@@ -65,7 +65,7 @@ class FrameCheck:
     header
         Of the replayed space; it determines which entities must exist.
     steps
-        Steps of the recorded frames that will be compared, rising.
+        Ascending steps of the recorded frames to compare.
     begin
         The step of the replay's first checkpoint.
     all_frames
@@ -91,9 +91,11 @@ class FrameCheck:
         self._box = header.box
         self._impacts = None
         self._same_words = recording.versions == versions()
-        self._whole = all_frames and begin == 0 and is_whole(recording) and not recording.clip  # so far
+        self._whole = (
+            all_frames and begin == 0 and is_whole(recording) and not recording.clip
+        )  # whether all frames so far are those of the run
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
-        # every recorded series has a style; an older recording has none for series added later
+        # every recorded series has a style; an older recording lacks the series added later
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
         self._is_clip = bool(recording.clip)
         if header.records_contacts:
@@ -104,7 +106,7 @@ class FrameCheck:
             paths.PHASE: _States.of(recording.phases()),
             paths.DT_LIMIT: _States.of(recording.dt_limits()),
         }
-        self._before: dict[str, str] = {}  # the states of the frame before, by entity
+        self._before: dict[str, str] = {}  # the states of the previous frame, by entity
         events = recording.events()
         columns = [
             events[STEP],
@@ -122,7 +124,7 @@ class FrameCheck:
         self._room = max(1, min(_MOST_FRAMES, _MOST_BODIES // header.bodies))
 
     def strays(self, is_end: bool) -> Mismatch | None:
-        """Return a row of a step without a recorded frame, which the viewer would nevertheless show.
+        """Return a row of a step without a recorded frame, which the viewer would show nevertheless.
 
         ``is_end``: there may be no rows after the compared frames.
         """
@@ -142,13 +144,13 @@ class FrameCheck:
         chosen = self._encoder.arrow_references.chosen
         unknown = sorted(chosen.keys() - self._arrows.keys())
         self.skipped |= {f"{name} of the property arrows, which is missing": None for name in unknown}
-        # only the whole run has the frames that chose the references; a part of it uses the recorded ones
+        # only the whole run has the frames that determined the references; a part of it uses the recorded ones
         for name in sorted(chosen.keys() & self._arrows.keys()) if self._whole else ():
             if self._arrows[name] != chosen[name]:
                 if self._same_words:
                     return Mismatch(last, f"{name} of the property arrows", self._arrows[name], chosen[name])
                 self.skipped[f"{name} of the property arrows, which differs"] = None
-        # at the end the last frame has a checkpoint; before it, a later warning may add one
+        # at the end, the last frame has a checkpoint; before it, a later warning may add one
         if self._plan is None:
             self.skipped[_KEPT] = None
             return None
@@ -322,7 +324,7 @@ def is_whole(recording: Recording) -> bool:
 
 
 def _as_many(replayed: pa.RecordBatch, recorded: pa.RecordBatch) -> pa.RecordBatch:
-    """Keep as many values of each list as were recorded: the first, which have the largest impulses."""
+    """Keep only as many values of each list as were recorded: the first ones, which have the largest impulses."""
     columns = {}
     for name in replayed.schema.names:
         column = replayed[name]

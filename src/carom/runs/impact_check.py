@@ -39,13 +39,13 @@ OF_OTHERS = "impacts of bodies that the clip does not show"
 class _Interval(NamedTuple):
     """The impacts of a replay between two recorded frames."""
 
-    frame: Frame  # at its end
+    frame: Frame  # at the end of the interval
     before: Frame | None  # at its beginning
     impacts: Records  # (k,) CONTACT_ROW, in order of time
     kept: Kept | None  # numbers of impacts that should be recorded; None if unknown
     numbers: IntArray  # (k,)
-    begin: int  # number of the run's impacts before it
-    end: int  # number up to its end
+    begin: int  # number of the run's impacts before the interval
+    end: int  # number of impacts up to its end
 
 
 class ImpactCheck:
@@ -62,7 +62,7 @@ class ImpactCheck:
     few
         The bodies of a clip that does not show all.
     whole
-        Whether this version recorded it, and all frames since the start of the run are replayed, so that the recorder's
+        Whether this version recorded it and all frames since the start of the run are replayed, so that the recorder's
         plan is known.
     """
 
@@ -97,7 +97,9 @@ class ImpactCheck:
             self.skipped[OF_OTHERS] = None
         self._since: list[Records] = []
         self._missed = 0  # impacts that the replay left out
-        self._before: tuple[Frame, int | None] | None = None  # the recorded frame before, and the impacts up to it
+        self._before: tuple[Frame, int | None] | None = (
+            None  # the previous recorded frame, and the number of impacts up to it
+        )
 
     def gather(self, frame: Frame) -> None:
         """Add the impacts before a frame, recorded or not."""
@@ -238,20 +240,20 @@ class ImpactCheck:
 
 
 def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> Kept:
-    """Return the numbers of impacts and contacts since the frame before that a plan records."""
+    """Return the numbers of impacts and contacts since the previous frame that a plan records."""
     contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
     counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
     return plan.choose(frame.position[None], *counts)
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:
-    """Return a mask of the rising numbers that belong to impacts of an interval."""
+    """Return a mask of the ascending numbers that belong to impacts of an interval."""
     first, last = np.searchsorted(numbers, [interval.begin, interval.end], side="right")
     return slice(int(first), int(last))
 
 
 def _other_choice(step: int, path: str, recorded: IntArray, expected: IntArray) -> Mismatch:
-    """Name the first impact that is recorded and should not be, or the other way round."""
+    """Name the first impact that is recorded but should not be, or should be but is not."""
     if np.array_equal(np.unique(recorded), np.unique(expected)):
         return Mismatch(step, f"the number of rows of /{path}", len(recorded), len(expected))
     number = int(np.setxor1d(recorded, expected)[0])

@@ -21,7 +21,7 @@ class Verdict:
     name: str
     limit: float
     measured: float
-    worst: Extreme | None = None  # None if no extreme belongs to it
+    worst: Extreme | None = None  # None if no extreme corresponds to it
     at_least: bool = False  # whether the limit is a lower bound
     note: str = ""  # explains the measured quantity if the name does not
     promised_at: float | None = None  # s, the promised end, if the run ended at another time
@@ -33,7 +33,7 @@ class Verdict:
 
     @property
     def met(self) -> bool:
-        """Whether the promise was kept or is not judged; NaN keeps none."""
+        """Whether the promise was kept or is not judged; NaN counts as broken."""
         if not self.judged:
             return True
         return self.measured >= self.limit if self.at_least else self.measured <= self.limit
@@ -60,7 +60,7 @@ def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
     something is fixed, counts as infinitely wrong. The final kinetic energy is judged only at the promised end; the
-    number of impacts and the warnings are also judged later.
+    number of impacts and the warnings are judged later, too.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}

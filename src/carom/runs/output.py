@@ -49,12 +49,12 @@ def refuse_itself(path: Path, source: Path, what: str = "recording") -> None:
     path, source
         The output and its source.
     what
-        The source, in a word.
+        The kind of source, in a word.
 
     Raises
     ------
     RecordingError
-        If both are one file.
+        If both are the same file.
     """
     if path.exists() and source.exists() and path.samefile(source):
         raise RecordingError(f"{path} is the {what} itself; choose another file with -o")
@@ -134,6 +134,6 @@ def output_folder(path: Path) -> None:
 
 
 def _short(path: Path) -> str:
-    """Shorten a path to its beginning where that suffices."""
+    """Shorten a path to its beginning if that suffices."""
     text = str(path)
     return text if len(text) <= 200 else f"{text[:200]}…"

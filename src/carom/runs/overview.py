@@ -104,7 +104,7 @@ def moments(summary: dict[str, Any], units: UnitSystem) -> list[Moment]:
 def is_worth_a_look(name: str, summary: dict[str, Any]) -> bool:
     """Return whether a moment of a recording's summary is of interest.
 
-    An overlap by rounding, an error of 0 and the fastest approach of resting contacts, which are no impacts, are not.
+    Overlaps due to rounding, an error of 0 and the fastest approach of resting contacts are not of interest.
     """
     if name == "impact":
         return bool(summary["contacts"].get("impacts") != 0)
@@ -122,7 +122,7 @@ def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
 def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     """Describe the change of the energy and its known reasons.
 
-    Of another engine's run only states are known. Without impulses, the work of contacts cannot be separated from
+    Of another engine's run only states are known. Without impulses, the work of contacts cannot be distinguished from
     errors.
     """
     energy = summary["energy"]
@@ -177,7 +177,7 @@ def _promise(verdict: dict[str, Any]) -> str:
 
 
 def headline(recording: Recording) -> list[tuple[str, str]]:
-    """Return the numbers by which a reader tells recordings apart: names and texts."""
+    """Return the quantities that distinguish recordings for a reader: names and texts."""
     whole, units = recording.summary(), recording.units
     impacts = whole["contacts"].get("impacts")
     first, last = (units.text(whole["energy"][when], ENERGY, ".4g") for when in ("initial", "final"))
@@ -207,7 +207,7 @@ def _head_comment(scene: str) -> str:
 
 
 def problems(recording: Recording, most: int) -> list[str]:
-    """Return what went wrong in a run: how it ended, missed promises, and warnings, of which at most ``most``."""
+    """Return what went wrong in a run: its end, broken promises, and at most ``most`` warnings."""
     promises = recording.summary()["expect"]
     missed = [
         f"promise {name} missed: {promise_text(verdict)}"

@@ -25,7 +25,7 @@ SAME_PRESS = 0.3  # s; wrappers such as `uv run` forward an interrupt that the t
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep
 _LARGE = 64 << 20  # bytes; larger arrays get pages of their own
-_NEW_OBJECTS = 100_000  # the first batches create 60 000, mostly modules, which remain
+_NEW_OBJECTS = 100_000  # the first batches create 60 000 objects, mostly modules, which remain
 
 _received: list[int] = []  # signals that were raised as KeyboardInterrupt
 
@@ -127,8 +127,8 @@ def keep_freed_memory() -> None:
 def garbage_sought_seldom() -> Iterator[None]:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700.
 
-    There is none, because frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits for
-    the interpreter lock, and the small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
+    There is none, since frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits for the
+    interpreter lock, and the small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
     """
     before = gc.get_threshold()
     if before[0]:  # otherwise the program has switched it off

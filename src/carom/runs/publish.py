@@ -44,7 +44,7 @@ class Published:
     path: Path
     size: int  # bytes
     moments: int
-    picture: str  # empty, or the reason for missing pictures
+    picture: str  # the reason for missing pictures; otherwise empty
     pages: Sequence[str]  # one for each recording, in their order
 
 
@@ -89,7 +89,7 @@ def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str]
 
 
 def _all_names(recordings: Sequence[Recording]) -> list[PageNames]:
-    """Return the names of several recordings' files, which no two share."""
+    """Return the names of several recordings' files, all different."""
     stems: list[str] = []
     for recording in recordings:
         stem = re.sub(r"[^a-z0-9]+", "-", recording.path.stem.lower()).strip("-")[:60] or "run"
@@ -101,7 +101,7 @@ def _all_names(recordings: Sequence[Recording]) -> list[PageNames]:
 def _write_recording(
     recording: Recording, folder: Path, names: PageNames, missing: str, watch: Callable[[str], None]
 ) -> About:
-    """Write the files of a recording, with pictures unless it is known why these are ``missing``."""
+    """Write the files of a recording, with pictures unless ``missing`` states why there are none."""
     name, units = recording.path.name, recording.units
     watch(name)
     shutil.copyfile(recording.path, folder / names.recording)
@@ -150,7 +150,7 @@ def refuse_folder(folder: Path, force: bool) -> None:
     Raises
     ------
     RecordingError
-        With the folder and a valid one.
+        The message names the folder and a valid one.
     """
     if is_link_of_another(folder):
         raise RecordingError(f"{folder}: a link of another user; name another folder")

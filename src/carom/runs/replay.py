@@ -43,7 +43,7 @@ _NO_OUTCOME = "the outcome and its numbers, which are missing"
 _MORE_FRAMES = "the outcome and its numbers (with more frames than the run had)"
 TRIAL_SECONDS = 1.0  # of stepping, after which a replay estimates its cost
 
-Consent = Callable[[float], bool]  # remaining time in s → whether to continue
+Consent = Callable[[float], bool]  # remaining time (s) → whether to continue
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ class Difference:
     step: int
     time: float  # s, recorded
     quantity: str
-    body: int | None  # None if the value belongs to no single body
+    body: int | None  # None if the value does not belong to a single body
     recorded: Value
     replayed: Value
     name: str = ""  # of the body
@@ -61,7 +61,7 @@ class Difference:
 
     @property
     def by(self) -> float | None:
-        """Size of the difference; None if it is not a number."""
+        """Size of the difference; None if the values are not numbers."""
         if isinstance(self.recorded, str) or isinstance(self.replayed, str):
             return None
         return self.replayed - self.recorded
@@ -88,11 +88,11 @@ class Difference:
 class Replay:
     """Result of a replay."""
 
-    begin: int  # the step of its first checkpoint
+    begin: int  # step of the first checkpoint
     frames: int  # recorded frames from `begin` to the end of the window
     compared: int
     difference: Difference | None
-    ended: str  # the reason for an end before that of the window; otherwise empty
+    ended: str  # the reason for an end before the window's; otherwise empty
     seconds: float
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)
@@ -198,7 +198,11 @@ def _run_again(
 
     ``recorder`` receives every step from the time ``begin`` (s).
     """
-    began, first, asked = math.inf, run.begin, False  # the pace excludes the first step, which may compile
+    began, first, asked = (
+        math.inf,
+        run.begin,
+        False,
+    )  # the pace excludes the first step, which may include a compilation
     schedule = at(run.fingerprints) if recorder is None else every(0.0)
     try:
         for frame in space.run(schedule=schedule):
@@ -281,7 +285,7 @@ class _Comparison:
     def outcome(self, space: Space) -> Difference | None:
         """Compare the outcome of the run, if its end is recorded and was reached.
 
-        Versions differ in judgements, counts and words: differences from a recording of another version are only
+        Versions differ in verdicts, counts and texts, so differences from a recording of another version are only
         listed.
         """
         recording, skipped = self._recording, self.check.skipped

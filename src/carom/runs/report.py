@@ -41,8 +41,8 @@ ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
 MOST_WARNINGS = 50
-PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # of views; the second for an impact
-NOT_FINITE = "law-not-finite"  # found by the audit of another engine; a run of carom fails instead
+PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # names of views; the second is made for an impact
+NOT_FINITE = "law-not-finite"  # detected by the audit of another engine; a run of carom fails instead
 LAWS = ("energy", "law-")  # beginnings of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
     "impact": "the hardest impact, {value} of approach (½ μ v_n²)",
@@ -131,7 +131,7 @@ def worst_moment(recording: Recording) -> tuple[float, str]:
     for name, verdict in summary["expect"].items():
         if verdict.get("judged", True) and not verdict["met"]:
             return _missed(name, verdict, moments, last)
-    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a fast change is least harmful
+    for event in sorted(warnings, key=lambda event: event.kind == "pace"):  # a change of pace is the least harmful
         deepest = moments.get("overlap")
         if event.text.startswith(OVERLAPS) and deepest:
             return deepest["time"], _extreme("overlap", moments, recording.units)
@@ -187,7 +187,7 @@ def _in_words(result: Replay, units: UnitSystem) -> str:
 def _summary(
     recording: Recording, clip: Recording, moment: float, why: str, replayed: str, pictures: list[str], name: str
 ) -> str:
-    """Write the summary: what went wrong, its picture, warnings, how to repeat it, and then all else."""
+    """Write the summary: what went wrong, its picture, warnings, how to repeat it, and everything else."""
     times, units = clip.fingerprints()["time"].to_numpy(), recording.units
     span = units.span(times[0], times[-1], TIME, ".9g")
     repeat = f"{command('replay', name)}    # are the bits the same on your machine?"
@@ -269,11 +269,11 @@ def _plain(properties: Any) -> dict[str, Any]:
     return {key: value for key, value in properties.items() if isinstance(value, str | int | float)}
 
 
-MOST_BODIES = 2000  # in a clip without exact states; so few are drawn as ellipsoids
-BYTES_OF_A_BODY = 150  # of an exact state and static data; a little less when compressed
+MOST_BODIES = 2000  # in a clip without exact states; up to this number, bodies are drawn as ellipsoids
+BYTES_OF_A_BODY = 150  # of an exact state and static data, slightly less when compressed
 BYTES_DRAWN = 60  # of a body in a frame
-MOST_READ = 2_000_000_000  # bytes bytes of frames read for cutting out some bodies
-COMPRESSED = 4  # largest compression ratio, of resting bodies, which bounds the tried number of frames
+MOST_READ = 2_000_000_000  # bytes of frames read to cut out some bodies
+COMPRESSED = 4  # largest compression ratio, for resting bodies, which bounds the number of frames to try
 
 
 def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: int) -> Clip:
@@ -335,7 +335,7 @@ def _nearest(recording: Recording, moment: float, step: int, count: int) -> list
 
 
 def _focus(recording: Recording, moment: float, shown: IntArray, drawn: SingleArray) -> SingleArray:
-    """Return the drawn position of a body of the event at a moment; without one, the middle of all bodies."""
+    """Return the drawn position of a body of the event at a moment; if there is none, the middle of all bodies."""
     for found in recording.summary()["moments"].values():
         places = np.flatnonzero(np.isin(shown, found["bodies"]))
         if found["time"] == moment and len(places):

@@ -37,7 +37,7 @@ class ResumableRun:
     scene: Scene
     step: int  # of the checkpoint
     time: float  # s, of the checkpoint
-    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # released once a space has its state
+    _read: list[Checkpoint] = field(default_factory=list, repr=False)  # released once a space has this state
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if necessary."""
@@ -149,7 +149,7 @@ def claimed_target(source: Path, output: Path | None, force: bool) -> Iterator[C
     output
         Another ``.rrd`` to write; by default the recording itself.
     force
-        Whether to replace another file, and what an earlier attempt left.
+        Whether to replace another file, and the file of an earlier attempt.
 
     Raises
     ------
@@ -189,9 +189,9 @@ def continue_run(
     output
         The ``.rrd`` to write; by default the recording itself, which is replaced once the new one has more frames.
     force
-        Whether to replace another file, and what an earlier attempt left.
+        Whether to replace another file, and the file of an earlier attempt.
     claim
-        From `claimed_target`, if the caller made a claim before it opened the recording.
+        The claim made by `claimed_target`, if the caller made it before it opened the recording.
     live, watch
         As for `simulate`.
 
@@ -232,7 +232,7 @@ def _resume(
 
 
 def _refuse_altered(run: ResumableRun, threads: int) -> None:
-    """Refuse an older recording, without a digest of its scene, that does not replay.
+    """Refuse an older recording, without a digest of its scene, that does not replay with the same bits.
 
     The frames from the checkpoint before the last one are run again.
     """
@@ -260,15 +260,15 @@ def _properties(run: ResumableRun, threads: int) -> Mapping[str, Scalar]:
 
 
 def continued_scene(recording: Recording, scene: Scene, overrides: list[str]) -> Scene:
-    """Return the ``scene`` of a recording with overrides, for a run that goes on from one of its checkpoints.
+    """Return the ``scene`` of a recording with overrides, for a run that continues from one of its checkpoints.
 
-    Some values of "auto" follow from the duration: the interval between frames, and the integrator of orbits. They do
-    not change, unless the overrides set them.
+    Some values of "auto" depend on the duration: the interval between frames, and the integrator of orbits. They do not
+    change unless the overrides set them.
 
     Raises
     ------
     SceneError, RecordingError
-        As `recorded_scene`, or if an override contradicts the integrator.
+        As for `recorded_scene`, or if an override contradicts the integrator.
     """
     changed = recorded_scene(recording, overrides)
     interval, chosen, kept = frame_interval(scene), integrator(scene).name, list(overrides)

@@ -62,7 +62,7 @@ class Outcome:
     impacts_counted: str = EACH  # `EACH` or `ONCE_A_STEP`
     impacts: RecordedImpacts | None = None  # None: the scene records none
     accuracy: dict[str, float] = field(default_factory=dict)  # see `kept_accuracy`; empty if none was requested
-    begin: float = 0.0  # s, at which a resumed run continued
+    begin: float = 0.0  # s, time at which a resumed run continued
 
     @property
     def ok(self) -> bool:
@@ -160,22 +160,22 @@ def simulate(
     """Run a space to the end of its scene and record it.
 
     The interrupt key, SIGTERM and SIGHUP end it early, with a closed file. A second interrupt raises KeyboardInterrupt,
-    and leaves the file without an end.
+    and leaves the file unfinished.
 
     Parameters
     ----------
     space
-        At the start of its run.
+        The space, at the start of its run.
     path
         The ``.rrd`` to write.
     force
         Whether to replace a file that exists.
     claim
-        The caller's claim of the path, if it has one and has checked ``force``.
+        The caller's claim of the path, if it has one and has already checked ``force``.
     live
         Address of a viewer that shows the run while it is written, such as ``127.0.0.1:9876``.
     watch
-        Called about ten times a second with where the run stands.
+        Called about ten times a second with the progress of the run.
     continued
         The frames that a resumed run continues; they are written first.
     properties
@@ -420,7 +420,7 @@ def closing_summary(space: Space, extremes: Extremes, verdicts: list[Verdict]) -
 
 @contextmanager
 def watched(scene: Scene, watch: Watcher | None, progress: bool) -> Iterator[Watcher]:
-    """Yield a function that passes the status on to ``watch`` and, if wanted, to a progress bar."""
+    """Yield a function that passes the status to ``watch`` and, if requested, to a progress bar."""
     report = watch or (lambda status: None)
     if not progress:
         yield report

@@ -58,7 +58,7 @@ def extremes(name: str | None = None) -> dict[str, Path]:
     Raises
     ------
     SceneError
-        If the name is unknown; the message has the nearest one.
+        If the name is unknown; the message names the most similar one.
     """
     known = {full.removeprefix(f"{EXTREMES}/"): path for full, path in extreme_scenes().items()}
     if name is None:
@@ -70,7 +70,7 @@ def extremes(name: str | None = None) -> dict[str, Path]:
 
 
 def attempt(name: str, scene: Scene, folder: Path, *, watch: Watcher | None = None) -> Trial:
-    """Run an extreme and record it, in place of an earlier recording.
+    """Run an extreme and record it, replacing an earlier recording.
 
     Parameters
     ----------

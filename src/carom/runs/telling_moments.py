@@ -21,7 +21,7 @@ from carom.show.supplement import has_trails
 
 MOST_IMPACTS = 10  # moments; with more, only the hardest impacts explain the run
 HARDEST = 3  # impacts of a run with more
-FAINTEST = 0.01  # of the largest impulse; fainter impacts explain nothing
+FAINTEST = 0.01  # of the largest impulse; weaker impacts explain nothing
 DEEP = 0.01  # of the smaller radius; a shallower overlap explains nothing
 
 
@@ -34,14 +34,15 @@ class TellingMoment:
     heading: str
     details: Sequence[str]
     request: Request
-    close: bool = False  # whether bodies meet, which a close-up shows
+    close: bool = False  # whether it is an impact, which a close-up shows
 
 
 def telling_moments(recording: Recording) -> list[TellingMoment]:
     """Choose the moments.
 
-    These are the start of many bodies, all impacts of a run with few, else the hardest and the most contacts, and the
-    end. Added are the worst of a run that went wrong, a deep overlap, and a large integration error.
+    These are the initial state of many bodies; all impacts of a run with few, otherwise the hardest and the most
+    contacts; and the end. The worst moment of a run that went wrong, a deep overlap and a large integration error are
+    added.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def _frame(recording: Recording, row: int, heading: str) -> TellingMoment:
 
 
 def _add(chosen: list[TellingMoment], moment: TellingMoment) -> None:
-    """Add a moment, or what it tells to another of the same step."""
+    """Add a moment, or its caption to another one of the same step."""
     for place, other in enumerate(chosen):
         if other.step == moment.step:
             chosen[place] = replace(other, details=(*other.details, moment.heading))

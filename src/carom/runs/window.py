@@ -1,4 +1,4 @@
-"""Runs a window of a recording again, for data that was not recorded."""
+"""Reruns a window of a recording, for data that were not recorded."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Watcher = Callable[[StepStatus], None]
 
 
 class Window:
-    """A window of a recording that is run again, from the last checkpoint before a time.
+    """A window of a recording that is rerun, from the last checkpoint before a time.
 
     Parameters
     ----------
     recording
-        The recording to run again.
+        The recording to rerun.
     before
         s; the checkpoint is earlier than this if possible.
     contacts
@@ -42,7 +42,7 @@ class Window:
     Raises
     ------
     RecordingError, SceneError
-        If the recording cannot be run again.
+        If the recording cannot be rerun.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class Window:
         return f"replayed from step {self.begin}, {same}"
 
     def frames(self, first: float) -> Iterator[Frame]:
-        """Yield the first frame, then the recorded frames, and from a time (s) on every step."""
+        """Yield the first frame, then the recorded frames and, from a time (s) on, every step."""
         recorded = self._fingerprints
         for frame in self._space.run(schedule=lambda step, before, time: time >= first or step in recorded):
             bits = recorded.get(frame.step)
@@ -95,7 +95,7 @@ class Window:
         raise self._ends_before(at)
 
     def states(self, steps: Sequence[int]) -> list[Checkpoint]:
-        """Return the states of recorded frames, given by their steps, rising."""
+        """Return the states of recorded frames, given by their ascending steps."""
         wanted, states = set(steps), list[Checkpoint]()
         for frame in self.frames(np.inf):
             if frame.step in wanted:
@@ -136,7 +136,7 @@ class Window:
 
 
 def checkpoint_before(recording: Recording, time: float) -> Checkpoint:
-    """Return the last checkpoint at or before a time (s), otherwise the first one.
+    """Return the last checkpoint at or before a time (s), or otherwise the first one.
 
     Raises
     ------

@@ -26,7 +26,7 @@ from carom.errors import ExperimentError
 from carom.private_folder import move_into, private_folder
 from carom.runs.process_settings import ENDING, keep_freed_memory
 
-MOST_DEATHS = 4  # of workers with the same task, before the task is given up
+MOST_DEATHS = 4  # workers that may die on the same task before the task is abandoned
 _START = "from carom.runs.workers import work; work()"
 _SIGNALS = {signal.SIGINT, *ENDING}
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -37,7 +37,7 @@ class WorkerDiedError(ExperimentError):
 
 
 class TaskDroppedError(ExperimentError):
-    """A task has not been run, or its result is lost; it can be sent again."""
+    """A task has not run, or its result is lost; it can be sent again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,13 +67,13 @@ class Workers(Protocol):
         """Run a function of a module for each task, in order; the keys name the tasks."""
 
     def ended(self, seconds: float) -> list[Ended]:
-        """Return the tasks that have ended; wait so long for the first."""
+        """Return the tasks that have ended; wait up to a timeout for the first."""
 
     def drop_waiting(self) -> list[Any]:
-        """Drop the tasks that have not begun; return their keys."""
+        """Cancel the tasks that have not started; return their keys."""
 
     def drop(self) -> None:
-        """Drop all tasks."""
+        """Cancel all tasks."""
 
 
 @dataclass(slots=True, eq=False)
@@ -129,12 +129,12 @@ class LocalWorkers:
         self._hand_out()
 
     def ended(self, seconds: float) -> list[Ended]:
-        """Return the tasks that have ended; wait so long for the first.
+        """Return the tasks that have ended; wait up to a timeout for the first.
 
         Raises
         ------
         ExperimentError
-            If all workers end as they start.
+            If all workers end while starting.
         """
         done: list[Ended] = []
         for connection in wait(list(self._processes), seconds):
@@ -155,13 +155,13 @@ class LocalWorkers:
         return done
 
     def drop_waiting(self) -> list[Any]:
-        """Drop the tasks that have not begun; return their keys."""
+        """Cancel the tasks that have not started; return their keys."""
         keys = [job.key for job in self._waiting]
         self._waiting.clear()
         return keys
 
     def drop(self) -> None:
-        """Drop all tasks; workers finish current ones first, whose results are ignored."""
+        """Cancel all tasks; workers finish their current ones, whose results are ignored."""
         self._waiting.clear()
         for started in self._processes.values():
             if started.job is not None:

@@ -1,4 +1,4 @@
-"""What stands in the view of the bodies beside them: an arrow and axes where a field is, and names of few bodies."""
+"""Additions to the view of the bodies: an arrow and axes for a uniform field, and the names of few bodies."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def field_arrows(header: Header, view: View, aspect: float, field: FloatArray, t
 
 
 def names_fit(header: Header, position: FloatArray, view: View, area: Area) -> bool:
-    """Return whether there are names, few enough and far enough apart in a view that they do not overlap.
+    """Return whether there are names, few enough and far enough apart in a view not to overlap.
 
     ``position`` is (n, 3) m; the view has this ``area``.
     """

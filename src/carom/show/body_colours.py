@@ -1,7 +1,7 @@
-"""The colours of the bodies of a recording: the one place that gives a body its colour, for every view and plot.
+"""The colours of the bodies of a recording: the only module that gives a body its colour, in every view and plot.
 
-The 3D views, the close-up, trails and curves of single bodies all ask `BodyColours`. Where colours change with time (by
-speed, by graph, by island), curves have colours of their own.
+The 3D views, the close-up, trails and curves of single bodies all use `BodyColours`. If colours change with time (by
+speed, graph or island), curves have other colours.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class BodyColours:
     Attributes
     ----------
     steps, times
-        (k,) and (k,) s, of the frames at which the colours may change; one if they never do.
+        (k,) and (k,) s, of the frames at which the colours may change; a single one if they never do.
     colours
         (k, n) 0xRRGGBBAA.
     """
@@ -49,20 +49,20 @@ class BodyColours:
 
     @property
     def fixed(self) -> ColourArray | None:
-        """The colours (n,) if they hold for the whole run; else None."""
+        """The colours (n,) if they are the same for the whole run; otherwise None."""
         return self.colours[0] if len(self.steps) == 1 else None
 
     def on(self, theme: str) -> BodyColours:
-        """Return the same colours for a ground, "dark" or "light"."""
+        """Return the same colours for a background, "dark" or "light"."""
         shown = palette.legible(self.colours.ravel(), theme).reshape(self.colours.shape)
         return BodyColours(self.steps, self.times, shown)
 
     def of(self, places: Sequence[int]) -> BodyColours:
-        """Return the colours of some bodies, by their places among those that the recording shows."""
+        """Return the colours of some bodies, by their indices among those that the recording shows."""
         return BodyColours(self.steps, self.times, self.colours[:, list(places)])
 
     def rows(self, header: Header) -> Rows:
-        """Return rows that draw the bodies in these colours, in place of the recorded ones."""
+        """Return rows that draw the bodies in these colours instead of the recorded ones."""
         flat, n = self.colours.ravel(), self.colours.shape[1]
         # Rerun prefers static values of the same component, so these colours belong to another archetype
         archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
@@ -71,7 +71,7 @@ class BodyColours:
 
 
 def change_with_time(header: Header, by: str) -> bool:
-    """Return whether bodies that are coloured by something have other colours at other times."""
+    """Return whether the colours of bodies change with time."""
     return by not in STATIC_COLOURS and not (by == header.coloured_by and shape(header) == "mesh")
 
 
@@ -81,9 +81,9 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
     Parameters
     ----------
     by
-        What colours the bodies. If it is what the recording was coloured by, these are the recorded colours.
+        The property that sets the colours. If the recording was coloured by it, these are the recorded colours.
     step
-        Whose repeated steps have colours, too, unless the colours are recorded.
+        The steps shown, whose repeated steps have colours, too, unless the colours are recorded.
 
     Raises
     ------
@@ -95,26 +95,26 @@ def body_colours(recording: Recording, header: Header, by: str, step: ShownStep 
     if own and shape(header) == "mesh":
         return _constant(recording, np.full(n, palette.SKY, dtype=np.uint32))
     if by == "material" and header.materials is None:
-        raise RecordingError(f"{recording.path} has no [[material]] to colour by; take group")
+        raise RecordingError(f"{recording.path} has no [[material]] to colour by; use group")
     if by in STATIC_COLOURS:
         return _constant(recording, header.static_colours(by)[recording.shown])
     if own:
         return recorded_colours(recording, header, range(n))
     if n * recording.frames > _MOST:
-        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut a piece with `carom clip`")
+        raise RecordingError(f"{recording.path} is too long to be coloured by {by}; cut an interval with `carom clip`")
     if step is None:
         raise ValueError(f"colours by {by} of steps that are not known")
     if by == "speed":
         found = _by_speed(recording, header, step)
     else:
         if not header.collides:
-            raise RecordingError(f"{recording.path} has no contacts to colour by {by}; take group or speed")
+            raise RecordingError(f"{recording.path} has no contacts to colour by {by}; use group or speed")
         found = _by_contacts(recording, n, by, step)
     return _of_rows(recording, header, range(n), list(found))
 
 
 def recorded_colours(recording: Recording, header: Header, places: Sequence[int]) -> BodyColours:
-    """Return the recorded colours, which change with time, of the bodies at some places; of none, nothing is read."""
+    """Return the recorded, changing colours of the bodies with some indices; with none, nothing is read."""
     found = _as_recorded(recording, places) if places and len(recording.shown) * recording.frames <= _MOST else iter(())
     return _of_rows(recording, header, places, list(found))
 
@@ -123,7 +123,7 @@ _Row = tuple[int, float, ColourArray]  # step, time (s), colours of the bodies
 
 
 def _of_rows(recording: Recording, header: Header, places: Sequence[int], rows: Sequence[_Row]) -> BodyColours:
-    """Join the colours of all frames; without any, as of a run that was killed at its start, bodies have a colour."""
+    """Join the colours of all frames; without frames, as after a killed run, bodies have one colour."""
     if not rows:
         return _constant(recording, header.static_colours("group")[recording.shown][list(places)])
     steps, times, colours = (list(column) for column in zip(*rows, strict=True))
@@ -131,13 +131,13 @@ def _of_rows(recording: Recording, header: Header, places: Sequence[int], rows: 
 
 
 def trail_colours(recording: Recording, header: Header, by: str, theme: str) -> ColourArray:
-    """Return the colours (n,) of trails: those of the bodies if they are fixed, else those of the groups."""
+    """Return the colours (n,) of trails: those of the bodies if they are constant, otherwise those of the groups."""
     fixed = header.static_colours(by if by in STATIC_COLOURS else "group")
     return palette.legible(fixed[recording.shown], theme)
 
 
 def fixed_colours(recording: Recording) -> ColourArray:
-    """Return the colours (n,) of the bodies on a dark ground; those of their groups if they change with time."""
+    """Return the colours (n,) of the bodies on a dark background; those of their groups if they change with time."""
     header = header_of_recording(recording)
     if shape(header) == "mesh":
         return np.full(len(header.radius), palette.SKY, dtype=np.uint32)
@@ -145,7 +145,7 @@ def fixed_colours(recording: Recording) -> ColourArray:
 
 
 def redrawn_for(header: Header, theme: str) -> bool:
-    """Return whether bodies are redrawn for a theme, as their recorded colours suit a dark ground."""
+    """Return whether bodies are redrawn for a theme, since their recorded colours are made for a dark background."""
     return theme == "light" and shape(header) != "mesh"
 
 
@@ -172,7 +172,9 @@ def _by_speed(recording: Recording, header: Header, step: ShownStep) -> Iterator
     drawn = drawn_paths(recording, range(len(header.radius)))
     steps, times = _times(recording, drawn.steps)
     if len(times) < 2:
-        raise RecordingError(f"{recording.path} has only one frame, which tells no speed; colour by something else")
+        raise RecordingError(
+            f"{recording.path} has only one frame, which does not show speeds; colour by another property"
+        )
     mass = header.mass[recording.shown]
     velocity = np.gradient(drawn.position.astype(np.float64), np.maximum.accumulate(times), axis=0)
     speed = np.stack([colouring.speeds(velocity[row], mass) for row in range(len(velocity))])
@@ -217,7 +219,7 @@ def _contact_ends(recording: Recording) -> dict[int, SingleArray]:
 
 
 def _pairs(ends: SingleArray | None, position: SingleArray) -> IntArray:
-    """Find the bodies that edges join: the ends of an edge equal their centres bit by bit, or lie on a plane."""
+    """Find the bodies that edges connect: the ends of an edge equal their centres bit by bit, or lie on a plane."""
     if ends is None or len(ends) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     n = len(position)

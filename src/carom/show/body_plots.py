@@ -35,8 +35,8 @@ class Quantity:
 
     name: str
     unit: str
-    vector: str  # of which vector of the state
-    axis: int | None  # its component; None: its length
+    vector: str  # vector of the state
+    axis: int | None  # its component; None for its length
 
     def of(self, vectors: FloatArray) -> FloatArray:
         """Compute it from the vectors of all frames, (k, 3)."""
@@ -68,14 +68,14 @@ class BodySeries:
 
 
 def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False) -> list[tuple[int, Quantity]]:
-    """Read which quantities of which bodies are asked for.
+    """Read the requested quantities of bodies.
 
     Parameters
     ----------
     recording
         Whose bodies they are.
     text
-        ``BODY.QUANTITY`` with commas between them; a body is given by its number or its name.
+        ``BODY.QUANTITY``, separated by commas; a body is given by its number or its name.
     one_unit
         Whether all must have the same unit.
 
@@ -96,37 +96,37 @@ def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False)
     if any(quantity.vector == "angular_velocity" for _, quantity in asked) and not recording.info["spins"]:
         raise RecordingError(f"plot {text}: the bodies of {recording.path} do not spin")
     if len(asked) > MOST:
-        raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; ask for fewer")
+        raise RecordingError(f"plot: {len(asked)} curves are more than {MOST}; request fewer")
     units = dict.fromkeys(quantity.unit for _, quantity in asked)
     if one_unit and len(units) > 1:
         raise RecordingError(
-            f"a view of plots shows one unit, and plot asks for {' and '.join(units)}; ask for those of one, or take "
-            "the view of all, which has a plot for each"
+            f"a view of plots shows one unit, but plot requests {' and '.join(units)}; request quantities of one "
+            "unit, or use the view of all, which has a plot for each"
         )
     return list(asked)
 
 
 def needs_replay(asked: Sequence[tuple[int, Quantity]]) -> bool:
-    """Return whether the run must be done again: positions are recorded at every frame, velocities are not."""
+    """Return whether the run must be repeated: positions are recorded at every frame, velocities are not."""
     return any(quantity.vector != "position" for _, quantity in asked)
 
 
 def body_series(
     recording: Recording, asked: Sequence[tuple[int, Quantity]], watch: Callable[[StepStatus], None] = lambda _: None
 ) -> list[BodySeries]:
-    """Return the series that are asked for.
+    """Return the requested series.
 
     Parameters
     ----------
     recording, asked
         As from `asked_quantities`.
     watch
-        Called after every frame, if the run is done again.
+        Called after every frame if the run is repeated.
 
     Raises
     ------
     RecordingError
-        If the run must be done again and cannot be, or its bits are not the same.
+        If the run must be repeated and cannot be, or its bits differ.
     """
     bodies = sorted({body for body, _ in asked})
     read = _replayed(recording, bodies, watch) if needs_replay(asked) else _recorded(recording, bodies)
@@ -190,8 +190,8 @@ class BodyPlots:
 
     series: Sequence[BodySeries]
     system: UnitSystem = SI  # of the recording
-    colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, where they do not change with time
-    alone: bool = False  # whether a plot fills the picture, which then shows no title: the legend says all
+    colours: Mapping[int, int] = field(default_factory=dict)  # of the bodies, if they are constant in time
+    alone: bool = False  # whether a plot fills the picture, which then has no title, since the legend suffices
 
     @property
     def units(self) -> list[str]:
@@ -212,9 +212,9 @@ class BodyPlots:
                 yield _path(each), curve_style(self._legend(each), colour)
 
     def _curve_colours(self, series: Sequence[BodySeries]) -> list[int]:
-        """Return the colours of the curves of a plot: of their bodies, as far as these tell the curves apart.
+        """Return the colours of the curves of a plot: those of their bodies, if these distinguish the curves.
 
-        If a body has two curves, or two bodies are alike, each curve has a colour of its own.
+        If a body has two curves, or two bodies have similar colours, each curve gets another colour.
         """
         own = palette.legible(self.colours.get(each.body, 0) for each in series).tolist()
         lines = list(palette.LINES.values())
@@ -244,7 +244,7 @@ class BodyPlots:
         return self._titled(_named(series), series.quantity.unit) if self.alone else _named(series)
 
     def _titled(self, title: str, unit: str) -> str:
-        """Return a title with the unit in which the recording has what is in this unit of SI."""
+        """Return a title with the recording's unit for an SI unit."""
         recorded = self.system.recorded_unit(unit)
         return title if recorded == "1" else f"{title} ({recorded})"
 

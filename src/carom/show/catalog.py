@@ -50,7 +50,7 @@ def serve_catalog(name: str, paths: Sequence[Path], say: Callable[[str], None], 
     Raises
     ------
     RecordingError
-        If a recording is missing, or, of a process that is alone, if there is no viewer.
+        If a recording is missing or, for an isolated process, there is no viewer.
     """
     with catalog(name, paths) as address:
         say(f"{len(paths)} recordings" + ("" if alone else f" at {address}"))

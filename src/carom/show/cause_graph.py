@@ -1,4 +1,4 @@
-"""The graph of an answer: bodies in rows, from the first cause down to the bodies asked about, joined by impulses.
+"""The graph of an answer: bodies in rows, from the first cause down to the bodies in question, connected by impulses.
 
 Rerun's own graphs (0.41) have edges without widths, colours or labels, and their labels overlap. This one consists of
 lines and points in a 2D view, whose units are points of the screen in a window of the usual size. A label is centred
@@ -21,18 +21,18 @@ from carom.show.supplement import Static
 
 GRAPH = "graph"
 _EDGES, _ASKED, _LABELS = (f"{GRAPH}/{name}" for name in ("edges", "asked", "impulses"))
-MOST_NODES = 12  # more do not fit
+MOST_NODES = 12  # limit of the space
 
 _NODE = 8.0  # points, radius
 _WIDEST = 4.0  # points, radius of the line of a large impulse
 _HEIGHT, _LETTER, _BORDER = 26.0, 7.0, 12.0  # points, of a label: height, mean width of a letter, both borders
-_GAP, _WIDE = 24.0, 180.0  # points, least gap between the labels of neighbours; usual distance of neighbours
-_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # places of a label on its edge, in the order in which they are tried
+_GAP, _WIDE = 24.0, 180.0  # points: smallest gap between neighbouring labels; usual distance of neighbours
+_ALONG = (0.5, 0.38, 0.62, 0.28, 0.72)  # positions of a label along its edge, in the order in which they are tried
 
 
 @dataclass(frozen=True, slots=True)
 class GraphEdge:
-    """An edge between two nodes, by their places among them."""
+    """An edge between two nodes, given by their indices."""
 
     i: int
     j: int
@@ -63,14 +63,14 @@ class Box:
 
 @dataclass(frozen=True, slots=True)
 class CauseGraph:
-    """The nodes and edges, the edges of the largest shares first.
+    """The nodes and edges, with the edges of the largest shares first.
 
     Attributes
     ----------
     names, colours
         Of the nodes.
     asked
-        How many of the nodes, the first ones, are asked about.
+        Number of the leading nodes that are in question.
     """
 
     names: Sequence[str]
@@ -114,7 +114,7 @@ class CauseGraph:
         yield GRAPH, rr.Points2D(place, radii=_NODE, colors=colours, labels=list(self.names), show_labels=True)
 
     def places(self) -> FloatArray:
-        """Return the places of the nodes, (k, 2): in rows by their distance in edges from those asked about."""
+        """Return the positions of the nodes, (k, 2): in rows, by their distance in edges from the nodes in question."""
         column = max(Box.below(0.0, 0.0, name).width for name in self.names) + _GAP
         most = max(1, int(self.area.width / column - 0.5))
         rows = [step[k : k + most] for step in self._steps() for k in range(0, len(step), most)]
@@ -123,14 +123,14 @@ class CauseGraph:
         pitch = (self.area.height - top - 2 * _NODE - _HEIGHT) / max(1, len(rows) - 1)
         place = np.zeros((len(self.names), 2))
         for number, row in enumerate(rows):
-            shift = 0.25 * column * (-1) ** number if len(rows) > 1 else 0.0  # so that no edge runs through a label
+            shift = 0.25 * column * (-1) ** number if len(rows) > 1 else 0.0  # so that no edge crosses a label
             x = self.area.width / 2 + shift + column * (np.arange(len(row)) - (len(row) - 1) / 2)
             place[row, 0] = x
             place[row, 1] = top + pitch * (len(rows) - 1 - number if len(rows) > 1 else 0.5)
         return place
 
     def _steps(self) -> Iterator[list[int]]:
-        """Yield the nodes at each distance from those asked about; those without a way to them are last."""
+        """Yield the nodes at each distance from those in question; nodes without a path to them come last."""
         left, step = set(range(self.asked, len(self.names))), list(range(self.asked))
         while step:
             yield step

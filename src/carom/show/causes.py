@@ -1,7 +1,7 @@
-"""Writes the bodies and contacts behind an answer for the viewer: edges by impulse, all else faded, and a graph.
+"""Writes the bodies and contacts behind an answer for the viewer: edges by impulse, everything else faded, and a graph.
 
-Bodies have their own colours. An edge stays where its last impulse was, so that impacts mark the place where they
-happened while the bodies move on along their paths.
+Bodies have their own colours. An edge stays at the position of its last impulse, so that impacts mark where they
+happened while the bodies move on.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from carom.show.body_colours import fixed_colours
 from carom.show.cause_graph import MOST_NODES, CauseGraph, GraphEdge
 from carom.show.overlays import BESIDE, beside_bodies
 
-MOST_EDGES = 200  # that are drawn, of the largest shares
+MOST_EDGES = 200  # edges that are drawn, those with the largest shares
 _CONE, _OTHERS, _ASKED, _TRAILS, _EDGES, _TEXT = (
     *(f"world/{name}" for name in ("cone", "others", "asked", "trails", "edges")),
     "why",
 )
 _FADED = 0x232A35FF
 _SHOWN = 0.01  # share from which a body or an edge is shown
-_LEAST = 0.003  # share of an edge that is drawn
+_LEAST = 0.003  # smallest share of an edge that is drawn
 _WIDTHS = np.linspace(0.8, 5.0, drawing.LEVELS)  # points of the screen, of edges by impulse
-_HALO = 1.25  # scale of the wires around bodies that are asked about
+_HALO = 1.25  # scale of the wires around the bodies in question
 _SHARES = (3, 2)  # heights of the graph and of the text
 
 
@@ -59,14 +59,14 @@ class CauseEdge:
 
 @dataclass(frozen=True, slots=True)
 class Causes:
-    """What is drawn."""
+    """The content of the drawing."""
 
     title: str
     text: str  # Markdown
     begin: float  # s
     end: float  # s
     asked: Sequence[int]
-    share: FloatArray  # (n,) that each body is the cause of
+    share: FloatArray  # (n,) fraction of the effect that each body causes
     edges: Sequence[CauseEdge]  # between bodies, the largest shares first
 
 
@@ -120,7 +120,7 @@ def _frames(recording: Recording, causes: Causes) -> tuple[list[int], list[float
 
 
 def _shown(causes: Causes) -> IntArray:
-    """Return the bodies to draw as solids: those asked about, and those with a share of at least 1 %."""
+    """Return the bodies to draw as solids: those in question, and those with a share of at least 1 %."""
     ends = [end for edge in causes.edges if edge.share >= _SHOWN for end in (edge.i, edge.j)]
     large = np.flatnonzero(causes.share >= _SHOWN).tolist()
     return np.array(sorted({*causes.asked, *large, *ends}), dtype=np.int64)
@@ -160,7 +160,7 @@ def _bodies(
 
 
 def _levels(edges: Sequence[CauseEdge]) -> IntArray:
-    """Return the level of the impulse of each edge, as in other views; their median is in the middle."""
+    """Return the level of each edge's impulse, as in other views; their median is in the middle."""
     impulses = np.array([edge.impulse for edge in edges])
     positive = impulses[impulses > 0.0]
     return drawing.level(impulses, float(np.median(positive)) if len(positive) else 1.0)
@@ -173,7 +173,7 @@ def _edges(
     times: FloatArray,
     position: SingleArray,
 ) -> None:
-    """Draw each edge from its first impulse on, and after its last one at the place of that."""
+    """Draw each edge from its first impulse on and, after its last impulse, at the position of that impulse."""
     levels = _levels(edges)
     until = np.minimum(np.searchsorted(times, [edge.last for edge in edges]), len(times) - 1)
     strips: list[SingleArray] = []
@@ -186,13 +186,13 @@ def _edges(
         colours += [int(drawing.COLOURS[levels[k]]) for k in drawn]
         widths += [-float(_WIDTHS[levels[k]]) for k in drawn]  # negative: points of the screen
         each.append(len(drawn))
-    shades = np.array(colours, dtype=np.uint32)  # a list of three numbers may be one colour
+    shades = np.array(colours, dtype=np.uint32)  # a list of three numbers could be read as one colour
     columns = rr.LineStrips3D.columns(strips=strips, colors=shades, radii=widths)
     writer.send_columns(_EDGES, index, columns.partition(each))
 
 
 def _graph(recording: Recording, causes: Causes, colours: ColourArray) -> CauseGraph:
-    """Choose the bodies and edges of the largest shares for the graph."""
+    """Choose the bodies and edges with the largest shares for the graph."""
     nodes, edges = list(causes.asked), []
     for edge in causes.edges:
         new = [end for end in (edge.i, edge.j) if end not in nodes]
@@ -221,5 +221,5 @@ def _graph(recording: Recording, causes: Causes, colours: ColourArray) -> CauseG
 def _layout(view: View, graph: CauseGraph) -> rrb.Blueprint:
     text = rrb.TextDocumentView(name="Why", origin=_TEXT)
     panels = rrb.Vertical(graph.view(), text, row_shares=list(_SHARES))
-    title = "Causes: in white wires what is asked about, faint what had no effect"
+    title = "Causes: white wires for the bodies in question, faint colours for bodies without effect"
     return beside_bodies(title, [_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES], view, panels)

@@ -42,7 +42,7 @@ FOLLOWED, LABELS = f"{ROOT}/followed", f"{ROOT}/labels"
 
 _MOST_UNLIKE = 6.0  # ratio of radii above which the view shows only a part of the larger body
 _MOST_BYTES = 200_000_000  # of positions that are read to follow the bodies
-_ASIDE = 0.85  # part of the component along the normal that is taken from the direction to the eye
+_ASIDE = 0.85  # fraction of the component along the normal that is subtracted from the direction to the eye
 _NORMAL = 0.9  # length of the normal, in radii of the smaller body
 _SPIN = 1.3  # length of the faster spin's arrow, in radii of the smaller body
 _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
@@ -75,10 +75,10 @@ class _Arrows:
     origins: FloatArray  # (n, 3) m
     vectors: FloatArray  # (n, 3) m
     labels: list[str]
-    along: float = 1.0  # where the labels stand, from 0 at the origins to 1 at the tips
+    along: float = 1.0  # position of the labels, from 0 at the origins to 1 at the tips
 
     def places(self) -> FloatArray:
-        """Return where the labels stand, (labels, 3) m."""
+        """Return the positions of the labels, (labels, 3) m."""
         count = len(self.labels)
         return self.origins[:count] + self.along * self.vectors[:count]
 
@@ -88,13 +88,13 @@ class CloseUp:
     """Two bodies at one step."""
 
     names: str  # of the bodies, or of the body and the plane
-    bodies: tuple[int, ...]  # only one if it touches a plane
+    bodies: tuple[int, ...]  # a single one if it touches a plane
     step: ShownStep
-    instant: ShownStep | None  # of an impact within the step, at which normal, impulse and spins are drawn
+    instant: ShownStep | None  # the time of an impact within the step, at which normal, impulse and spins are drawn
     position: FloatArray  # (b, 3) m, where normal, impulse and spins are drawn
     contact: Contact | None  # None if they do not touch in this step, or its contacts are unknown
-    spin: FloatArray | None  # (b, 3) rad/s, at an instant after the impact
-    spin_before: FloatArray | None  # (b, 3) rad/s, of an instant
+    spin: FloatArray | None  # (b, 3) rad/s; at an instant, those after the impact
+    spin_before: FloatArray | None  # (b, 3) rad/s, before the impact of an instant
     middle: FloatArray  # (3,) m, of the bodies as they are drawn
     paths: DrawnPaths | None
     times: FloatArray  # (frames,) s, of the paths
@@ -133,7 +133,7 @@ class CloseUp:
         yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
         yield SPIN, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=spin)
-        # on the arrows themselves the labels had their colours
+        # on the arrows themselves, the labels would have their colours
         yield LABELS, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=ink, show_labels=True)
 
     def rows(self, header: Header) -> Iterable[Rows]:
@@ -240,7 +240,7 @@ class CloseUp:
         return _Arrows(SPIN, self.position[turning], vectors, labels)
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
-        """Yield a row at the step, and an empty one at the next step that the viewer has; or at the instant."""
+        """Yield a row at the step, and an empty one at the viewer's next step; or a row at the instant."""
         if self.instant is not None:
             empty = Index(np.array([self.step.step]), np.array([self.step.time]))
             both = [
@@ -283,7 +283,8 @@ def close_up(
     theme
         "dark" or "light".
     instant
-        Of an impact of the pair within the step. A pair that touches at the end of the step, too, is shown there.
+        The time of an impact of the pair within the step. A pair that still touches at the end of the step is shown
+        there.
     pauses_within
         Whether the viewer pauses at the instant.
     """
@@ -338,12 +339,12 @@ def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool
 
 
 def _apart(places: FloatArray, texts: list[str], eye: View) -> FloatArray:
-    """Move labels down on the screen where they would cover one before them; places are (k, 3) m."""
+    """Move labels down on the screen where they would cover an earlier one; positions are (k, 3) m."""
     axes, height = eye.axes(), eye.height()
     tall = _LABEL_HEIGHT * height
     moved = places.copy()
     for k, text in enumerate(texts):
-        for other in list(range(k)) * k:  # what was moved may cover another one
+        for other in list(range(k)) * k:  # a moved label may cover another one
             across, up = axes @ (moved[k] - moved[other])
             if abs(across) < _LETTER_WIDTH * height * (len(text) + len(texts[other])) / 2 and abs(up) < tall:
                 moved[k] -= (tall + up) * axes[1]
@@ -390,7 +391,7 @@ def _contact(header: Header, frame: Frame, pair: Pair, position: FloatArray, ori
 
 
 def _aside(normal: FloatArray | None) -> FloatArray | None:
-    """Return a direction to the eye that is nearly at a right angle to the normal; None without a normal."""
+    """Return a direction to the eye that is nearly perpendicular to the normal; None without a normal."""
     if normal is None:
         return None
     usual = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])

@@ -1,4 +1,4 @@
-"""Writes how far many perturbed branches of a run spread: bodies shaded by it, and the band of distances."""
+"""Writes how far perturbed branches of a run diverge: bodies shaded by their spread, and a band of distances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CHANCE = (
     ("outcome/probability", "probability", palette.LINES["red"]),
     ("outcome/high", "95 %, to", palette.LINES["grey"]),
 )
-# by spread over radius, each a factor of ten: from known to unknown
+# ranges of spread over radius, a factor of ten each, from known to unknown
 _SHADES = np.array([0x56B4E9FF, 0x7FC8E8FF, 0xA9DCE5FF, 0xF0E442FF, 0xE69F00FF, 0xD55E00FF], dtype=np.uint32)
 _SURE = 1e-5  # spread over radius at which the first shade ends
 
@@ -47,7 +47,7 @@ class Forecast:
     position: FloatArray  # (k, n, 3) m
     spread: FloatArray  # (k, n) m
     band: FloatArray  # (3, k) m: 5 %, median and 95 %
-    chances: FloatArray  # (c, 4) times of forks in s, and the probability of the outcome: low, measured, high
+    chances: FloatArray  # (c, 4) times of forks (s), and the probability of the outcome: low, measured, high
 
 
 def shades(spread: FloatArray, radius: FloatArray) -> ColourArray:

@@ -1,9 +1,10 @@
-"""Keeps Rerun's viewer to its user, and ends it with carom.
+"""Restricts Rerun's viewer to its user, and ends it together with carom.
 
-The viewer is controlled through a port without a password: whoever connects can read and write files as its user. So
-this program, which `Viewer` starts, puts the viewer into a network namespace of its own, where nobody can connect, and
-forwards connections of the same user to it. Where the system grants no namespace (other systems than Linux, most
-containers, Ubuntu's restriction of user namespaces) the port is open to all users of the machine while the viewer runs.
+The viewer is controlled through a port without a password: anybody who connects can read and write files as its user.
+This program, which `Viewer` starts, therefore puts the viewer into a network namespace of its own, where nobody can
+connect, and forwards connections of the same user to it. Where the system grants no namespace (other systems than
+Linux, most containers, Ubuntu's restriction of user namespaces) the port is open to all users of the machine while the
+viewer runs.
 
 The program ends the viewer and deletes its temporary folder when the process that started it has ended, even by
 ``kill -9``. It uses the standard library alone and starts within milliseconds.
@@ -29,15 +30,15 @@ from io import FileIO
 from pathlib import Path
 
 HOST = "127.0.0.1"  # the viewer's own default is to listen on all interfaces
-SHARED = "shared"  # in the namespace of the machine: for viewers that have to reach a server or an X display there
+SHARED = "shared"  # in the namespace of the machine, for viewers that must reach a server or an X display there
 LIVE = "live"  # the viewer may outlive the run that it shows
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 _START = 60.0  # s
-_GRACE = 5.0  # s between asking a process to end and ending it
+_GRACE = 5.0  # s between requesting the end of a process and killing it
 _POLL = 0.2  # s
 _PORT = 9876  # in a namespace of its own
 _PIECE = 1 << 20  # bytes, largest read of a forwarded connection
-_TABLE = "/proc/net/tcp"  # Linux: sockets, with the users that they belong to
+_TABLE = "/proc/net/tcp"  # Linux: sockets, with their owners
 _LISTENS, _ESTABLISHED = "0A", "01"
 _NEW_USER, _NEW_NET = 0x10000000, 0x40000000  # flags of unshare(2)
 _SET_FLAGS, _UP = 0x8914, 0x1  # SIOCSIFFLAGS, IFF_UP
@@ -49,14 +50,15 @@ Address = tuple[str, int]
 def is_ours(local: Address, remote: Address = ("0.0.0.0", 0), table: FileIO | None = None) -> bool:
     """Return whether the socket at ``local`` is connected to ``remote``, or listens, and belongs to this user.
 
-    A connection that its owner has closed belongs to nobody. Without the table of sockets, nothing is known to be ours.
+    A connection that its owner has closed belongs to nobody. Without the table of sockets, no connection counts as this
+    user's.
 
     Parameters
     ----------
     local, remote
         Address and port of the two ends.
     table
-        The machine's table of sockets, where this process has left the machine's network namespace.
+        The machine's table of sockets, if this process has left the machine's network namespace.
     """
     try:
         if table is None:
@@ -93,9 +95,9 @@ def isolate() -> bool:
     """
     if sys.platform != "linux" or len(list(Path("/proc/self/task").iterdir())) != 1:
         return False
-    # Root keeps its rights over files of other users only without a user namespace.
+    # Root keeps its rights over other users' files only without a user namespace.
     for flags in (_NEW_NET, _NEW_USER | _NEW_NET) if os.geteuid() == 0 else (_NEW_USER | _NEW_NET,):
-        trial = os.fork()  # because half of it may succeed, and cannot be undone
+        trial = os.fork()  # because a part of it may succeed, and cannot be undone
         if trial == 0:
             os._exit(0 if _unshare(flags) else 1)
         if os.waitpid(trial, 0)[1] == 0:
@@ -127,7 +129,7 @@ def free_port() -> int:
 
 
 class _Door:
-    """A port of the machine that leads the user of this process, and nobody else, to a port in the namespace."""
+    """A port of the machine through which this process's user, and nobody else, reaches a port in the namespace."""
 
     def __init__(self) -> None:
         self._table: FileIO | None = None  # of the machine, not of the namespace
@@ -159,7 +161,7 @@ class _Door:
 
 
 def _forward(source: socket.socket, sink: socket.socket) -> None:
-    """Copy what comes from one socket to another, up to its end."""
+    """Copy data from one socket to another, until it ends."""
     with contextlib.suppress(OSError):
         while piece := source.recv(_PIECE):
             sink.sendall(piece)
@@ -169,7 +171,7 @@ def _forward(source: socket.socket, sink: socket.socket) -> None:
 
 
 class _Children:
-    """Child processes, which end with this one. Leaving the context ends them, the last one first."""
+    """Child processes, which end with this one. Leaving the context ends them in reverse order."""
 
     def __init__(self) -> None:
         self._started: list[subprocess.Popen[bytes]] = []
@@ -253,7 +255,7 @@ def keep(parent: int, report: int, folder: Path, options: Sequence[str], screen:
     screen
         WIDTHxHEIGHT of a virtual screen to run it on, or nothing.
     command
-        The viewer's, but for its port.
+        Arguments of the viewer, without its port.
     """
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     door, port, environment = _Door(), _PORT, os.environ | {"TMPDIR": str(folder)}

@@ -1,6 +1,6 @@
-"""The legend beside the 3D views: what each colour, arrow and edge stands for, and the scale of the arrows.
+"""The legend beside the 3D views: the meaning of each colour, arrow and edge, and the scale of the arrows.
 
-It is a view of its own, with a label for each entry in the colour that it explains. A recording does not hold it: the
+It is a separate view, with a label for each entry in the colour that it explains. A recording does not hold it: the
 viewer gets it in a `Supplement`.
 """
 
@@ -24,12 +24,12 @@ from carom.recording.write.encoder import SPEED
 from carom.scene.units import dimension
 
 LEGEND = "legend"
-MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows stay in view
+MOST_NAMED = 6  # bodies that have an entry each, so that the scales of arrows remain visible
 
 _ROW = 25.0  # points, from one line to the next
 _MARGIN = 10.0  # points, around the lines
 _LETTER = 6.1  # points, mean width of a letter
-_LARGE = 1.5  # radii, the longer of the two arrows that stand for the scale
+_LARGE = 1.5  # radii, the longer of the two arrows that show the scale
 _DIMENSIONS = {paths.TORQUE: dimension.TORQUE, paths.ANGULAR_ACCELERATION: dimension.ANGULAR_ACCELERATION}
 _NAMES = {paths.TORQUE: "torque", paths.ANGULAR_ACCELERATION: "angular acceleration"}
 
@@ -59,7 +59,7 @@ class Legend:
         )
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
-        """Yield the lines as labels of points that are too small to be seen. A label is centred below its point."""
+        """Yield the lines as labels of invisibly small points. A label is centred below its point."""
         texts = [entry.text for entry in self.entries]
         places = [(_MARGIN + _LETTER * len(text) / 2, _MARGIN + _ROW * k) for k, text in enumerate(texts)]
         colours = palette.legible([entry.colour for entry in self.entries], self.theme)
@@ -84,13 +84,13 @@ def legend(
     header
         Of the recording.
     by
-        What colours the bodies.
+        The property that sets the colours of the bodies.
     colours
-        (n,) of the bodies, if they hold for the whole run.
+        (n,) of the bodies, if they are constant during the run.
     references
         The magnitudes in the middle of the scales, as recorded.
     frame
-        The step that is shown; None if it is not known. Its impulses set the scale of the arrows of impulses.
+        The step shown; None if it is not known. Its impulses set the scale of the arrows of impulses.
     spins
         (b, 3) rad/s of the bodies of the close-up, if there is one.
     field
@@ -113,7 +113,7 @@ def _bodies(
 ) -> Iterator[LegendLine]:
     """Explain the colours of bodies."""
     if by == header.coloured_by and shape(header) == "mesh":
-        yield LegendLine("■ all bodies; the dark half shows how they turn", palette.SKY)
+        yield LegendLine("■ all bodies; the dark half shows how they rotate", palette.SKY)
     elif by == "material" and header.materials:
         for name, colour in zip(header.materials.names, header.materials.colours, strict=True):
             yield LegendLine(f"■ {name}", colour)
@@ -138,7 +138,7 @@ def _bodies(
 
 
 def _groups(header: Header, colours: ColourArray) -> Iterator[LegendLine]:
-    """Explain colours by group: a line for each body if they are few, else for each group."""
+    """Explain colours by group: a line for each body if there are few, otherwise for each group."""
     names, known = list(header.names), colours.tolist()
     if len(known) <= MOST_NAMED and len(known) == len(names):
         yield from (LegendLine(f"■ {name or f'body {k}'}", known[k]) for k, name in enumerate(names))
@@ -178,7 +178,7 @@ def _edges(header: Header, frame: Frame | None, theme: str) -> Iterator[LegendLi
 
 
 def _middle(header: Header, frame: Frame | None) -> str:
-    """Write the median of the impulses of a step, which is in the middle of their scale; empty if it has none."""
+    """Write the median impulse of a step, the middle of the scale; empty without impulses."""
     rows = None if frame is None else frame.contact_rows
     if rows is None:
         return ""
@@ -196,6 +196,6 @@ def _arrows(header: Header, references: Mapping[str, float]) -> Iterator[LegendL
         values = (magnitude_at(radii, REACH[path], float(references[path])) for radii in (1.0, _LARGE))
         one, more = (header.units.text(value, kind, ".2g") for value in values)
         if one.partition(" ")[2] == more.partition(" ")[2]:
-            one = one.partition(" ")[0]  # the line is short of room
+            one = one.partition(" ")[0]  # the line is too short
         yield LegendLine(f"→ {name}, beyond the surface:", colour)
         yield LegendLine(f"→ 1 radius = {one}, {_LARGE:g} radii = {more}", colour)

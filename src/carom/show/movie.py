@@ -70,27 +70,27 @@ def pictures(
     bodies: str | None = None,
     camera: CameraMotion | None = None,
 ) -> Iterator[bytes]:
-    """Return a PNG for each time, in order; they are taken as they are asked for.
+    """Return a PNG for each time, in order; they are rendered as they are requested.
 
-    Each comes from a viewer that has settled: two pictures in a row are equal, byte for byte. Several viewers share the
-    work, because each uses one core.
+    Each is rendered by a viewer that has settled: two successive pictures are equal, byte for byte. Several viewers
+    share the work, because each uses one core.
 
     Parameters
     ----------
     recording
         The recording to show.
     times
-        s, rising; equal times give the same picture.
+        s, ascending; equal times give the same picture.
     size
         Width and height in pixels.
     view
-        One view that fills the picture, or all of them.
+        The view that fills the picture, or all of them.
     theme
-        Of the viewer, "dark" or "light".
+        Theme of the viewer, "dark" or "light".
     event
-        Its name; a close-up follows its bodies, by default those of the hardest impact.
+        The name of an event; a close-up follows its bodies, by default those of the hardest impact.
     bodies
-        The bodies that a close-up follows, by numbers or names with a comma between them.
+        The bodies that a close-up follows, by numbers or names separated by a comma.
     camera
         How the camera of the other views moves; by default it depends on the scene.
 
@@ -156,7 +156,7 @@ class _Studio:
         self._view: str | None = None
         self._started = False
         self._thread = stack.enter_context(ThreadPoolExecutor(1))
-        # at the end the viewer is closed first, so that a thread that waits for a picture fails at once
+        # at the end, the viewer is closed first, so that a thread that waits for a picture fails at once
         self._viewer: Viewer = stack.enter_context(headless(recording, window_of(size, self._whole), theme))
         stack.callback(self._thread.shutdown, wait=False, cancel_futures=True)
 
@@ -179,7 +179,7 @@ class _Studio:
         return self._picture()
 
     def _picture(self) -> bytes:
-        """Take pictures until two in a row are equal: the list of events scrolls one picture later than bodies move."""
+        """Render until two successive pictures are equal: the list of events scrolls one picture after bodies move."""
         last, end = b"", time.monotonic() + _LIMIT
         while (png := self._viewer.screenshot(self._view)) != last:
             last = png
@@ -195,7 +195,7 @@ def _layout(
     view: str,
     motion: CameraMotion | None = None,
 ) -> Supplement:
-    """Lay out the views, with the camera fitted to the bodies of all times; on paper with colours for it."""
+    """Lay out the views, with the camera fitted to the bodies at all times, and for paper with colours for it."""
     header, recorded = header_of_recording(recording), RecordedPositions(recording)
     table = recording.fingerprints()
     rows = np.searchsorted(table["time"].to_numpy(), times)
@@ -225,5 +225,5 @@ def _layout(
 
 
 def _extent(position: FloatArray) -> float:
-    """Return the median distance (m) from the middle, which a few escaping bodies do not change."""
+    """Return the median distance (m) from the middle, which a few distant bodies do not change."""
     return float(np.median(np.linalg.norm(position - np.median(position, axis=0), axis=1)))

@@ -15,7 +15,8 @@ from PIL import Image
 from carom.errors import RecordingError
 from carom.recording.write.whole_file import whole_file
 
-_QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")  # thin lines on a dark ground stay legible
+# thin lines on a dark background remain legible
+_QUALITY = ("-crf", "18", "-preset", "medium", "-movflags", "+faststart")
 _HUNDREDTHS = 100  # of a second: the unit of time of a GIF
 
 
@@ -58,8 +59,8 @@ def require_encoder(path: Path) -> None:
         imageio_ffmpeg.get_ffmpeg_exe()
     except RuntimeError:
         raise RecordingError(
-            f"{path}: an .mp4 needs ffmpeg, and there is none; install it (apt-get install ffmpeg), "
-            "name it in IMAGEIO_FFMPEG_EXE, or write a .gif"
+            f"{path}: an .mp4 needs ffmpeg, which is not installed; install it (apt-get install ffmpeg), name it in "
+            "IMAGEIO_FFMPEG_EXE, or write a .gif"
         ) from None
 
 
@@ -75,7 +76,7 @@ def _write_mp4(path: Path, images: Iterable[Image.Image], size: tuple[int, int],
 
 @contextlib.contextmanager
 def _encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], Any]]:
-    """Start ffmpeg; yield the function that takes the pixels of a picture."""
+    """Start ffmpeg; yield the function that writes the pixels of a picture."""
     writer = imageio_ffmpeg.write_frames(
         str(path),
         size,
@@ -100,6 +101,6 @@ def _write_gif(path: Path, images: Iterator[Image.Image], delays: list[int]) -> 
 
 
 def delays_of(count: int, fps: float) -> list[int]:
-    """Return how long (ms) to show each picture of a GIF: whole hundredths of a second with the right sum."""
+    """Return the duration (ms) of each picture of a GIF: whole hundredths of a second with the correct sum."""
     ends = [round(_HUNDREDTHS * number / fps) for number in range(count + 1)]
     return [10 * (end - start) for start, end in pairwise(ends)]

@@ -36,7 +36,7 @@ BESIDE = WINDOW.area(3 / 5)  # of the bodies beside panels
 
 
 def beside_bodies(name: str, contents: Sequence[str], view: View, panels: rrb.Vertical) -> rrb.Blueprint:
-    """Lay out a 3D view of some entities, whose camera stands still, with panels on its right."""
+    """Lay out a 3D view of some entities with a fixed camera, and panels on its right."""
     bodies = spatial_view(name, view, contents)
     return paused(rrb.Horizontal(bodies, panels, column_shares=[3, 2]))
 
@@ -61,7 +61,7 @@ _SERIES = {
     "rms": ("difference/rms", "rms distance", LENGTH, palette.LINES["red"]),
     "energy": ("difference/energy", "energy difference", ENERGY, palette.LINES["blue"]),
 }
-_LARGEST = 100_000_000  # bytes of positions; of longer recordings every k-th frame is shown
+_LARGEST = 100_000_000  # bytes of positions; of a longer recording, every k-th frame is shown
 _BATCH = 4_000_000  # bytes
 _SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
 _HALO = 1.04  # scale of B's spheres, which A's would hide at equal size
@@ -86,7 +86,7 @@ def write_overlay(
     series: Mapping[str, FloatArray],
     text: str,
 ) -> None:
-    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` has a value for each of them.
+    """Write both recordings into one; ``pairs`` are ``count`` frames, ``series`` holds a value for each of them.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def _send(
 
 
 def _logarithm(values: FloatArray) -> FloatArray:
-    """Take log₁₀; zeros become gaps in the line."""
+    """Return log₁₀; zeros become gaps in the line."""
     with np.errstate(divide="ignore", invalid="ignore"):
         logarithm = np.log10(values)
     return np.where(np.isfinite(logarithm), logarithm, np.nan)
@@ -176,7 +176,7 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
         f"- Solid: **A**, {a.path.name}",
         f"- Wires, drawn {_HALO - 1:.0%} larger: **B**, {b.path.name}",
         "- A body has the same colour in both.",
-        f"- Red lines join counterparts that are further apart than {_SEEN:.0%} of the median radius.",
+        f"- Red lines connect counterparts that are further apart than {_SEEN:.0%} of the median radius.",
         "- The plots are logarithms: a difference that grows exponentially is a straight line.",
     ]
     return "\n".join([*lines, f"- Every {every}th frame is shown." if every > 1 else ""]) + "\n"
@@ -199,14 +199,14 @@ def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:
         for path, name, dimension, _ in _SERIES.values()
     ]
     panels = rrb.Vertical(*plots, rrb.TextDocumentView(name="Verdict", origin=_TEXT), row_shares=[2, 2, 1.5])
-    return beside_bodies("A solid, B in wires; red lines join counterparts", [_A, _B, _LINES], view, panels)
+    return beside_bodies("A solid, B in wires; red lines connect counterparts", [_A, _B, _LINES], view, panels)
 
 
 TRADEOFF_PROPERTY = "tradeoff"
 
 PATHS_UP_TO = 20  # bodies; with more, only positions are drawn, in the colours of the runs
 _ROWS = (3, 2)  # heights of the bodies and of the curves
-SMALLEST = 1e-17  # shown in place of distance 0 on a logarithmic scale
+SMALLEST = 1e-17  # shown instead of distance 0 on a logarithmic scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +215,8 @@ class ComparedTrajectory:
 
     name: str
     position: FloatArray  # (K, n, 3) m
-    distance: FloatArray  # (K',) of the size of the system; K' ≤ K, up to where there is a reference
-    family: str = ""  # the engine that made it, whose runs share a colour
+    distance: FloatArray  # (K',) relative to the size of the system; K' ≤ K, as far as the reference extends
+    family: str = ""  # the engine that made the run; runs of one engine share a colour
 
 
 def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories: list[ComparedTrajectory]) -> None:
@@ -225,15 +225,15 @@ def write_trajectories(path: Path, space: Space, time: FloatArray, trajectories:
     Parameters
     ----------
     path
-        The ``.rrd``, in place of an earlier one.
+        The ``.rrd``, which replaces an earlier one.
     space
         The scene that ran, for the radii and the colours of its bodies.
     time
         (K,) s.
     trajectories
-        The reference first, which is drawn grey. Each other family has a colour, and so has each run without a family.
-        Of runs that share a colour, the first has a wide curve. A few bodies are filled with their own colours, and
-        have wires and paths in those of the run.
+        The reference first, which is drawn in grey. Each other family has a colour, and so has each run without a
+        family. Of runs that share a colour, the first has a wide curve. A few bodies are filled with their own colours,
+        and have wires and paths in the colour of the run.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What the panels show that is not in the file: a strip of the impacts, and logarithms of energies that explode."""
+"""Content of panels that is not in the file: a strip of the impacts, and logarithms of growing energies."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _BANDS = (palette.ORANGE, palette.YELLOW)  # in turns
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:
-    """Return a band for each impact, which lasts until the next, and their colours; nothing if they are too many.
+    """Return a band for each impact, which lasts until the next, with colours; nothing if there are too many.
 
-    The outline of their impulses comes with them.
+    The outline of their impulses is returned with them.
     """
     entries = [entry for entry in recording.store.entries if entry.entity_path == paths.IMPACTS]
     if not 0 < sum(entry.rows for entry in entries if not entry.is_static) <= MOST_BANDS:

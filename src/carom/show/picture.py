@@ -28,7 +28,7 @@ from carom.show.request import Request
 from carom.show.shown_step import Watcher
 from carom.show.viewer import Viewer, virtual_screen
 
-# The characters that the viewer can draw with its own font, Inter, as Rerun 0.41 ships it.
+# The characters that the viewer can draw with its own font, Inter, as shipped with Rerun 0.41.
 
 # Latin, Greek, Cyrillic, punctuation, currencies, fractions, arrows and some signs of mathematics
 _DRAWN = re.compile(
@@ -47,7 +47,8 @@ def drawable(text: str) -> bool:
 def has_all_glyphs(recording: Recording) -> bool:
     """Return whether the font has all characters of the names that a picture shows.
 
-    These are the names of bodies and planes, in labels and events, and that of the file; of an overlay, those of files.
+    These are the names of bodies and planes, in labels and events, and the name of the file; for an overlay, of its
+    files.
     """
     if not drawable(recording.path.name):
         return False
@@ -57,10 +58,10 @@ def has_all_glyphs(recording: Recording) -> bool:
     return all(map(drawable, (*names.bodies, *names.planes)))
 
 
-_ALIKE = 3  # equal pictures in a row, after which everything is loaded
+_ALIKE = 3  # successive equal pictures, after which everything is loaded
 _PAUSE = 0.7  # s, between two pictures
 _LIMIT = 120.0  # s
-_NOTE = 6.0  # s after its start, for which a viewer with a window shows notes over the picture
+_NOTE = 6.0  # s after its start, during which a viewer with a window shows notes over the picture
 _SETTINGS = '{{"egui": "(options:(theme_preference:{theme}))", "rerun.version": "{version}"}}'
 _MARK = b"Software\x00carom picture"  # a text in each PNG
 _HEAD = 33  # bytes of a PNG up to the end of its first chunk
@@ -72,7 +73,7 @@ class Picture:
     """The moment that a picture shows."""
 
     time: float  # s
-    missing: str  # why it shows the frame before the requested step; empty if it shows the step
+    missing: str  # why it shows the previous frame instead of the requested step; empty if it shows the step
 
 
 def render(
@@ -92,7 +93,7 @@ def render(
     path
         The recording.
     request
-        What to show of it.
+        The moment and the bodies to show.
     out_png
         Where to write the picture.
     size
@@ -100,15 +101,15 @@ def render(
     view
         One view that fills the picture, or all of them.
     theme
-        Of the viewer and of all views, "dark" or "light".
+        Theme of the viewer and of all views, "dark" or "light".
     watch
         Called while steps without a frame are repeated.
 
     Raises
     ------
     RecordingError
-        If the recording cannot be read, there is no Vulkan driver, no Xvfb where one is needed, or a view cannot show
-        what it should.
+        If the recording cannot be read, there is no Vulkan driver, or no Xvfb where one is needed, or a view has
+        nothing to show.
     """
     recording = Recording.open(path)
     _refuse_unwritable(Path(out_png))
@@ -140,7 +141,7 @@ class Shot:
 def try_to_render(recording: Recording, shots: Sequence[Shot], size: tuple[int, int] = (1000, 640)) -> str:
     """Render moments of a recording, in order of time, with one viewer.
 
-    Return the reason if a picture fails, such as a missing driver, else nothing. The pictures before it exist.
+    Return the reason if a picture fails, such as a missing driver; otherwise nothing. The pictures before it exist.
     """
     canvas, last = Canvas(*size, framed=False, rendered=True), ""
     try:
@@ -199,7 +200,7 @@ def _refuse_unwritable(path: Path) -> None:
 
 
 def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
-    """Return the size (pixels) of the window that gives the picture this size: all of it, or its only view."""
+    """Return the size (pixels) of the window in which the picture has this size: the whole window, or its only view."""
     return size if whole else (size[0] + _BORDER[0], size[1] + _BORDER[1])
 
 
@@ -207,9 +208,9 @@ def window_of(size: tuple[int, int], whole: bool) -> tuple[int, int]:
 def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterator[Viewer]:
     """Start a viewer of this size (pixels) for a recording, without a screen; end it when the context is left.
 
-    Rerun 0.41 reads its theme only from its settings file, and its headless mode reads no settings. Nor does that mode
-    use the fonts of the system, and it ends at a character that Rerun's own font lacks. A viewer with a window, on a
-    virtual screen, does both.
+    Rerun 0.41 reads its theme only from its settings file, which its headless mode ignores. That mode does not use the
+    system's fonts, either, and ends at a character that Rerun's own font lacks. A viewer with a window, on a virtual
+    screen, does both.
 
     Raises
     ------
@@ -224,7 +225,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
     if shutil.which("Xvfb") is None:
         what, other = "with these names", "write names of bodies and files in Latin, Greek or Cyrillic letters"
         if theme == "light":
-            what, other = "in the light theme", "take the dark theme"
+            what, other = "in the light theme", "use the dark theme"
         raise RecordingError(f"a picture {what} needs Xvfb, a virtual screen: {virtual_screen()}; or {other}")
     folder = Path(tempfile.mkdtemp(dir=private_folder()))
     settings = folder / "rerun" / "app.ron"
@@ -233,7 +234,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
     kept = {key: value for key, value in os.environ.items() if not key.startswith("WAYLAND_")}
     # RUST_LOG: a viewer with a window shows its log in boxes over the picture
     environment = {**kept, "XDG_DATA_HOME": str(folder), "RUST_LOG": "off"}
-    # the pointer starts in the middle of the screen: beyond the window, where it hovers over nothing
+    # the pointer starts in the middle of the screen: move it outside the window, where it hovers over nothing
     screen = f"{2 * (size[0] + 1)}x{2 * (size[1] + 1)}"
     with Viewer("--persist-state", *window, screen=screen, folder=folder, environment=environment) as viewer:
         viewer.note_ends = time.monotonic() + _NOTE
@@ -241,7 +242,7 @@ def headless(recording: Recording, size: tuple[int, int], theme: str) -> Iterato
 
 
 def stable_picture(viewer: Viewer, view: str | None) -> bytes:
-    """Take pictures until they stay the same, because the viewer loads in parts; return the last."""
+    """Take pictures until they no longer change, since the viewer loads in parts; return the last one."""
     alike, last = 0, b""
     end = time.monotonic() + _LIMIT
     while alike < _ALIKE:

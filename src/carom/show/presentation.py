@@ -46,7 +46,7 @@ class Presentation:
     """A moment of a recording, and what the viewer gets to show it."""
 
     time: float  # s, at which the viewer pauses
-    missing: str  # why it shows the frame before the step; empty if it shows the step
+    missing: str  # why it shows the previous frame; empty if it shows the step
     supplement: Supplement
 
 
@@ -87,10 +87,10 @@ def asked(
 
 
 def _body_plots(recording: Recording, text: str | None, only: str, watch: Watcher) -> BodyPlots | None:
-    """Compute the plots of single bodies that are asked for."""
+    """Compute the requested plots of single bodies."""
     if text is None:
         if only == PLOT:
-            raise RecordingError("a view of plots shows the curves that plot names, such as 0.speed; none is named")
+            raise RecordingError("a view of plots shows the curves named by plot, such as 0.speed; none is named")
         return None
     quantities = asked_quantities(recording, text, one_unit=only == PLOT)
     return BodyPlots(body_series(recording, quantities, watch), recording.units, alone=only == PLOT)
@@ -123,16 +123,16 @@ def presentation(
     only
         A single view, or all.
     within
-        The step that the moment belongs to, where one step ends and the next begins.
+        The step that the moment belongs to, if it is the end of one step and the beginning of the next.
     at_own_time
-        Whether to pause within the step, where the pair meets; by default only if the moment is that time, else at
+        Whether to pause within the step, where the pair meets; by default only if the moment is that time, otherwise at
         the end of the step.
     pair
         The bodies of the close-up view; by default those of the hardest impact of the step or, without one, of the run.
     plots
         Of single bodies.
     colour_by
-        What colours the bodies, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
+        The property that sets the colours, one of `COLOUR_BY` in recording/schema/header.py; by default as recorded.
     dense
         Whether to add all steps up to the next recorded frame.
     watch
@@ -150,7 +150,7 @@ def presentation(
     recoloured = by != header.coloured_by or redrawn_for(header, canvas.theme)
     chosen = pair or _pair(recording, header, step)
     places = [recording.shown.index(body) for body in chosen.bodies] if chosen else []
-    if change_with_time(header, by) and not recoloured:  # then only the close-up needs them
+    if change_with_time(header, by) and not recoloured:  # only the close-up needs them then
         fixed, own = None, recorded_colours(recording, header, places).on(canvas.theme)
     else:
         colours = body_colours(recording, header, by, step).on(canvas.theme)
@@ -226,7 +226,7 @@ def _pair(recording: Recording, header: Header, step: ShownStep) -> Pair | None:
 
 
 def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOutline]:
-    """Return the outlines of the plotted series with the repeated steps: a peak between two frames must be inside."""
+    """Return the outlines of the plotted series including repeated steps, so that peaks between frames fit in."""
     curves = recorded_curves(recording)
     for series in repeated:
         if series.path in curves:
@@ -243,7 +243,7 @@ def _steps(
 ) -> tuple[list[Rows], _References]:
     """Return the rows of the repeated steps, unless all of them are recorded, and the magnitudes of arrows.
 
-    The steps may be the first that have arrows, and choose the magnitudes.
+    The steps may be the first with arrows, which then determine the magnitudes.
     """
     recorded = recording.fingerprints()[STEP].to_numpy()
     if all(np.any(recorded == frame.step) for frame in step.added):
@@ -259,7 +259,7 @@ def _instant(
 ) -> tuple[list[Rows], _References]:
     """Return the bodies, contacts and energies of an instant within a step, on the timeline of times only.
 
-    With them come the magnitudes of arrows, which the instant may choose.
+    Return also the magnitudes of arrows, which the instant may determine.
     """
     assert instant.frame is not None and instant.state is not None
     encoder = BatchEncoder(header, recording.origin, references, everything=True)
@@ -277,7 +277,7 @@ def _instant(
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:
-    """Yield the recorded states at the first frame after a step; frames have rows of them only where they change."""
+    """Yield the recorded states at the first frame after a step, since frames have rows of them only at changes."""
     table = recording.fingerprints()
     later = np.flatnonzero(table[STEP].to_numpy() > step)
     if len(later):

@@ -21,15 +21,16 @@ class Request:
     Parameters
     ----------
     at
-        s; without it, the event, else the most interesting moment: the hardest impact, else the most contacts.
+        s; without it, the event or otherwise the most interesting moment: the hardest impact or, without any, the most
+        contacts.
     event
-        Its name; the close-up view shows its bodies.
+        The name of an event, whose bodies the close-up view shows.
     bodies
-        The bodies of the close-up view, by numbers or names with a comma between them.
+        The bodies of the close-up view, by numbers or names separated by a comma.
     plot
         Quantities of bodies to plot, such as ``top.z,top.omega``.
     colour_by
-        What colours the bodies; by default as the scene says.
+        The property that sets the colours; by default as the scene states.
 
     Raises
     ------
@@ -64,7 +65,7 @@ class Pair:
 
 
 def named_pair(recording: Recording, text: str) -> Pair:
-    """Read two bodies from numbers or names with a comma between them.
+    """Read two bodies from numbers or names separated by a comma.
 
     Raises
     ------
@@ -73,10 +74,10 @@ def named_pair(recording: Recording, text: str) -> Pair:
     """
     given = split_at_commas(text, recording.bodies.name)
     if len(given) != 2 or not all(given):
-        raise RecordingError(f"bodies {text}: expected two bodies with a comma between them, such as 0,1")
+        raise RecordingError(f"bodies {text}: expected two bodies separated by a comma, such as 0,1")
     first, second = (shown_body(recording, part) for part in given)
     if first == second:
-        raise RecordingError(f"bodies {text}: this is one body; give two")
+        raise RecordingError(f"bodies {text}: this is one body; name two")
     return Pair(min(first, second), max(first, second))
 
 
@@ -114,7 +115,7 @@ def _numbers(text: object) -> list[int]:
 
 _IMPACT = "impact:"  # before the number of an impact
 _FIRST_CONTACT = "first-contact"  # a kind of event
-_DIGITS = 18  # so many fit into 64 bits
+_DIGITS = 18  # this many fit into 64 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +123,8 @@ class NamedEvent:
     """An event of a run."""
 
     time: float  # s
-    pair: Pair | None = None  # None if it is not the meeting of two
-    step: int | None = None  # of an impact: at the end of one step, it may belong to the next
+    pair: Pair | None = None  # None if it is not a meeting of two
+    step: int | None = None  # step of an impact: at the end of one step, it may belong to the next
     is_impact: bool = False
 
 
@@ -133,7 +134,7 @@ def named_event(recording: Recording, name: str) -> NamedEvent:
     Parameters
     ----------
     name
-        An extreme of `carom inspect`, a kind of event, of which the first is taken, or ``impact:N``, the Nth impact.
+        An extreme of `carom inspect`, a kind of event (its first occurrence), or ``impact:N``, the Nth impact.
 
     Raises
     ------

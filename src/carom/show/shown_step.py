@@ -1,4 +1,4 @@
-"""`ShownStep`: the step that a moment is in. It is repeated if it has no frame, and for data that frames lack."""
+"""`ShownStep`: the step that contains a moment. It is repeated if it has no frame, or for data that frames lack."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ _BODY_BYTES = 300  # of a frame
 
 @dataclass(frozen=True, slots=True)
 class ShownStep:
-    """A step of a recording, as it is shown."""
+    """A step of a recording, as shown."""
 
     step: int
     time: float  # s, at its end
     position: FloatArray  # (n, 3) m, from the recording's origin, of the bodies that it shows
     frame: Frame | None = None  # the step, if it was repeated
-    before: Frame | None = None  # the frame before those of `added`
+    before: Frame | None = None  # the frame before those in `added`
     added: Sequence[Frame] = ()  # repeated steps: this one, those between recorded frames, and the frame after them
     state: Instant | None = None  # of an instant within the step: energies and spins before and after
     missing: str = ""  # why the step could not be repeated, if the recording has no frame of it
@@ -53,7 +53,7 @@ def shown_step(
     dense: bool = False,
     watch: Watcher = lambda _: None,
 ) -> ShownStep:
-    """Find the step that a time (s) is in, and repeat it if that takes no more than a minute.
+    """Find the step that contains a time (s), and repeat it if that takes no more than a minute.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def shown_step(
     at
         s.
     within
-        The step to show where one step ends at this time and the next begins; by default the one that ends.
+        The step to show if one step ends at this time and the next begins; by default the one that ends.
     dense
         Whether to add all steps up to the next recorded frame.
     watch
@@ -95,7 +95,7 @@ def shown_step(
     else:
         if found is not None:
             return found
-        missing = f"running it again takes more than {PATIENCE:.0f} s"
+        missing = f"rerunning it takes more than {PATIENCE:.0f} s"
     return drawn if row is not None else replace(drawn, missing=missing)
 
 
@@ -137,22 +137,22 @@ def _frame_of_engine(recording: Recording, row: int) -> Frame | None:
 def at_impact(
     step: ShownStep, pair: Pair, header: Header, origin: FloatArray, near: float, clock: TimeScale
 ) -> ShownStep | None:
-    """Return the instant of an impact within a step that was repeated; None if the pair has none before its end.
+    """Return the instant of an impact within a repeated step; None if the pair has none before its end.
 
-    Its frame has the positions and contacts of the instant, and its state what changes there.
+    Its frame holds the positions and contacts of the instant, and its state the quantities that jump there.
 
     Parameters
     ----------
     step
         The step.
     pair
-        Which two meet. Of several impacts the one that is nearest in time is taken, then the fastest.
+        Which two meet. Of several impacts, the nearest in time is chosen, then the fastest.
     header, origin
         Of the recording; origin (3,) m.
     near
         s.
     clock
-        Of the recording. An impact at the nanosecond at which the step ends is shown at its end.
+        Of the recording. An impact within a nanosecond of the end of the step is shown at its end.
     """
     frame, n = step.frame, header.bodies
     earlier = [one for one in (step.before, *step.added) if one is not None and one.step < step.step]
@@ -182,7 +182,7 @@ def _row_of(step: int, steps: IntArray) -> int | None:
 def _run(
     recording: Recording, goal: float, times: FloatArray, limit: float, dense: bool, watch: Watcher
 ) -> ShownStep | None:
-    """Repeat the steps up to the one that a time (s) is in, or to the next frame; None if that takes too long."""
+    """Repeat the steps up to the one that contains a time (s), or to the next frame; None if that takes too long."""
     own = int(np.searchsorted(times, goal))
     earlier = float(times[max(0, own - 1)])
     until = float(times[own]) if dense and own < len(times) else goal
@@ -198,7 +198,7 @@ def _run(
         if frame.time <= earlier and frame.time < goal:
             before = frame
             continue
-        if len(added) == most:  # only the last are kept
+        if len(added) == most:  # only the last ones are kept
             before = added.pop(0)
         added.append(frame)
         if shown is None and frame.time >= goal:
@@ -206,7 +206,7 @@ def _run(
         if shown is not None and frame.time >= until:
             break
     if window.differs is not None:
-        raise RecordingError(f"run again, it has other bits from step {window.differs} on")
+        raise RecordingError(f"when rerun, it has other bits from step {window.differs} on")
     if shown is None:
         return None
     position = np.asarray(shown.position - recording.origin)

@@ -1,4 +1,4 @@
-"""What a picture and a movie share: the camera, the grids of planes, and the trails of few bodies."""
+"""Common parts of a picture and a movie: the camera, the grids of planes, and the trails of few bodies."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from carom.recording.write.rows import Index, Rows
 from carom.recording.write.static_entities import plane_grids
 from carom.show.supplement import Static, Trails, has_trails
 
-_LOOKS = 50  # frames of many bodies by which the camera is placed
+_LOOKS = 50  # frames of many bodies to which the camera is fitted
 
 
 @dataclass(frozen=True, slots=True)
 class Staging:
-    """A camera that is fitted to the motion in a recording, and what is drawn besides the bodies."""
+    """A camera fitted to the motion in a recording, and additions to the bodies."""
 
     camera: CameraFit
     trails: Trails | None  # of few bodies
@@ -60,7 +60,7 @@ class Staging:
         trails = Trails(recording, header, colours) if has_trails(recording) else None
         if trails is not None:
             trails.show(camera, until)
-            if not _meet(recording, header):  # orbits, of bodies that may all be near their pericentres
+            if not _meet(recording, header):  # orbits of bodies that may all be near their pericentres
                 camera.show_all()
         elif recording.frames > 1:
             drawn, table = RecordedPositions(recording), recording.fingerprints()
@@ -77,7 +77,7 @@ class Staging:
     def statics(self) -> Iterator[Static]:
         """Yield the colours of the trails, and the planes as grids where the camera looks.
 
-        The recorded grids lie about the bodies at the start.
+        The recorded grids are centred on the initial bodies.
         """
         if self.header.walls is None and self.header.box is None:
             seen = self.camera.view()
@@ -102,5 +102,5 @@ class Staging:
 
 
 def _meet(recording: Recording, header: Header) -> bool:
-    """Return whether bodies touched, or may have touched in a run that was killed, which has no count of contacts."""
+    """Return whether bodies touched, or may have touched in a killed run, whose contacts were not counted."""
     return header.collides and recording.closing.get("contacts.total") != 0

@@ -1,4 +1,4 @@
-"""`Supplement`: rows and a layout that a viewer gets on top of a recording; the file does not change.
+"""`Supplement`: rows and a layout that a viewer gets in addition to a recording; the file does not change.
 
 Among them are trails, the paths of a few bodies up to the moment that is shown.
 """
@@ -42,7 +42,7 @@ class Supplement:
         self._put(rr.GrpcSink(address), application, recording_id)
 
     def save(self, path: Path, application: str, recording_id: str) -> None:
-        """Write it to a file, which a viewer loads on top of the recording of these ids."""
+        """Write it to a file, which a viewer loads in addition to the recording of these ids."""
         self._put(rr.FileSink(path), application, recording_id)
 
     def _put(self, sink: rr.GrpcSink | rr.FileSink, application: str, recording_id: str) -> None:
@@ -57,14 +57,15 @@ class Supplement:
             stream.disconnect()
 
 
-_MOST_FRAMES = 2000  # longer paths take every k-th frame
-_POINTS = 1000  # of a path that is drawn as a curve through fewer frames: integrators of high order take long steps
+_MOST_FRAMES = 2000  # of longer paths, every k-th frame is used
+# points of a path drawn as a curve through fewer frames, since integrators of high order take long steps
+_POINTS = 1000
 
 
 class Trails:
     """The paths of all bodies of a recording, as pieces from frame to frame.
 
-    Where nothing ever touched, a piece is a part of the cubic spline through all frames. ``colours`` (n,) are those of
+    Where nothing ever touched, a piece is part of the cubic spline through all frames. ``colours`` (n,) are those of
     the bodies.
     """
 
@@ -92,7 +93,7 @@ class Trails:
         yield TRAILS, rr.LineStrips3D.from_fields(colors=self._colours, radii=rr.Radius.ui_points(0.75))
 
     def rows(self) -> Iterable[Rows]:
-        """Yield the pieces, each at the frame where it ends; pieces through the border of a box have no length."""
+        """Yield the pieces, each at the frame where it ends; pieces that cross the border of a box have no length."""
         pieces, bodies = len(self._times) - 1, self._position.shape[1]
         if pieces < 1:
             return

@@ -35,8 +35,8 @@ _T = TypeVar("_T")
 
 _LOAD = 120.0  # s
 _POLL = 0.1  # s
-_DYING = 2.0  # s in which a viewer that stopped answering may end
-_GRACE = 15.0  # s between asking the process to end and ending it; it gives its own children 5 s each
+_DYING = 2.0  # s in which a viewer that stopped answering may still end
+_GRACE = 15.0  # s between requesting the end of the process and killing it; it gives its own children 5 s each
 _NO_SCREEN = "there is no screen to open a window on; `carom picture` renders without one"
 _DRIVER_WORDS = ("wgpu", "vulkan", "graphics", "adapter", "render context", "xkbcommon", "librar", "egl")
 _DREW = "wgpu adapter backend"  # in the log of a viewer that has a graphics driver

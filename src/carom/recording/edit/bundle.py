@@ -33,7 +33,7 @@ _SURPRISES = (
 
 
 def is_bundle(path: Path) -> bool:
-    """Return whether a file begins like a zip file."""
+    """Return whether a file starts like a zip file."""
     try:
         if not path.is_file():  # opening a pipe would block
             return False
@@ -107,7 +107,7 @@ def _unpack(path: Path, out: Path) -> None:
         if info.file_size > min(MOST_UNPACKED, MOST_TIMES * max(1, info.compress_size)):
             raise ValueError(f"{CLIP} in it claims to unpack to {info.file_size} bytes")
         if shutil.disk_usage(out.parent).free < info.file_size:
-            raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no room")
+            raise ValueError(f"{CLIP} in it unpacks to {info.file_size} bytes, for which there is no space")
         with bundle.open(info) as source, out.open("wb") as target:
             left = info.file_size
             while piece := source.read(min(_PIECE, left + 1)):

@@ -33,16 +33,16 @@ _ROUNDING = 8 * float(np.finfo(np.float32).eps)  # of a few float32 operations o
 
 
 class Selection:
-    """Keeps the spheres and arrows of some bodies and the contacts among them.
+    """Keeps the spheres and arrows of selected bodies, and the contacts among them.
 
-    A contact is kept if both its bodies are, or its body is and the other side is a plane. Recordings before schema 3
-    lack the numbers of its bodies. These follow from the ends of its line, so the chunk with the centres has to come
-    before the chunk with the contacts.
+    A contact is kept if both of its bodies are, or if its body is and the other end is a plane. Recordings before
+    schema 3 lack the numbers of a contact's bodies. They are derived from the ends of its line, so the chunk with the
+    centres must come before the chunk with the contacts.
 
     Parameters
     ----------
     numbers
-        Of the bodies to keep.
+        Numbers of the bodies to keep.
     shown
         Numbers of the bodies that the source shows.
     box
@@ -53,11 +53,13 @@ class Selection:
 
     def __init__(self, numbers: Sequence[int], shown: Sequence[int], box: FloatArray | None, bodies: int) -> None:
         self._numbers = np.array(sorted(set(numbers)), dtype=np.int64)
-        self._places = np.searchsorted(np.asarray(shown), self._numbers)  # among those that the source shows
+        self._places = np.searchsorted(
+            np.asarray(shown), self._numbers
+        )  # indices among the bodies that the source shows
         self._shown = len(shown)
         self._box = box
         self._bodies_in_all = bodies
-        self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until its contacts are read
+        self._centres: dict[int, SingleArray] = {}  # of all bodies, by step, until the step's contacts are read
 
     def of(self, chunk: Chunk) -> Chunk:
         """Return a chunk with only the values of the kept bodies."""
@@ -81,7 +83,7 @@ class Selection:
         return chunk
 
     def _joins(self, ends: IntArray) -> BoolArray:
-        """Return a mask of the contacts with ends (2m,) that join kept bodies, or a kept body and a plane."""
+        """Return a mask of the contacts with ends (2m,) that connect kept bodies, or a kept body and a plane."""
         return join_some(ends.reshape(-1, 2), self._numbers, self._bodies_in_all)
 
     def _bodies(self, chunk: Chunk) -> Chunk:
@@ -101,10 +103,10 @@ class Selection:
                 self._centres |= dict(zip(chunk.batch[STEP].to_pylist(), rows, strict=True))
 
     def _among(self, step: int, lines: SingleArray) -> BoolArray:
-        """Return a mask of a frame's lines (m, 2, 3) that join kept bodies, or a kept body and a plane."""
+        """Return a mask of a frame's lines (m, 2, 3) that connect kept bodies, or a kept body and a plane."""
         centres = self._centres.pop(step)
         kept = centres[self._places]
-        begins = np.any(np.all(lines[:, 0, None] == kept, axis=2), axis=1)  # a line begins at a centre, to the bit
+        begins = np.any(np.all(lines[:, 0, None] == kept, axis=2), axis=1)  # a line starts exactly at a centre
         ends = np.zeros(len(lines), dtype=np.bool_)
         for line in np.flatnonzero(begins):
             end = lines[line, 1]
@@ -112,7 +114,7 @@ class Selection:
         return np.asarray(begins & ends)
 
     def _meets(self, point: SingleArray, centres: SingleArray) -> bool:
-        """Return whether a point is one of the centres; in a periodic box, or one of their images."""
+        """Return whether a point is one of the centres or, in a periodic box, an image of one."""
         apart = centres.astype(np.float64) - point
         size = float(np.max(np.abs(centres), initial=0.0))
         if self._box is not None:
@@ -144,7 +146,7 @@ def _masked(chunk: Chunk, masks: list[BoolArray]) -> Chunk:
     columns = {}
     for name in chunk.components:
         found = pc.list_value_length(chunk.batch[name]).to_pylist()
-        if name == "impact_count":  # one value a row, however many contacts there are
+        if name == "impact_count":  # one value per row, whatever the number of contacts
             continue
         if found == lengths:
             columns[name] = _lists(chunk.batch[name], np.flatnonzero(mask), each)
@@ -167,7 +169,7 @@ def _replaced(chunk: Chunk, columns: dict[str, pa.Array]) -> Chunk:
 
 PROPERTY = "clip"
 
-_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only where they change: the last row before the cut still applies
+_STATES = (paths.PHASE, paths.DT_LIMIT)  # rows only at changes: the last row before the cut still applies
 _PATH, _KIND, _COMPONENT = b"rerun:entity_path", b"rerun:kind", b"rerun:component"
 
 
@@ -182,8 +184,8 @@ class Clip:
     last_step: int
     start: float  # s, of the first frame
     end: float  # s, of the last frame
-    replays_from: int | None  # the step of the exact state in /state/start; None: there is none
-    bodies: list[int] | None  # bodies in the clip; None: all
+    replays_from: int | None  # step of the exact state in /state/start; None without one
+    bodies: list[int] | None  # bodies in the clip; None for all
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,22 +210,22 @@ def clip(
 ) -> Clip:
     """Cut the frames of an interval of simulated time out of a recording.
 
-    Only the chunks that overlap the interval are read. Exact states and fingerprints still describe all bodies, so that
-    a clip of a few bodies replays, too.
+    Only the chunks that overlap the interval are read. Exact states and fingerprints still describe all bodies, so a
+    clip of a few bodies can be replayed, too.
 
     Parameters
     ----------
     source
         The recording.
     out
-        The ``.rrd`` to write; one that exists is replaced when the clip is whole.
+        The ``.rrd`` to write; an existing file is replaced when the clip is complete.
     start, end
         Simulated times in seconds, both included.
     bodies
         Numbers of the bodies to show; None shows all.
     exact
-        Whether the clip holds the exact states of all bodies. Without them it is smaller, holds nothing of the other
-        bodies, and cannot be run again.
+        Whether the clip holds the exact states of all bodies. Without them, it is smaller and contains nothing about
+        the other bodies, but cannot be replayed.
 
     Raises
     ------
@@ -285,7 +287,7 @@ def _cut(recording: Recording, start: float, end: float) -> _Cut:
 
 
 def _between(start: float, end: float, units: UnitSystem) -> str:
-    """Name an interval of times, in s, of which one end may be infinite."""
+    """Name an interval of times (s), one end of which may be infinite."""
     if end == np.inf:
         return f"from {units.text(start, TIME, 'g')} on"
     if start == -np.inf:
@@ -331,7 +333,7 @@ def _static(recording: Recording, exact: bool) -> Iterator[Chunk]:
 
 
 def _moving(recording: Recording, cut: _Cut) -> Iterator[Chunk]:
-    """Read the chunks that overlap the cut, centres before the contacts that join them."""
+    """Read the chunks that overlap the cut, centres before the contacts that connect them."""
     entries = [e for e in recording.store.entries if e.first_step is not None and _overlaps(e, cut)]
     last = {path: _last_before(recording.store.entries, path, cut.first) for path in _STATES}
     entries += [entry for entry in last.values() if entry is not None and entry not in entries]
@@ -370,7 +372,7 @@ def _last_before(entries: Iterable[Entry], path: str, step: int) -> Entry | None
 
 
 def _within(chunk: Chunk, cut: _Cut) -> Chunk:
-    """Keep the rows of the cut; a state that began earlier starts at its first frame."""
+    """Keep the rows of the cut; a state that began earlier starts at the first frame."""
     steps = chunk.batch[STEP].to_numpy()
     inside = (steps >= cut.first) & (steps <= cut.last)
     before = np.flatnonzero(steps < cut.first)

@@ -1,4 +1,4 @@
-"""Repairs a recording that was cut off, lacks its footer or has wrong bytes."""
+"""Repairs a recording that was truncated, lacks its footer, or has wrong bytes."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-_LOOKS = 50  # frames to which the camera is fitted
+_LOOKS = 50  # frames for fitting the camera
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:
@@ -58,7 +58,7 @@ PROPERTY = "repair"
 class Repaired:
     """Result of a repair."""
 
-    path: Path | None  # None: there was nothing to repair
+    path: Path | None  # None if there was nothing to repair
     size: int = 0  # bytes
     frames: int = 0
     last_step: int | None = None
@@ -68,12 +68,12 @@ class Repaired:
 
 
 def repair(source: str | Path, out: str | Path) -> Repaired:
-    """Write the readable parts of a recording into a new one, with a footer, a layout and an outcome that says so.
+    """Write the readable parts of a recording to a new one, with a footer, a layout, and an outcome that says so.
 
     Raises
     ------
     RecordingError
-        If there is no such file, it is not carom's, nothing in it can be read, or the new one cannot be written.
+        If there is no such file, it is not carom's, nothing in it is readable, or the new one cannot be written.
     """
     source, out = Path(source), Path(out)
     with reading(source):
@@ -89,7 +89,7 @@ def repair(source: str | Path, out: str | Path) -> Repaired:
 
 
 def _recording(source: Path, found: Salvage) -> Store:
-    """Return the recording with the most chunks; a wrong byte may have created others."""
+    """Return the recording with the most chunks; wrong bytes may appear to start others."""
     stores = [store for store in found.stores if store.kind == RECORDING]
     store = max(stores, key=lambda store: len(store.entries), default=None)
     if store is None or not store.entries:
@@ -135,7 +135,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         for entry in recording.store.entries:
             try:
                 for chunk in recording.chunks([entry]):
-                    if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would have all frames refused
+                    if chunk.entity_path == paths.FINGERPRINT:  # a wrong time would make all frames unreadable
                         kept.append(rising(join_rows(paths.FINGERPRINT, [chunk], FINGERPRINTS)))
                     writer.send(chunk)
             except DamageError as error:  # carom or Rerun would not have written it
@@ -148,7 +148,7 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         if layout := recording.layout():
             writer.send_layout(StoredLayout(layout))
         else:
-            with contextlib.suppress(RecordingError):  # too little is left to make a layout
+            with contextlib.suppress(RecordingError):  # too little is left for a layout
                 writer.send_layout(new_layout(recording))
                 added.append("layout")
         writer.flush()

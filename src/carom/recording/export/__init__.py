@@ -1,1 +1,1 @@
-"""Bodies of a recording in the formats of other tools. Each format has its file."""
+"""Bodies of a recording in the formats of other tools. Each format is a module."""

@@ -1,4 +1,4 @@
-"""Tables with a row for each body and step: Parquet and CSV, by pyarrow."""
+"""Tables with one row per body and step: Parquet and CSV, by pyarrow."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def write_parquet(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write a Parquet file, a row group for each step."""
+    """Write a Parquet file, with a row group for each step."""
     _write(pq.ParquetWriter, path, first, others)
 
 

@@ -60,12 +60,12 @@ def snapshots(
 ) -> Iterator[Snapshot]:
     """Yield the state at a time (s), or all recorded frames.
 
-    The steps between the checkpoints are run again, with the same bits.
+    Steps between checkpoints are recomputed with the same bits.
 
     Raises
     ------
     RecordingError
-        If there is no such moment, or the recording cannot be run again with the same bits.
+        If there is no such moment, or a rerun does not give the same bits.
     """
     table = recording.fingerprints()
     times, steps = table["time"].to_numpy(), table[STEP].to_numpy()
@@ -104,7 +104,7 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
     """Return the numbers, masses, radii and further columns of the shown bodies.
 
-    Further columns are moments of inertia (kg m²), fixed bodies and names, each if it is not the default.
+    Further columns are moments of inertia (kg m²), fixed bodies and names, where these differ from the default.
     """
     bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
     mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))
@@ -118,7 +118,7 @@ def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, 
     return shown, mass, radius, found
 
 
-VTK = ".vtk"  # the only format with a single step per file
+VTK = ".vtk"  # the only format that holds a single step
 SERIES = ".series"  # appended to the name of a .vtk of many steps
 
 
@@ -128,7 +128,7 @@ def refuse_format(path: Path, formats: Sequence[str] | None = None) -> None:
         formats = [f".{name}" for name in registry.names("export_formats")]
     if path.suffix not in formats:
         known = ", ".join(formats)
-        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known endings: {known}')
+        raise RecordingError(f'{path}: the format "{path.suffix}" is unknown; known suffixes: {known}')
 
 
 def refuse_series(path: Path, force: bool) -> None:
@@ -139,9 +139,10 @@ def refuse_series(path: Path, force: bool) -> None:
 
 
 def write(path: Path, snapshots: Iterator[Snapshot], series: bool) -> tuple[Path, int]:
-    """Write snapshots into a file that appears when it is complete; return its path and the number of steps.
+    """Write snapshots to a file that appears when it is complete; return its path and the number of steps.
 
-    A .vtk holds one step. Several go into a folder ``NAME-vtk`` beside ``NAME.vtk.series``, which lists their times.
+    A .vtk holds one step. Several steps go into a folder ``NAME-vtk`` beside ``NAME.vtk.series``, which lists their
+    times.
 
     Raises
     ------
@@ -185,7 +186,7 @@ def _write_series(path: Path, snapshots: Iterator[Snapshot], scratch: Path) -> P
 
 
 class _Counted(Iterator[Snapshot]):
-    """Counts the snapshots that are taken."""
+    """Counts snapshots as they are written."""
 
     def __init__(self, snapshots: Iterator[Snapshot]) -> None:
         self._snapshots = snapshots

@@ -1,4 +1,4 @@
-"""Extended XYZ, which OVITO and ASE open: a text block for each step, with named columns; lengths are in metres."""
+"""Extended XYZ, which OVITO and ASE read: a text block per step, with named columns and lengths in metres."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from carom.recording.export.export import Snapshot
 
 
-# the names under which OVITO knows the quantities
+# OVITO's names of the quantities
 _COLUMNS = {"position": "pos", "velocity": "velo", "orientation": "orientation", "angular_velocity": "omega"}
 
 

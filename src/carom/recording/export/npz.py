@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write step and time (K,), body, mass and the like (n,), and position, velocity and the like (K, n, 3 or 4)."""
+    """Write step and time (K,), values such as body and mass (n,), and vectors such as position (K, n, 3 or 4)."""
     every = [first, *others]
     stacked: dict[str, Any] = {name: np.stack([each.vectors[name] for each in every]) for name in first.vectors}
     step, time = np.array([each.step for each in every]), np.array([each.time for each in every])

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def write_vtk(path: Path, snapshot: Snapshot) -> None:
-    """Write one step: draw it in ParaView as Point Gaussians or with the filter Glyph, scaled by ``radius``."""
+    """Write one step; in ParaView, draw it as Point Gaussians or with the filter Glyph, scaled by ``radius``."""
     n = len(snapshot)
     vertices = np.stack((np.ones(n, np.int32), np.arange(n, dtype=np.int32)), axis=1)
     with path.open("wb") as file:
@@ -29,14 +29,14 @@ def write_vtk(path: Path, snapshot: Snapshot) -> None:
         arrays = {"mass": snapshot.mass, "radius": snapshot.radius, **snapshot.vectors}
         del arrays["position"]
         fields = len(arrays) + 1
-        file.write(f"FIELD FieldData {fields}\n".encode())  # readers skip all but the first SCALARS and VECTORS
+        file.write(f"FIELD FieldData {fields}\n".encode())  # readers ignore all but the first SCALARS and VECTORS
         file.write(f"body 1 {n} int\n".encode() + _bytes(snapshot.body.astype(np.int32)))
         for name, values in arrays.items():
             file.write(f"{name} {values[0].size} {n} double\n".encode() + _bytes(values))
 
 
 def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, stem: str) -> None:
-    """Write a file for each step into a folder, and the list of their times, which ParaView opens as one."""
+    """Write a file for each step into a folder, and a list of their times, which ParaView opens as one."""
     files = list[dict[str, str | float]]()
     for snapshot in snapshots:
         name = f"{stem}-{len(files):06d}.vtk"
@@ -46,5 +46,5 @@ def write_vtk_series(path: Path, snapshots: Iterator[Snapshot], folder: Path, st
 
 
 def _bytes(values: FloatArray | Int32Array) -> bytes:
-    """Return values as VTK reads them, most significant byte first."""
+    """Return values in VTK's byte order, most significant byte first."""
     return values.astype(values.dtype.newbyteorder(">")).tobytes() + b"\n"

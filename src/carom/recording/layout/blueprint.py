@@ -34,20 +34,20 @@ def blueprint(
     only: str = ALL,
     added: Additions = NONE,
 ) -> rrb.Blueprint:
-    """Lay out a recording of this scene, with the camera where it fits.
+    """Lay out a recording of this scene, with the camera fitted if possible.
 
     Parameters
     ----------
     header
-        Of the recording.
+        The recording's header.
     camera
-        Fitted to the bodies.
+        The camera, fitted to the bodies.
     curves
         The recorded series; None during the run.
     canvas
         The window that the layout is for.
     only
-        The view that fills the window, "bodies", "graph", "close-up", "energy" or "plot"; or `ALL`.
+        The view that fills the window: "bodies", "graph", "close-up", "energy", "plot", or `ALL`.
     added
         Parts that are not in the file.
 
@@ -75,7 +75,7 @@ def blueprint(
 
 
 def close_up_area(header: Header, canvas: Canvas, only: str) -> Area:
-    """Return the area that the close-up view has in a layout."""
+    """Return the area of the close-up view in a layout."""
     return _areas(canvas, _shares(header, True, True))[-2] if only == ALL else canvas.area()
 
 
@@ -152,12 +152,12 @@ def _texts() -> rrb.Container:
 
 
 def _event_columns() -> rrb.TextLogColumns:
-    """Leave out the column of the entity path, which is the same in each row."""
+    """Omit the column of the entity path, which is the same in each row."""
     return rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
 
 
 def _states(canvas: Canvas, added: Additions) -> rrb.View:
-    """Lay out the strips of what the run does: the impacts, if they are few enough for a strip, phases and limits."""
+    """Lay out the strips of events: impacts, if they are few enough, phases and limits."""
     return rrb.StateTimelineView(
         name="Impacts, phase, and what limits dt" if added.struck else "Phase, and what limits dt",
         origin="/",

@@ -1,4 +1,4 @@
-"""The two 3D views: the bodies as solids, and the collision graph with arrows and the bodies as thin wires."""
+"""The two 3D views: the bodies as solids, and the collision graph with arrows and with the bodies as thin wires."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def force_arrows(header: Header) -> list[str]:
 
 
 def edges_by_impulse(header: Header, theme: str) -> Overrides:
-    """Draw the edges of the collision graph with the widths and colours of their impulses: force chains.
+    """Draw the edges of the collision graph with widths and colours by impulse, as force chains.
 
-    On white paper the bright end of the colours would be invisible: there the width alone shows the impulse.
+    On white paper the bright end of the colours would be invisible, so only the width shows the impulse.
     """
     if not header.records_contacts:
         return plain_edges(header, theme)
@@ -44,7 +44,7 @@ def edges_by_impulse(header: Header, theme: str) -> Overrides:
 
 
 def plain_edges(header: Header, theme: str) -> Overrides:
-    """Draw edges in one colour on white paper, where those of some stages, yellow and white, would be invisible."""
+    """Draw edges in one colour on white paper, where the yellow and white ones of some stages would be invisible."""
     if theme == "dark" or not header.collides:
         return {}
     return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
@@ -65,24 +65,24 @@ FIELD = "field"  # the arrow of a uniform field, and axes
 
 
 def up_to_cursor() -> dict[EntityPathLike, VisualizerLike]:
-    """Return the override by which a view shows all pieces up to the cursor."""
+    """Return the override with which a view shows all pieces up to the cursor."""
     start, end = rr.TimeRangeBoundary.infinite(), rr.TimeRangeBoundary.cursor_relative()
     ranges = [rrb.VisibleTimeRange(timeline, start=start, end=end) for timeline in (SIM_TIME, STEP)]
     return {TRAILS: rrb.VisibleTimeRanges(ranges)}
 
 
-# Overrides by which a view draws bodies: in other colours than the recorded ones, and with a least size on the
-# screen. Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws
-# a dot of fixed size at the recorded centre, so the file does not grow.
+# Overrides with which a view draws bodies: colours other than the recorded ones, and a minimum size on the screen.
+# Spheres have their true radii in metres. For bodies smaller than two points of the screen, the view also draws a dot
+# of fixed size at the recorded centre, so the file does not grow.
 
-LEAST = 2.0  # points of the screen, the radius of a dot
-_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body is large enough
+LEAST = 2.0  # points of the screen, radius of a dot
+_HIDDEN = 1e-12  # of a body's radius; size of the dot if the body itself is large enough
 
 Overrides = dict[EntityPathLike, VisualizerLike | list[VisualizerLike]]
 
 
 def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = False, named: bool = False) -> Overrides:
-    """Return overrides that add dots to small bodies and names to few, and take the colours of a `Supplement`."""
+    """Return overrides that add dots to small bodies and names to few, and apply the colours of a `Supplement`."""
     apparent = header.radius / view.height() * area.height  # points
     small = apparent < LEAST
     if not (small.any() or recoloured or named):
@@ -100,7 +100,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
         case "points":
             colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
             return {paths.BODIES: _points(sizes, "Points3D:positions", colours)}
-        case _ if recoloured:  # the instances of a mesh have one colour
+        case _ if recoloured:  # all instances of a mesh have one colour
             return {paths.BODIES: _points(sizes, "InstancePoses3D:translations", "Points3D:colors")}
         case _:
             return {}
@@ -147,7 +147,7 @@ def has_graph(header: Header) -> bool:
 
 def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool = False) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
-    # how far (m) arrows of medium length reach out of the bodies
+    # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
     view = camera.view(area.aspect, room, narrow=area.rendered, trails=False)
     return spatial_view(

@@ -5,9 +5,9 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
 
     o·e − t + r √(1 + s²)  ≤  s (D − o·d).
 
-Each border thus requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together give the
-smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the horizon is
-level and the ground is seen from above.
+Each border therefore requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together
+determine the smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the
+horizon is level and the ground is seen from above.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ if TYPE_CHECKING:
 ASPECT = 1.25  # width over height of a 3D view, unless the layout gives another
 SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Rerun's field of view is 55° high
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))
-_DEPTHS = 25.0  # least distance of a narrow lens, in depths of the scene: equal spheres differ by at most 4 %
+_DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: equal spheres then differ by at most 4 %
 
-FEW = 40  # bodies; of so few, all of their motion is inside the view, and has trails
-_FEW_NEAR = 5  # bodies; of so few, none is too far away to be shown
-_ESCAPING = 0.05  # largest share of more bodies than `FEW` that may be outside the view
+FEW = 40  # bodies up to which all motion is inside the view, and has trails
+_FEW_NEAR = 5  # bodies up to which none is too far away to be shown
+_ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
-_LOOSE = 1.7  # largest distance over that which just shows the first moment, whose bodies then fill 53 %
-_LOOSE_PATHS = 25.0  # for paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
+_LOOSE = 1.7  # largest distance over that which just contains the first moment, whose bodies then fill 53 %
+_LOOSE_PATHS = 25.0  # the same for paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
 _SMALL = 400.0  # height of the picture over the median radius, up to which all motion of few bodies is inside
-_MOST, _LARGEST = 20_000, 1000  # bodies that are measured; of more, every k-th and as many of the largest
-_MOST_SPHERES = 4000  # kept of all moments; of more, those that are outermost in one of many directions
+_MOST, _LARGEST = 20_000, 1000  # bodies that are measured; of more, every k-th and an equal number of the largest
+_MOST_SPHERES = 4000  # spheres kept of all moments; of more, the outermost ones in each of many directions
 
 _UP = np.array([0.0, 0.0, 1.0])
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
-_PREFERENCE = 0.15  # weight of the usual direction where principal axes are alike, as a share of the variance
+_PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
 _STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
 _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
@@ -55,7 +55,7 @@ _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
 _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
 _BESIDE = 0.25  # of the width of the motion: walls that are farther away may lie outside the picture
-_TURNS = 12  # directions from which a camera that orbits is fitted
+_TURNS = 12  # directions from which an orbiting camera is fitted
 
 _HUGE = np.errstate(over="ignore", invalid="ignore")  # squares of lengths beyond 10¹⁵⁴ m are infinite: handled below
 
@@ -77,8 +77,8 @@ class View:
     motion: CameraMotion
     to_eye: FloatArray  # (3,) unit vector
     up: FloatArray = field(default_factory=_UP.copy)  # (3,) unit vector that is vertical on the screen
-    slope: float = SLOPE  # half the picture's height over the distance
-    whole: bool = True  # whether all motion that was measured is inside the picture
+    slope: float = SLOPE  # half the picture's height at unit distance
+    whole: bool = True  # whether all measured motion is inside the picture
     outside: int = 0  # bodies that are not wholly inside the picture at the first moment
 
     @property
@@ -119,15 +119,15 @@ class CameraFit:
     radius
         (n,) m.
     first
-        (n, 3) m, positions at the moment that the view opens with.
+        (n, 3) m, positions at the first moment shown.
     corners
         (k, 3) m, points that should be inside the view, such as the corners of walls.
     to_eye
-        (3,) unit vector towards the eye; by default it follows from the principal axes of the motion.
+        (3,) unit vector towards the eye; by default it is determined by the principal axes of the motion.
     up
         (3,) unit vector against gravity.
     motion
-        How the camera moves; None: it follows bodies that move away together, unless they are few and all of their
+        How the camera moves. None: it follows bodies that move away together, unless they are few and all of their
         motion fits into the picture.
     """
 
@@ -164,9 +164,9 @@ class CameraFit:
         first: FloatArray,
         motion: CameraMotion | None = None,
     ) -> CameraFit:
-        """Begin with the first positions (n, 3) of a run, in m from the recording's origin.
+        """Start with the first positions (n, 3) of a run, in m from the recording's origin.
 
-        Unless told otherwise, the camera stands still where a plane, a wall, a periodic box or a field is.
+        By default, the camera does not move if there is a plane, a wall, a periodic box or a field.
         """
         grounded = header.planes is not None or header.walls is not None or header.box is not None
         if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
@@ -175,18 +175,18 @@ class CameraFit:
 
     @property
     def is_few(self) -> bool:
-        """Whether there are so few bodies that each frame should be taken into account."""
+        """Whether the bodies are so few that each frame should be measured."""
         return self._count <= FEW
 
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
-        """Take the frames of a batch into account; of many bodies, only the last."""
+        """Measure the frames of a batch; of many bodies, only the last."""
         chosen = batch if self.is_few else batch[-1:]
         self.look(np.array([frame.position for frame in chosen]) - origin)
 
     def look(self, position: FloatArray, *, inside: bool = True) -> None:
-        """Take positions (n, 3) of one moment or (k, n, 3) of several into account.
+        """Measure positions (n, 3) of one moment or (k, n, 3) of several.
 
-        If they need not be inside the view, they only have a part in its direction.
+        Positions that need not be inside the view only affect its direction.
         """
         self._take(position.reshape(-1, *position.shape[-2:])[:, self._shown], inside=inside)
 
@@ -214,11 +214,11 @@ class CameraFit:
         return np.asarray(_middle(moment[None], _near(moment)[None], self._radius)[0] - self._centre)
 
     def show_all(self) -> None:
-        """Keep all motion inside the view, even if the bodies of the first moment are small in it."""
+        """Keep all motion inside the view, even if the bodies of the first moment become small."""
         self._loose = _LOOSE_PATHS
 
     def view(self, aspect: float = ASPECT, room: float = 0.0, *, narrow: bool = False, trails: bool = True) -> View:
-        """Return a view of the first moment and, unless bodies would look too small, of all others.
+        """Return a view of the first moment and, unless bodies would be too small, of all others.
 
         Parameters
         ----------
@@ -227,7 +227,7 @@ class CameraFit:
         room
             m, margin around the bodies for arrows; smaller if bodies would look too small.
         narrow
-            Whether the eye has a narrow field of view and is far away, so that equal spheres look equal.
+            Whether the eye has a narrow field of view and is far away, so that equal spheres have equal sizes.
         trails
             Whether the view may show the paths of few bodies, which should all be inside.
         """
@@ -257,7 +257,7 @@ class CameraFit:
         slopes = _FILLED * slope * np.array([aspect, 1.0])
 
         def borders(position: FloatArray, radius: FloatArray, *, all_inside: bool = True) -> FloatArray:
-            """Return the numbers that the right and left, upper and lower borders require, (2, 2) m."""
+            """Return the values that the right and left, upper and lower borders require, (2, 2) m."""
             right, up, depth = axes @ (position - self._centre).T
             found = np.empty((2, 2))
             for k, along in enumerate((right, up)):
@@ -283,7 +283,7 @@ class CameraFit:
             allowed = max(allowed, _SMALL * float(np.median(self._radius)) / (2.0 * slope))
         whole = _distance(later, slopes)
         distance = min(whole, allowed)
-        # the target may be anywhere between the two at which the bodies of the first moment touch a border
+        # the target may be anywhere between the two points at which the bodies of the first moment touch a border
         low, high = now[:, 0] - slopes * distance, slopes * distance - now[:, 1]
         across, up = np.clip((later[:, 0] - later[:, 1]) / 2, np.minimum(low, high), np.maximum(low, high))
         target = self._centre + across * axes[0] + up * axes[1]
@@ -382,7 +382,7 @@ def _distance(borders: FloatArray, slopes: FloatArray) -> float:
 
 
 def _weights(radius: FloatArray) -> FloatArray:
-    """Return the weights of bodies, by number and by area, so that a planet among 1000 moons counts; 1 for points."""
+    """Return the weights of bodies, by number and by area, so that a planet counts among 1000 moons; 1 for points."""
     area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
     return np.asarray(0.5 / len(radius) + 0.5 * area / area.sum() if area.sum() > 0.0 else np.ones(len(radius)))
 

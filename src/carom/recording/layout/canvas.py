@@ -1,4 +1,4 @@
-"""Common parts of the views of a layout: screen sizes, additions, magnified spaces, and the frame of 3D views."""
+"""Common parts of a layout's views: screen sizes, additions, magnified spaces, and the frame of 3D views."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Canvas:
 
     width: int = 1600
     height: int = 1000
-    framed: bool = True  # with the viewer's panels and the titles of views
+    framed: bool = True  # whether nobody can rotate the view, so that it may have a narrow lens
     rendered: bool = False  # without a person who may turn the view, so that it can have a narrow lens
     theme: str = "dark"
 
@@ -67,29 +67,28 @@ class Canvas:
 
 @dataclass(frozen=True, slots=True)
 class Additions:
-    """Parts of a layout that are not in the file but in a `Supplement` for the viewer. By default none."""
+    """Parts of a layout that are not in the file, but in a `Supplement` for the viewer. By default there are none."""
 
     close: CloseUp | None = None
     trails: bool = False
     recoloured: bool = False
     plots: BodyPlots | None = None  # of single bodies
     legend: Legend | None = None
-    named: bool = False  # whether the names of the bodies stand beside them
+    named: bool = False  # whether names are shown beside the bodies
     field: bool = False  # whether an arrow and axes show a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
-    span: IntArray | None = None  # (2,) ns, the first and the last time of plots that nobody will zoom
+    span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 
 NONE = Additions()
 
 
 # Magnified spaces, in which views show small scenes. Rerun's camera draws nothing nearer than 0.01 units (Rerun 0.41),
-# and this cannot be changed: millimetre grains would be invisible in metres. The origin of such a view is therefore an
-# entity whose transform shrinks by a power of ten, so that everything else appears larger. The numbers in the file stay
-# as they are.
+# a fixed limit: millimetre grains would be invisible in metres. The origin of such a view is therefore an entity whose
+# transform shrinks by a power of ten, so that everything else appears larger. The numbers in the file do not change.
 
-NEAREST = 0.5  # units, least distance of the camera from its target: bodies and arrows before them are drawn
+NEAREST = 0.5  # units, smallest distance of the camera from its target: bodies and arrows in front of it are drawn
 EVERYTHING = "/"
 _LENS = "lens"
 _UNSEEN = 1e-3  # units; Rerun draws nothing nearer than 0.01
@@ -127,8 +126,8 @@ def views_of(part: rrb.Container | rrb.View) -> list[rrb.View]:
 
 
 # Rerun's eye has a field of view of 55° (Rerun 0.43). Only an eye that tracks a pinhole camera has the field of view of
-# that camera. It gives it up when somebody turns the view, and then stands at a far point with 55°, and turns about a
-# point at one unit before it. Pictures and movies therefore have a narrow lens, and the viewer's windows do not.
+# that camera. It loses it when somebody rotates the view; the eye is then at a far point with 55°, and rotates about a
+# point one unit before it. Only pictures and movies therefore have a narrow lens, not the viewer's windows.
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,12 +148,12 @@ class Lens:
         )
 
     def pose(self) -> rr.Transform3D:
-        """Return where the camera is, and where it looks."""
+        """Return the position of the camera, and its target."""
         axes = screen(self.view.to_eye, self.view.up)
         return rr.Transform3D(translation=self.larger * self.view.eye, mat3x3=axes.T)
 
     def poses(self, views: Sequence[View]) -> rr.ComponentColumnList:
-        """Return the same of a camera that moves, a row for each view."""
+        """Return the same for a moving camera, with a row for each view."""
         axes = [screen(view.to_eye, view.up).T for view in views]
         eyes = self.larger * np.array([view.eye for view in views])
         return rr.Transform3D.columns(translation=eyes, mat3x3=axes)
@@ -174,7 +173,7 @@ def spatial_view(
     follows: str | None = None,
     theme: str = "dark",
 ) -> rrb.Spatial3DView:
-    """Lay out a 3D view of some entities; its space is magnified if the eye is very near.
+    """Lay out a 3D view of some entities, in a magnified space if the eye is very near.
 
     The eye follows an entity if one is given, or all bodies if ``view`` does.
     """
@@ -212,7 +211,7 @@ def surroundings(header: Header) -> list[str]:
 
 
 def taken_from(sources: Mapping[str, str]) -> list[VisualizerComponentMapping]:
-    """Map each component of a visualizer to the component of the entity that it is taken from."""
+    """Map each component of a visualizer to the component of the entity that supplies it."""
     return [
         VisualizerComponentMapping(target, ComponentSourceKind.SourceComponent, source_component=source)
         for target, source in sources.items()

@@ -1,7 +1,7 @@
 """How bodies, lines, arrows and impulses are drawn, for scenes of any size.
 
-**Arrows** stand for vectors whose SI magnitudes are arbitrary and span decades. An arrow starts at its body's
-centre and sticks out of the sphere by
+**Arrows** stand for vectors whose SI magnitudes are arbitrary and span decades. An arrow starts at its body's centre
+and extends beyond the sphere by
 
     L(m) = L_max · s / (1 + s),   s = (m / m_ref)^(1/3)
 
@@ -17,9 +17,9 @@ accelerations long and thin.
 length of an arrow, and the eight levels of u have equal widths. They save 6 of 8 bytes per contact in the file, because
 neighbours often have the same level.
 
-**Lines**: Rerun 0.41 draws lines with radii in half precision: those above 65 504 units are not drawn at all, and those
-below 10⁻⁶ are rounded by more than 3 %. In such scenes lines get radii in points of the screen, which Rerun takes from
-negative numbers.
+**Lines**: Rerun 0.41 stores the radii of lines in half precision: lines with radii above 65 504 units are not drawn,
+and radii below 10⁻⁶ are rounded by more than 3 %. In such scenes, lines get radii in points of the screen, which Rerun
+expresses as negative numbers.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from carom.arrays import FloatArray, IntArray, SingleArray
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import ANGULAR_ACCELERATION, FORCE_FRICTION, FORCE_NORMAL, TORQUE
 
-MOST_ELLIPSOIDS = 2000  # above, wireframes cost the viewer 16 to 25 times as much as points
+MOST_ELLIPSOIDS = 2000  # above this, wireframes cost the viewer 16 to 25 times as much as points
 
 
 def shape(header: Header) -> str:
@@ -70,7 +70,7 @@ def line_radii(share: ArrayLike, body: float) -> SingleArray:
     return (radii if drawn else -_POINTS * shares).astype(np.float32)
 
 
-_ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and set no scale
+_ROUND_OFF = 1e-6  # of the natural unit: smaller vectors are rounding noise and define no scale
 
 
 def part_of_longest(magnitude: Any, unit: Any) -> Any:
@@ -103,8 +103,8 @@ class References(dict[str, float]):
 
     Attributes
     ----------
-    chosen
-        The choices of the frames, even where a magnitude was given.
+    The first frame with arrows determines the magnitudes that are not given.
+        The values chosen by the frames, also where a magnitude was given.
     """
 
     def __init__(self, given: Mapping[str, float]) -> None:
@@ -131,7 +131,7 @@ def arrow_length(header: Header, path: str) -> float:
 
 
 def magnitude_at(radii: float, reach: float, reference: float) -> float:
-    """Return the magnitude whose arrow sticks out by some median radii, where L_max is ``reach`` of them."""
+    """Return the magnitude whose arrow extends by some median radii, where L_max is ``reach`` of them."""
     share = radii / reach
     return reference * (share / (1.0 - share)) ** 3
 

@@ -1,6 +1,6 @@
 """The plots of the recorded series: outlines of the curves, legends that cover no curve, and the views.
 
-Series that stay at 0 or constant are left out.
+Series that stay at 0 or constant are omitted.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class CurveOutline:
         self._low = np.zeros(0)  # (k,)
         self._high = np.zeros(0)  # (k,)
         self._between = (np.inf, -np.inf)  # extremes of all values but the first and the last
-        self._last = np.zeros(0)  # the last value; empty up to the first value, which is left out
+        self._last = np.zeros(0)  # the last value; empty before the first value, which is omitted
         self._begun = False
 
     @classmethod
@@ -90,7 +90,7 @@ class CurveOutline:
 
     def range(self, start: float = -np.inf, end: float = np.inf) -> tuple[float, float]:
         """Return the lowest and highest value between two times (s); (∞, -∞) if there is none."""
-        # a span that begins before the interval may reach into it
+        # a span that starts before the interval may extend into it
         first = max(0, int(np.searchsorted(self._time, start, side="right")) - 1)
         last = int(np.searchsorted(self._time, end, side="right"))
         return (
@@ -107,13 +107,17 @@ class CurveOutline:
 
 
 def curve_style(legend: str, colour: int, width: float = THIN) -> rr.SeriesLines:
-    """Style a curve. A pixel with many frames shows their lowest and highest value, so that no peak is lost."""
+    """Style a curve.
+
+    A pixel that represents many frames shows their lowest and highest value, so that no peak is lost.
+    """
     return rr.SeriesLines(names=legend, colors=colour, widths=width, aggregation_policy=AggregationPolicy.MinMax)
 
 
 # Placement of a plot's legend, so that it covers no curve. Rerun draws the legend into a corner of the plot, over the
-# curves. The size of the legend follows from its texts, the size of the plot from the layout and its window. If a curve
-# passes behind the legend, the vertical axis is extended on that side. The chosen corner needs the shortest axis.
+# curves. The size of the legend is computed from its texts, the size of the plot from the layout and its window. If a
+# curve passes behind the legend, the vertical axis is extended on that side. The corner that needs the shortest axis is
+# chosen.
 
 _ROW, _FRAME = 23.0, 14.0  # px, height of a line, and of the frame with its distance from the border; measured
 _LETTER, _DOT = 7.0, 44.0  # px, width of a wide letter, and of the dot with the frame; measured
@@ -221,8 +225,8 @@ def plot_views(
     header
         Of the recording; it determines the series.
     curves
-        The outlines of the recorded series, None during the run. Plots whose curves all stay at 0, or at energies,
-        errors or overlaps that are rounding, are left out.
+        The outlines of the recorded series, None during the run. Plots are omitted if all their curves stay at 0, or
+        are energies, errors or overlaps due to rounding.
     row
         The area of all columns together.
     added
@@ -232,7 +236,7 @@ def plot_views(
     for column in all_plots(recorded(header)):
         shown = [plot for plot in column if shown_series(header, plot, curves)]
         if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
-            # impacts where impacts are, else contacts, which last; as long as nothing is known, contacts
+            # impacts if there are impacts, otherwise contacts, which last; contacts as long as nothing is known
             shown.insert(0 if curves is not None else 1, IMPULSES)
         if shown:
             columns.append(shown)
@@ -247,15 +251,15 @@ def _largest(curves: Curves, path: str) -> float:
     return curves[path].largest if path in curves else 0.0
 
 
-# Rerun 0.41 has no logarithmic axis. After an explosion an axis of energies would show one step, and all before it as
-# zero: then the logarithms are plotted instead.
+# Rerun 0.41 has no logarithmic axis. After an explosion, an axis of energies would show a single step, and everything
+# before it as zero, so the logarithms are plotted instead.
 
 _DECADES = 1e3  # growth of the energies above which they are plotted as logarithms
 DECADES = "decades"
 
 
 def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
-    """Return whether the largest of some energies is a thousand times that of the first moment or of most moments."""
+    """Return whether the largest of some energies is a thousand times that of the first or of most moments."""
     outlines = list(curves)
     largest = max((curve.largest for curve in outlines), default=0.0)
     usual = max((curve.usual for curve in outlines), default=0.0)
@@ -273,7 +277,7 @@ def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) 
 
 
 def energy_view(header: Header, curves: Curves | None, area: Area, span: IntArray | None = None) -> rrb.View:
-    """Lay out the plot of the energies alone in an area of this size, without a title; the legend has the unit."""
+    """Lay out the plot of the energies alone in an area of this size, without a title; the legend states the unit."""
     plot = PLOTS[0][0]
     unit = header.units.recorded_unit(plot.unit)
     legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
@@ -373,8 +377,8 @@ def time_series_view(
 def time_axis(area: Area, span: IntArray | None) -> rrb.TimeAxis:
     """Return an axis of the whole time.
 
-    With a ``span`` (2,) ns, there is space for the number at its end. Its ends are numbers of one timeline, so that it
-    suits pictures, where nobody takes another.
+    With a ``span`` (2,) ns, there is space for the number at its end. Its ends are on one timeline, which suits
+    pictures, where nobody selects another.
     """
     if span is None:
         return whole_time()

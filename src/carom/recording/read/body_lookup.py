@@ -26,7 +26,7 @@ def body_number(recording: Recording, body: int | str) -> int:
     recording
         Whose bodies they are.
     body
-        Its number, its name, or its number as text, such as "3"; "#3" if another body has the name "3".
+        The number, the name, or the number as text, such as "3"; "#3" if another body has the name "3".
 
     Raises
     ------
@@ -50,7 +50,7 @@ def body_number(recording: Recording, body: int | str) -> int:
 
 
 def _asked_for(number: int, names: Sequence[str]) -> str:
-    """Return the text that selects a body by its number; quoted, since # begins a comment in a shell."""
+    """Return the number of a body that the recording shows; see `body_number`."""
     return f'"#{number}"' if str(number) in names else str(number)
 
 
@@ -72,7 +72,7 @@ def shown_body(recording: Recording, body: int | str) -> int:
 
 
 def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
-    """Split a text at its commas, but not within one of the names."""
+    """Split a text at its commas, except within a name."""
     whole = {name for name in names if "," in name}
     most = max((name.count(",") + 1 for name in whole), default=1)
     pieces, parts = text.split(","), []
@@ -84,7 +84,7 @@ def split_at_commas(text: str, names: Iterable[str]) -> list[str]:
 
 
 def _begun(text: str, names: Iterable[str]) -> list[str]:
-    """Return the names that begin with a text; none if the text is a number, which selects a body."""
+    """Return the names that start with a text; none if the text is a number, which selects a body."""
     if not text or text.isdigit():
         return []
     return [name for name in names if name.casefold().startswith(text.casefold())]

@@ -1,4 +1,4 @@
-"""The frames that a resumed run copies from its recording, up to the checkpoint at which it starts."""
+"""The frames that a resumed run copies from its recording, up to its starting checkpoint."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 class Continuation:
-    """The frames of a recording up to a checkpoint; a resumed run writes them before its own frames.
+    """The frames of a recording up to a checkpoint, which a resumed run writes before its own frames.
 
     Parameters
     ----------
     recording
-        The interrupted run; frames after the checkpoint are left out.
+        The interrupted run; frames after the checkpoint are ignored.
     step
         Step of the checkpoint.
     """
@@ -51,7 +51,7 @@ class Continuation:
         return impacts_until(self.recording, self.step)
 
     def last(self) -> Checkpoint:
-        """Read what the rows of the next frame depend on; what they do not is left out."""
+        """Read the values on which the rows of the next frame depend."""
         found = self.recording.checkpoint(self.step)
         return replace(found, acceleration=found.acceleration[:0].copy(), contacts=None, integrator=None)
 

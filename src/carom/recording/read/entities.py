@@ -1,7 +1,7 @@
 """The entities of a recording, read chunk by chunk from its file.
 
-`reading` replaces every error by one sentence with the file and the remedy. `join_rows` makes tables and checks their
-types and order; only the requested columns are copied out of a chunk, so a table takes no more memory than its rows.
+`reading` replaces every error by one sentence with the file and the remedy. `join_rows` makes tables and checks types
+and order. Only the requested columns are copied from a chunk, so a table needs no more memory than its rows.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ _SURPRISES = (
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Replace exceptions by a RecordingError with the name of the file and the remedy.
+    """Replace exceptions by a RecordingError that names the file and the remedy.
 
     Raises
     ------
     RecordingError
-        In place of an exception raised inside.
+        Raised instead of an exception from inside.
     """
     try:
         yield
@@ -87,18 +87,18 @@ MOMENTA = {
     "angular_momentum_error": Column(pa.float64()),
 }
 
-_UNORDERED = (paths.EVENTS,)  # events logged at the end of a run are about earlier steps
+_UNORDERED = (paths.EVENTS,)  # events logged at the end of a run belong to earlier steps
 
 
 def join_rows(
     path: str, chunks: Iterable[Chunk], columns: Mapping[str, Column], optional: Sequence[str] = ()
 ) -> pa.Table:
-    """Join the rows of an entity. Components with one value in each row become plain columns.
+    """Join the rows of an entity. Components with one value per row become plain columns.
 
     Parameters
     ----------
     path
-        The entity, whose chunks come in the order of their first steps.
+        The entity; its chunks are in the order of their first steps.
     optional
         Columns that older recordings lack; they become empty texts.
 
@@ -204,7 +204,7 @@ class Entities:
     def chunks(self, path: str, component: str | None = None) -> Iterator[Chunk]:
         """Read an entity's chunks of steps in order; given a component, only chunks that have it.
 
-        Chunks of rows without steps, which belong to impacts, are left out.
+        Chunks of rows without steps, which belong to impacts, are skipped.
         """
         found = [e for e in self._store.entries if e.entity_path == path and not (e.is_static or e.is_within_steps)]
         for chunk in self.read(sorted(found, key=lambda entry: entry.first_step or 0)):

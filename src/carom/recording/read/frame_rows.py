@@ -86,7 +86,7 @@ class DrawnPaths(NamedTuple):
 
 
 def drawn_paths(recording: Recording, places: Sequence[int]) -> DrawnPaths:
-    """Read the paths of some bodies, given by their indices among the bodies that the recording shows."""
+    """Read the paths of selected bodies, given by their indices among the bodies that the recording shows."""
     steps, positions, turns = [], [], []
     n, chosen = len(recording.shown), list(places)
     entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
@@ -138,7 +138,7 @@ class RecordedRows:
         return sorted(set(self._entries) - set(BY_EVENT))
 
     def at(self, path: str, step: int) -> list[Chunk]:
-        """Return an entity's rows of a step, each as a chunk of its own; an intact recording has one."""
+        """Return an entity's rows of a step, each as a separate chunk; an intact recording has one."""
         found = []
         with reading(self._recording.path):
             for number, entry in enumerate(self._entries.get(path, ())):
@@ -148,7 +148,7 @@ class RecordedRows:
         return found
 
     def block(self, path: str, wanted: IntArray) -> Chunk | None:
-        """Return an entity's rows of some rising steps if they are consecutive in a single chunk."""
+        """Return an entity's rows of some ascending steps if they are consecutive in a single chunk."""
         first, last = int(wanted[0]), int(wanted[-1])
         entries = enumerate(self._entries.get(path, ()))
         there = [number for number, e in entries if (e.first_step or 0) <= last and (e.last_step or 0) >= first]

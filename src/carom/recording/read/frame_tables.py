@@ -1,4 +1,4 @@
-"""Tables with a row for each frame of a recording, and the drawn bodies, boxes and planes."""
+"""Tables with one row per frame of a recording, and the drawn bodies, boxes and planes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from carom.scene.start import HalfSpaces
 
 
 class FrameTables(Statics):
-    """Tables of a recording with a row for each frame or change."""
+    """Tables of a recording with one row per frame or change."""
 
     @property
     @named
@@ -41,7 +41,7 @@ class FrameTables(Statics):
     def energy(self, *names: str) -> pa.Table:
         """Energies (J) of every frame: the terms of the scene, their total, the ledger and the integration error.
 
-        With names, only these columns are read. Raises RecordingError if a column of the scene is lost.
+        Given names, only these columns are read. Raises RecordingError if a column of the scene is lost.
         """
         return self._series(paths.ENERGY, names)
 
@@ -49,7 +49,7 @@ class FrameTables(Statics):
     def steps(self, *names: str) -> pa.Table:
         """Return dt (s), contacts, impact rate, colours, sweeps and overlaps of every frame.
 
-        With names, only these columns are read. Raises RecordingError if a column of the scene is lost.
+        Given names, only these columns are read. Raises RecordingError if a column of the scene is lost.
         """
         return self._series(paths.STEPS, names)
 
@@ -86,12 +86,12 @@ class FrameTables(Statics):
 
     @named
     def phases(self) -> pa.Table:
-        """Columns step, sim_time, state: a row where the phase changes."""
+        """Columns step, sim_time, state: a row at each change of the phase."""
         return self._states(paths.PHASE)
 
     @named
     def dt_limits(self) -> pa.Table:
-        """Columns step, sim_time, state: a row where the limit of dt changes."""
+        """Columns step, sim_time, state: a row at each change of the limit of dt."""
         return self._states(paths.DT_LIMIT)
 
     def states_at(self, step: int) -> dict[str, str]:
@@ -147,8 +147,8 @@ class FrameTables(Statics):
     def _series(self, root: str, names: tuple[str, ...]) -> pa.Table:
         """Return some or all scalars below an entity, for the frames that have all of them.
 
-        A scalar without rows is left out: a killed run may have sent half a batch, and a repaired file may lack any
-        piece.
+        A scalar without rows is omitted: a killed run may have sent half a batch, and a repaired file may lack any
+        part.
         """
         entities, frames = self._entities.below(root), self._fingerprints
         scalars: dict[str, pa.Table] = {}

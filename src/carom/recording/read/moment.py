@@ -76,7 +76,7 @@ def interval(recording: Recording, start: float | None, end: float | None) -> tu
 
 
 def _refuse_outside(recording: Recording, times: FloatArray, first: float, last: float, asked: str) -> None:
-    """Refuse an interval (s) outside of the frames and the step before the first one."""
+    """Refuse an interval (s) outside the frames and the step before the first one."""
     begins, ends = float(times[0]), float(times[-1])
     if last < begins and not recording.is_overlay:
         dt = _column(recording.steps("dt"), "dt")
@@ -100,7 +100,7 @@ def tolerance(time: float) -> float:
 
 
 def goal_of(recording: Recording, at: float) -> float:
-    """Return the time (s) that a step must reach to contain a time; the last recorded step contains all later times."""
+    """Return the time (s) that a step must reach to contain a time; later times belong to the last recorded step."""
     return min(at - tolerance(at), float(recording.fingerprints()["time"][-1].as_py()))
 
 
@@ -112,7 +112,7 @@ def frame_of(recording: Recording, at: float) -> int | None:
     steps = recording.steps("dt")
     times, goal = _column(steps, "time"), at - tolerance(at)
     exact = int(np.searchsorted(times, at))
-    if exact < len(times) and times[exact] == at:  # after 10⁸ steps the tolerance is longer than one
+    if exact < len(times) and times[exact] == at:  # after 10⁸ steps, the tolerance is longer than a step
         return exact
     row = min(int(np.searchsorted(times, goal)), len(times) - 1)
     began = times[row] - _column(steps, "dt")[row]

@@ -30,7 +30,7 @@ SCHEMA = pa.schema(
         ("step", pa.int64()),
         ("time", pa.float64()),  # s, of the impact, or the end of the step
         ("i", pa.int64()),  # i < j
-        ("j", pa.int64()),  # from n on: planes and walls
+        ("j", pa.int64()),  # n and above: planes and walls
         *((name, pa.float64()) for name in ("x", "y", "z")),  # m, the contact point
         *((name, pa.float64()) for name in ("nx", "ny", "nz")),  # the normal, from i to j
         ("approach_speed", pa.float64()),  # m/s
@@ -39,7 +39,7 @@ SCHEMA = pa.schema(
         ("mode", pa.string()),
         ("energy_lost", pa.float64()),  # J
         ("normal_force", pa.float64()),  # N, the impulse over the step; null for impacts
-        ("tangential_force", pa.float64()),  # N, likewise
+        ("tangential_force", pa.float64()),  # N, null for impacts
     ]
 )
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
@@ -111,7 +111,7 @@ def of_body(table: pa.Table, body: int | None) -> pa.Table:
 
 
 def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
-    """Keep the rows of bodies that a recording shows, among each other or with planes."""
+    """Keep the rows of bodies that a recording shows, in contact with each other or with planes."""
     if recording.shows_all:
         return table
     pairs = np.stack([table["i"].to_numpy(), table["j"].to_numpy()], axis=1)
@@ -119,7 +119,7 @@ def of_shown(table: pa.Table, recording: Recording) -> pa.Table:
 
 
 def join_some(pairs: IntArray, chosen: Sequence[int] | IntArray, bodies: int) -> BoolArray:
-    """Return a mask of the pairs (k, 2) of two chosen bodies, or of a chosen body and a plane."""
+    """Return a mask of the pairs (k, 2) of two selected bodies, or of a selected body and a plane."""
     among = np.isin(pairs, chosen)
     return np.asarray(among[:, 0] & (among[:, 1] | (pairs[:, 1] >= bodies)))
 
@@ -246,7 +246,7 @@ def _rows_of_engine(recording: Recording, chunk: Chunk, row: int, step: int, tim
 
 
 def _of_impacts(recording: Recording, columns: dict[str, Any], struck: BoolArray, apart: BoolArray) -> dict[str, Any]:
-    """Add approach speeds and energies of the step's impacts to contacts that did nothing else.
+    """Add approach speeds and energies of the step's impacts to contacts that had no other impulse.
 
     If the bodies have separated by the end of the step, time, point and normal are those of the hardest impact.
     """

@@ -82,7 +82,7 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
     Raises
     ------
     RecordingError
-        If the impact is not recorded; the message gives the recorded numbers.
+        If the impact is not recorded; the message names the recorded numbers.
     """
     numbers, rows = impacts_by_number(recording)
     found = np.flatnonzero(numbers == number)
@@ -97,7 +97,7 @@ def numbered_impact(recording: Recording, number: int) -> tuple[float, int, int,
 
 
 def numbered_impacts(recording: Recording) -> tuple[IntArray, pa.Table]:
-    """Return the numbers (k,) of all recorded impacts, from 1 and rising, and their table; see `Recording.impacts`."""
+    """Return the numbers (k,) of all recorded impacts, ascending from 1, and their table; see `Recording.impacts`."""
     numbers, rows = impacts_by_number(recording)
     return numbers, _measured(recording, rows) if len(numbers) else table_of({STEP: numbers}, "")
 
@@ -110,9 +110,9 @@ def _measured(recording: Recording, rows: pa.Table) -> pa.Table:
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
-    """Count the impacts up to a step with a frame; in a clip, those since its first frame.
+    """Count the impacts up to a step that has a frame; in a clip, those since its first frame.
 
-    In a clip of some bodies only the recorded impacts count: the others may belong to bodies outside of the clip.
+    In a clip of some bodies, only recorded impacts count, since the others may belong to bodies outside the clip.
     """
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()
@@ -129,13 +129,13 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
 
 
 def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
-    """Read the numbers of all recorded impacts, (k,) rising, and their recorded rows."""
+    """Read the numbers of all recorded impacts, (k,) ascending, and their rows."""
     entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
     return _rows_by_number(recording, entries)
 
 
 def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table]]:
-    """Read the states at impacts: of each entity the numbers of its rows, (k,), and the rows; series have two each."""
+    """Read the states at impacts: the numbers of each entity's rows, (k,), and the rows; series have two each."""
     entries = [entry for entry in recording.store.entries if entry.is_within_steps]
     return {
         path: _rows_by_number(recording, [entry for entry in entries if entry.entity_path == path], least=0)
@@ -144,9 +144,9 @@ def states_by_number(recording: Recording) -> dict[str, tuple[IntArray, pa.Table
 
 
 def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) -> tuple[IntArray, pa.Table]:
-    """Read some chunks of one entity on the timeline of impacts. RecordingError if one is not in their order.
+    """Read some chunks of one entity on the timeline of impacts. RecordingError if a chunk is out of order.
 
-    ``least`` is the least difference between the numbers of two rows.
+    ``least`` is the smallest difference between the numbers of two rows.
     """
     with reading(recording.path):
         batches = [chunk.batch for chunk in recording.chunks(entries) if chunk.batch.num_rows]
@@ -155,7 +155,7 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
         if any(IMPACT not in batch.schema.names for batch in batches):
             raise DamageError(f"rows of /{entries[0].entity_path} without the numbers of their impacts")
         ordered = sorted(batches, key=lambda batch: batch[IMPACT][0].as_py())
-        # a resumed recording of an older version begins with rows without times
+        # a recording resumed by an older version begins with rows without times
         table = pa.concat_tables([pa.Table.from_batches([batch]) for batch in ordered], promote_options="default")
         table = table.combine_chunks()
         numbers = np.array(table[IMPACT].to_numpy())
@@ -186,7 +186,7 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
-        if not chunk.batch.num_rows:  # of a clip by a version before 25 November 2026
+        if not chunk.batch.num_rows:  # a clip by a version before 25 November 2026
             continue
         numbers = chunk.batch[IMPACT].to_numpy() if IMPACT in chunk.batch.schema.names else np.empty(0)
         if len(numbers) != chunk.batch.num_rows or np.any(np.diff(numbers, prepend=before) <= 0):

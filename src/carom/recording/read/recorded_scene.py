@@ -1,6 +1,6 @@
-"""The scene of a recording, and the header and outlines of plots for a new layout.
+"""The scene of a recording, and the header and the outlines of plots for a new layout.
 
-A recording may come from a stranger, so everything is checked before it is used.
+A recording may come from a stranger, so everything is checked before use.
 """
 
 from __future__ import annotations
@@ -89,13 +89,13 @@ def refuse_missing_extensions(recording: Recording) -> None:
 
 
 class RecordedBodies:
-    """Finds the bodies of [[bodies]] in a recording."""
+    """Finds the bodies of [[bodies]] tables in a recording."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
 
     def find(self, wanted: Wanted) -> SourcedBodies:
-        """Return the bodies of a section; see `BodySource`."""
+        """Return the bodies of a table; see `BodySource`."""
         section = wanted.section
         if self._recording.is_partial:
             raise SceneError("its bodies are not in this clip")
@@ -189,7 +189,7 @@ def recorded_curves(recording: Recording, until: int | None = None) -> dict[str,
     end = np.inf if until is None else frames["time"].to_numpy()[frames[STEP].to_numpy() <= until].max()
     scale = 1e-9 * float(recording.info["time_scale"])
     entries = [entry for entry in recording.store.entries if entry.is_within_steps and entry.entity_path in curves]
-    for chunk in recording.chunks(entries):  # before and after impacts
+    for chunk in recording.chunks(entries):  # values before and after impacts
         times = chunk.batch[SIM_TIME].cast(pa.int64()).to_numpy() * scale
         values = flat(chunk, "Scalars:scalars", SCALARS["Scalars:scalars"]).to_numpy()
         curves[chunk.entity_path].insert(times[times < end], values[times < end])

@@ -66,7 +66,7 @@ class Recording(FrameTables):
     def bodies(self) -> BodyTable:
         """Names, groups, masses, radii and moments of inertia; ``bodies(at)`` returns their state at a time.
 
-        In a partial clip the values of bodies outside of it are NaN.
+        In a clip of some bodies, the values of all others are NaN.
         """
         self.refuse_overlay()
         stored, n = self._entities.static(paths.STATIC_STATE), int(self.info["bodies"])
@@ -83,7 +83,7 @@ class Recording(FrameTables):
     def trajectory(
         self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False
     ) -> pa.Table:
-        """Return the path of one body, with a row for each frame.
+        """Return the path of one body, with one row per frame.
 
         Parameters
         ----------
@@ -92,20 +92,20 @@ class Recording(FrameTables):
         start, end
             s, both included.
         replay
-            Whether to run the frames again, for all columns in float64.
+            Whether to recompute the frames, for all columns in float64.
 
         Returns
         -------
         path
-            Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
-            wx, wy, wz (rad/s), and ``exact``: whether the row is in float64. Without a replay, only rows of checkpoints
-            are exact; the others have positions in float32 and nulls elsewhere. The metadata of the schema has the
+            Columns step, time (s), x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy,
+            wz (rad/s), and ``exact``: whether the row is in float64. Without a replay, only rows of checkpoints are
+            exact; the others have float32 positions and nulls elsewhere. The metadata of the schema state the
             ``source``.
 
         Raises
         ------
         RecordingError
-            If there is no such body or no frame in the interval, or it cannot be run again.
+            If there is no such body or no frame in the interval, or the run cannot be repeated.
         """
         check_times(start=start, end=end)
         return trajectory(self, body, start, end, replay=replay)
@@ -121,7 +121,7 @@ class Recording(FrameTables):
     ) -> pa.Table:
         """Return the impacts of an interval in order of time.
 
-        Where they are not recorded, the steps are run again. A clip also holds the impacts of the step before its first
+        If they are not recorded, the steps are recomputed. A clip also holds the impacts of the step before its first
         frame. A clip of selected bodies holds only impacts among them or with planes.
 
         Parameters
@@ -129,23 +129,24 @@ class Recording(FrameTables):
         start, end
             s, both included; by default the whole recording.
         body
-            Number or name of a body, whose impacts are returned; by default all impacts.
+            Number or name of a body whose impacts are returned; by default all impacts.
         replay
-            Whether to run the steps again in any case, for all impacts and all numbers in float64.
+            Whether to recompute the steps in any case, for all impacts and all numbers in float64.
         watch
-            Called now and then during a replay with where it stands.
+            Called now and then during a replay with its progress.
 
         Returns
         -------
         impacts
             Columns step, time (s), i, j (ends; from n on planes and walls), x, y, z (m, the contact point), nx, ny, nz
             (from i to j), approach_speed (m/s), normal_impulse, tangential_impulse (N s), mode, energy_lost (J). The
-            metadata of the schema has the ``source`` and how many impacts were ``left_out`` of the recording.
+            metadata of the schema state the ``source`` and how many impacts were ``left_out`` of the recording.
 
         Raises
         ------
         RecordingError
-            If there is no such body or it is not shown, nothing of the interval is recorded, or it cannot be run again.
+            If there is no such body or it is not shown, no part of the interval is recorded, or the run cannot be
+            repeated.
         """
         check_times(start=start, end=end)
         return impacts(self, start, end, body, replay=replay, watch=watch)
@@ -153,36 +154,36 @@ class Recording(FrameTables):
     def contacts(self, at: float | None = None, *, replay: bool = False, watch: Watcher | None = None) -> pa.Table:
         """Return the contacts of the step that contains a time, by pair.
 
-        A step without a frame or without recorded contacts is run again.
+        A step without a frame or without recorded contacts is recomputed.
 
         Parameters
         ----------
         at
             s, by default the moment of `moment`.
         replay
-            Whether to run the step again in any case, for all columns in float64.
+            Whether to recompute the step in any case, for all columns in float64.
         watch
-            Called now and then during a replay with where it stands.
+            Called now and then during a replay with its progress.
 
         Returns
         -------
         contacts
-            The columns of `impacts`. Point and normal are taken at the end of the step, or at the hardest impact of a
-            pair that is apart again by then. Recorded contacts have approach_speed and energy_lost only for impacts
-            (null otherwise), and lack contacts that held after the first kick but opened within the step. The metadata
-            of the schema has the ``source``.
+            The columns of `impacts`. Point and normal are those at the end of the step or, for a pair that has
+            separated by then, at its hardest impact. Recorded contacts have approach_speed and energy_lost only for
+            impacts (null otherwise), and lack contacts that held after the first kick but opened within the step. The
+            metadata of the schema state the ``source``.
 
         Raises
         ------
         RecordingError
-            If the time is not in the recording, or it cannot be run again.
+            If the time is not in the recording, or the run cannot be repeated.
         """
         check_times(at=at)
         return contacts(self, at, replay=replay, watch=watch)
 
     @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:
-        """Return the bodies of one [[bodies]] of the scene at time 0; see `carom.recording.schema.stored_bodies`."""
+        """Return the initial bodies of one [[bodies]] table; see `carom.recording.schema.stored_bodies`."""
         return decode_bodies(self._given, index, row, place, self.bodies)
 
     def _sizes(self, values: NDArray[Any] | list[str], name: str, n: int) -> FloatArray:
@@ -194,7 +195,7 @@ class Recording(FrameTables):
     @cached_property
     @named
     def checkpoint_times(self) -> dict[int, float]:
-        """Simulated times (s) of the checkpoints by step, rising; a clip's first may precede its frames."""
+        """Simulated times (s) of the checkpoints by step, ascending; the first one of a clip may precede its frames."""
         table = self._entities.table(paths.CHECKPOINT, CHECKPOINT_TIMES)
         times = {int(self._start[STEP][0]): float(self._start["time"][0])} if self._start else {}
         rows = zip(table[STEP].to_pylist(), table["time"].to_pylist(), strict=True)
@@ -204,14 +205,14 @@ class Recording(FrameTables):
     def rerun(
         self, before: float, *, contacts: bool = False, threads: int | None = None, watch: Watcher | None = None
     ) -> Window:
-        """Run again from the last checkpoint before a time (s), for unrecorded data; see `carom.runs.window`."""
+        """Rerun from the last checkpoint before a time (s), for unrecorded data; see `carom.runs.window`."""
         from carom.runs.window import Window  # noqa: PLC0415 - loads the physics
 
         return Window(self, before, contacts=contacts, threads=threads, watch=watch)
 
     @property
     def checkpoint_steps(self) -> list[int]:
-        """Steps that carry an exact checkpoint, rising."""
+        """Steps that carry an exact checkpoint, ascending."""
         return list(self.checkpoint_times)
 
     @named
@@ -236,7 +237,7 @@ class Recording(FrameTables):
 
     @named
     def moment(self, at: float | None = None) -> float:
-        """Return the time (s) to show: as given, or else of the hardest impact, the most contacts or the end.
+        """Return the time (s) to show: the given one, or that of the hardest impact, the most contacts, or the end.
 
         A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, it is
         their impact with the largest impulse.
@@ -269,11 +270,11 @@ class Recording(FrameTables):
         Parameters
         ----------
         at
-            s; without it, the event, else the most interesting moment.
+            s; without it, the event or otherwise the most interesting moment.
         event
-            Its name; the close-up view shows its bodies.
+            The name of an event, whose bodies the close-up view shows.
         bodies
-            The bodies of the close-up view, by numbers or names with a comma between them.
+            The bodies of the close-up view, by numbers or names separated by a comma.
 
         Raises
         ------
@@ -293,13 +294,13 @@ class Recording(FrameTables):
         Parameters
         ----------
         at
-            s; without it, the event, else the most interesting moment.
+            s; without it, the event or otherwise the most interesting moment.
         height
             Pixels; the width is that of the cell.
         event
-            Its name; the close-up view shows its bodies.
+            The name of an event, whose bodies the close-up view shows.
         bodies
-            The bodies of the close-up view, by numbers or names with a comma between them.
+            The bodies of the close-up view, by numbers or names separated by a comma.
 
         Raises
         ------

@@ -33,7 +33,7 @@ class BodyTable:
     _states: Callable[[float | None], pa.Table] = field(repr=False, compare=False)
 
     def among(self, shown: Sequence[int], bodies: int) -> Self:
-        """Return a table of more bodies, of which these are ``shown``; the values of the others are unknown."""
+        """Return a table of more bodies, among which these are ``shown``; the values of the others are unknown."""
 
         def spread(values: FloatArray) -> FloatArray:
             found = np.full(bodies, np.nan)
@@ -54,7 +54,7 @@ class BodyTable:
     def __call__(self, at: float | None = None) -> pa.Table:
         """Return the state of all bodies at the end of the step that contains a time, in float64.
 
-        It comes from a checkpoint, or else from a replay from the checkpoint before.
+        It is read from a checkpoint, or recomputed from the previous one.
 
         Parameters
         ----------
@@ -64,13 +64,13 @@ class BodyTable:
         Returns
         -------
         states
-            Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins
-            wx, wy, wz (rad/s). The metadata of its schema has the ``step``, the ``time`` (s) and the ``source``.
+            Columns body, name, x, y, z (m), vx, vy, vz (m/s), with orientations qx, qy, qz, qw, with spins wx, wy, wz
+            (rad/s). The metadata of its schema state the ``step``, the ``time`` (s) and the ``source``.
 
         Raises
         ------
         RecordingError
-            If the time is not in the recording, or it cannot be run again.
+            If the time is not in the recording, or the run cannot be repeated.
         """
         return self._states(at)
 
@@ -100,7 +100,7 @@ class Statics:
 
     def __init__(self, container: Container, store: Store) -> None:
         self.path = container.path
-        self.finished = container.finished  # the file has its footer: the run closed it
+        self.finished = container.finished  # the file has its footer, so the run closed it
         self.store = store
         self._entities = Entities(container, store)
 
@@ -166,7 +166,7 @@ class Statics:
     @property
     @named
     def is_partial(self) -> bool:
-        """Whether it is a clip without exact states, which holds nothing of bodies outside of the clip."""
+        """Whether it is a clip without exact states, which contains nothing about other bodies."""
         return bool(self.clip.get("partial", False))
 
     @property
@@ -218,7 +218,7 @@ class Statics:
 
     @named
     def data_notes(self, index: int) -> list[str]:
-        """Return the notes on the data file of one [[bodies]]: unused columns and other readings."""
+        """Return the notes on the data file of one [[bodies]] table: unused and reinterpreted columns."""
         return str(self.info.get(f"data_notes.{index}", "")).splitlines()
 
     @property

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 
 
 def summary(recording: Recording) -> dict[str, Any]:
-    """Nested numbers; see docs/recording.md for the keys.
+    """Nested numbers; docs/recording.md lists the keys.
 
     The largest errors of all steps are in the property `outcome`, under the same dotted key, such as
-    ``contacts.total``; without it, those of the recorded frames count. The numbers of a clip describe its own frames;
-    its outcome and expectations describe the whole run.
+    ``contacts.total``; without it, those of the recorded frames are used. The numbers of a clip describe its own
+    frames; its outcome and expectations describe the whole run.
     """
     recording.refuse_overlay()
     frames = recording.fingerprints()
@@ -118,8 +118,8 @@ def _energy(energy: pa.Table) -> dict[str, float]:
 def _changes(recording: Recording) -> dict[str, float]:
     """Split the energy change (J) of another engine's run into changes with and without touching bodies.
 
-    While bodies touch, the energy changes by the work of contacts and by errors of the engine; states do not separate
-    the two.
+    While bodies touch, both the work of contacts and errors of the engine change the energy; states do not distinguish
+    them.
     """
     if not recording.engine:
         return {}
@@ -159,7 +159,7 @@ def _moments(recording: Recording) -> dict[str, Any]:
     """Nest the worst moments.
 
     Bodies are written as ``3,17``, since a property cannot hold a list of unknown length. Recordings without `planes`
-    number the planes from n on, after the bodies, and lack their names.
+    number planes from n on, after the bodies, and lack their names.
     """
     moments = _complete(_below(recording.closing, "moments"), ("value", "step", "time"))
     n = int(recording.info["bodies"])

@@ -1,1 +1,4 @@
-"""The .rrd container format: framing, messages, index and salvage. Handles bytes only, independent of carom."""
+"""The .rrd container format: framing, messages, index and salvage.
+
+The package handles bytes only, independent of carom.
+"""

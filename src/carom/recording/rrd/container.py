@@ -27,8 +27,8 @@ from carom.recording.rrd.messages import (
 )
 from carom.recording.schema.paths import STEP
 
-_ZIP = b"PK\x03\x04"  # begins a zip file, such as a bug report's
-_SHORTEST = 100  # bytes of a chunk's message; its schema alone has more
+_ZIP = b"PK\x03\x04"  # start of a zip file, such as a bug report's
+_SHORTEST = 100  # bytes of a chunk's message, whose schema alone is longer
 _MANIFEST = {
     "chunk_entity_path": pa.string(),
     "chunk_is_static": pa.bool_(),
@@ -44,7 +44,7 @@ class Container:
     def __init__(self, path: Path, stores: list[Store], finished: bool) -> None:
         self.path = path
         self.stores = stores
-        self.finished = finished  # it has its footer
+        self.finished = finished  # whether it has its footer
 
     @classmethod
     def open(cls, path: Path) -> Self:
@@ -158,7 +158,7 @@ def _manifest_column(manifest: pa.RecordBatch, name: str, kind: pa.DataType) -> 
 
 
 def _refuse_overlap(entries: list[Entry], size: int) -> None:
-    """Refuse an index in which chunks share bytes: a small file could then claim any number of rows."""
+    """Refuse an index in which chunks share bytes, since a small file could then claim any number of rows."""
     end = framing.STREAM_HEADER
     for entry in sorted(entries, key=lambda entry: entry.offset):
         if entry.length > LARGEST:

@@ -1,8 +1,8 @@
 """The messages of an .rrd file, so that a writer can stop at the end of one.
 
 A stream header of 12 bytes (``RRF2``, version, options) is followed by messages: kind and length as little-endian
-uint64, then so many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
-Every reader refuses a file that ends inside a message; a file that ends between two messages opens.
+uint64, then that many bytes. Message kind 0 ends the stream and holds the footer; 32 bytes of stream footer follow it.
+Every reader refuses a file that ends inside a message, but opens one that ends between two messages.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The messages of an .rrd file: chunks of rows and the stores they belong to, decoded and checked.
 
-Rerun's own reader trusts a file. With one wrong byte it may end the process, or request more memory than there is
-(about one file in sixty with a few bytes changed). Recordings may come from strangers and damaged disks, so carom
+Rerun's own reader trusts a file. With one wrong byte it may abort the process, or request more memory than there is
+(about one file in sixty with a few changed bytes). Recordings may come from strangers and damaged disks, so carom
 decodes them itself and checks everything before use.
 """
 
@@ -20,16 +20,16 @@ from carom.errors import DamageError
 from carom.recording.rrd.framing import Message
 from carom.recording.schema.paths import SIM_TIME, STEP
 
-# Decodes an Arrow IPC stream into a record batch; its claims are checked before memory is allocated. In some Arrow
-# types a hundred bytes can stand for 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries.
-# Buffers can be compressed a second time or shared. carom writes none of these and refuses them.
+# Decodes an Arrow IPC stream into a record batch, whose claims are checked before memory is allocated. In some Arrow
+# types, a hundred bytes can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers
+# can be compressed a second time, or shared. carom writes none of these and refuses them.
 
-LARGEST = 1 << 31  # bytes of a chunk; carom writes some 4 MB, and 1.3 GB for the state of 10⁷ bodies that spin
+LARGEST = 1 << 31  # bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
-_LARGE = 50_000_000  # bytes allocated by Arrow at once, above which memory is released
+_LARGE = 50_000_000  # bytes in one allocation by Arrow, above which memory is released
 
 _NOT_COMPRESSED, _LZ4 = (0, 1), 2
-_LZ4_RATIO, _LZ4_SLACK = 255, 64  # LZ4 cannot compress more
+_LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
 _DEEPEST = 8  # nested types; Rerun's layouts have five levels
 _WIDEST = 16  # values in a list of fixed size: a quaternion has 4, an identifier 16
 _MOST_COLUMNS = 10_000  # of an index: four a component
@@ -47,7 +47,7 @@ def record_batch(payload: memoryview, compression: int, size: int) -> pa.RecordB
     Parameters
     ----------
     compression
-        As Rerun numbers it: LZ4, or none.
+        As numbered by Rerun: LZ4, or none.
     size
         Bytes of the decompressed payload.
 
@@ -90,7 +90,7 @@ def _decoded(stream: pa.Buffer) -> pa.RecordBatch:
         _admit(column)
     message = messages.read_next_message()
     if message.type != "record batch":
-        raise DamageError(f"a chunk with a {message.type} in place of its rows")
+        raise DamageError(f"a chunk with a {message.type} instead of its rows")
     _believe(claims(message.metadata.to_pybytes()), message.body)
     batch = pa.ipc.read_record_batch(message, schema)
     batch.validate(full=True)
@@ -101,7 +101,7 @@ def _believe(claimed: Claims, body: pa.Buffer | None) -> None:
     """Refuse a batch that claims more data than its body has."""
     size = 0 if body is None else body.size
     if claimed.compressed:
-        raise DamageError("a chunk whose buffers are packed a second time")
+        raise DamageError("a chunk whose buffers are compressed a second time")
     if claimed.buffer_bytes > size:
         raise DamageError(f"a chunk that uses {claimed.buffer_bytes} of its {size} bytes")
     if max(claimed.rows, *claimed.lengths.tolist(), 0) > _BITS * size:
@@ -116,7 +116,7 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
     kind = column.type
     if depth > _DEEPEST:
         raise DamageError("a chunk of too deeply nested types")
-    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values with null
+    if kind in _LEAVES or (depth and pa.types.is_null(kind)):  # the unions of a layout mark missing values by null
         return
     fixed = pa.types.is_fixed_size_list(kind) and 1 <= kind.list_size <= _WIDEST
     union = pa.types.is_union(kind) and kind.mode == "dense"
@@ -135,7 +135,7 @@ _MOST_FIELDS = 1000  # fields in a message; those of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:
-    """Decode the fields of a message. A field may occur more than once; nested messages stay bytes.
+    """Decode the fields of a message. A field may occur more than once; nested messages remain bytes.
 
     Raises
     ------
@@ -220,7 +220,7 @@ _KIND = b"rerun:kind"
 class Chunk:
     """Rows of one entity, decoded and checked."""
 
-    entity_path: str  # without the slash in front
+    entity_path: str  # without the leading slash
     batch: pa.RecordBatch  # columns: row ids, timelines and components
 
     @property
@@ -246,7 +246,7 @@ class Entry:
     entity_path: str
     is_static: bool
     rows: int
-    first_step: int | None  # None: static, or not on the timeline of steps
+    first_step: int | None  # None for static chunks, and those not on the timeline of steps
     last_step: int | None
     offset: int
     length: int
@@ -284,7 +284,7 @@ def store_of(body: bytes) -> Store:
 
 
 def activated_by(body: bytes) -> Store:
-    """Decode the message that ends a layout; a layout without it was not sent completely."""
+    """Decode the message that ends a layout; without it, a layout was not sent completely."""
     return store_named(data(fields(memoryview(body)), 1))
 
 

@@ -1,4 +1,4 @@
-"""Finds the messages of a damaged file that can still be read, and the gaps between them."""
+"""Finds the readable messages of a damaged file, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from carom.recording.rrd.framing import END, MESSAGE_HEADER, STREAM_FOOTER, STRE
 from carom.recording.rrd.messages import LARGEST, RECORDING, Entry, Store, read_body
 
 _WINDOW = 1 << 22  # bytes searched at a time
-_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body begins with field 1, bytes
-_PATIENCE = 4  # times the size of the file: the most bytes to read in search of messages
+_MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body starts with field 1, bytes
+_PATIENCE = 4  # largest number of bytes read in search of messages, over the size of the file
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,13 +29,13 @@ class Gap:
 
 @dataclass(slots=True)
 class Salvage:
-    """The result of a pass through a file."""
+    """The result of one pass through a file."""
 
     stores: list[Store] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
-    missing: list[Entry] = field(default_factory=list)  # of the recording: listed in the footer, but unreadable
+    missing: list[Entry] = field(default_factory=list)  # listed in the footer, but unreadable
     layout_lost: bool = False
-    finished: bool = False  # it has a footer that matches its chunks
+    finished: bool = False  # whether it has a footer that matches its chunks
 
 
 def salvage(path: Path) -> Salvage:
@@ -111,7 +111,7 @@ class _Pass:
         self._found.stores = self._index.stores()
 
     def _end(self, at: int) -> None:
-        """Count the bytes after the footer, which begins at an offset, as lost."""
+        """Count the bytes after the footer, which starts at an offset, as lost."""
         more = self._size - (at + STREAM_FOOTER)
         if more > 0:
             self._found.gaps.append(Gap(at + STREAM_FOOTER, more, "bytes after its end"))

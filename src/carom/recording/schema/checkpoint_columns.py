@@ -31,24 +31,24 @@ Column = tuple[Values, list[int]]  # the values of all rows, and their number in
 _ENERGIES = ("translational", "rotational", "gravitational", "field", "integration_error", "scale")
 _LEDGER = ("restitution", "friction", "stabilisation")
 _DIGEST = "digest"
-_NOT_DIGESTED = (_DIGEST, STEP)  # in a clip the step is a component, too
+_NOT_DIGESTED = (_DIGEST, STEP)  # in a clip, the step is a component, too
 _BOOKS = TypeAdapter(Books)
-_BY_NAME = ("forces", "others")  # energies by name, which are objects in JSON
+_BY_NAME = ("forces", "others")  # energies by name, which are JSON objects
 _IF_ASKED = ("contact_audit",)  # extremes that only some runs measure
-_BOOKS_BYTES = 1200  # as JSON
-_CONTACT_BYTES = 56  # two indices, the speed, four components of the impulse
+_BOOKS_BYTES = 1200  # bytes as JSON
+_CONTACT_BYTES = 56  # bytes: two indices, the speed, four components of the impulse
 _INTEGRATOR = "integrator_"
-_INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers of a body
+_INTEGRATOR_ARRAYS = {"position_rest": 3, "velocity_rest": 3, "accepted": 24, "correction": 24}  # numbers per body
 _ORBITS = "orbit_"
-_ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers of a body
+_ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers per body
 _SERIES = len(EqualSteps._fields)
-_FULL = 7  # contacts per body in a dense packing, near ones included
+_FULL = 7  # contacts per body in a dense packing, including near ones
 
 
 def size(frame: Frame) -> int:
     """Return the bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
-    if frame.memory is not None and frame.memory.sleep is not None:  # and 4 numbers a body
+    if frame.memory is not None and frame.memory.sleep is not None:  # and 4 numbers per body
         contacts += len(frame.memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
     return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + _carried_size(frame)
@@ -75,7 +75,7 @@ def _size(bodies: int, spins: bool, contacts: int, further: int) -> int:
 
 
 def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
-    """Flatten checkpoints into one column per component, row after row; a further component is a digest of each row."""
+    """Flatten checkpoints into one column per component, row after row, and a digest of each row."""
     rows = [_row_of(checkpoint) for checkpoint in checkpoints]
     for row in rows:
         row[_DIGEST] = np.array([_digest(row)], dtype=np.uint64)
@@ -84,7 +84,10 @@ def encode(checkpoints: Sequence[Checkpoint]) -> dict[str, Column]:
 
 
 def _column(parts: Sequence[Values]) -> Column:
-    """Join the values of a component in all rows. A single row is not copied: it has 130 MB for a million bodies."""
+    """Join the values of a component in all rows.
+
+    A single row is not copied, since it takes 130 MB for a million bodies.
+    """
     each = [len(part) for part in parts]
     if len(parts) == 1:
         return parts[0], each
@@ -123,14 +126,14 @@ def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
             arrays |= {_ORBITS + name: getattr(carried.orbits, name) for name in ("series", *_ORBIT_ARRAYS)}
     row = {name: np.asarray(array, dtype=np.float64).ravel() for name, array in arrays.items() if array is not None}
     contacts = {} if checkpoint.contacts is None else _contacts_of(checkpoint.contacts)
-    # the books as JSON, without the terms that the run does not model or audit
+    # the books as JSON, without terms that the run does not model or audit
     return {**row, "books": [json.dumps(_plain(checkpoint.books))], **contacts}
 
 
 def _plain(value: Any) -> Any:
     """Return a value that JSON can hold.
 
-    `dataclasses.asdict` copies every number, which would take most of the time.
+    `dataclasses.asdict` would copy every number, which takes most of the time.
     """
     names = _fields_of(value.__class__)
     if names is None:
@@ -144,7 +147,7 @@ def _plain(value: Any) -> Any:
 
 @cache
 def _fields_of(kind: type) -> tuple[str, ...] | None:
-    """Return the names of the fields of a data class; None if it is none."""
+    """Return the names of the fields of a data class; None if it is not one."""
     return tuple(field.name for field in fields(kind)) if is_dataclass(kind) else None
 
 
@@ -159,7 +162,7 @@ def _books_of(text: str) -> Books:
 
 
 def _contacts_of(memory: ContactCheckpoint) -> dict[str, Values]:
-    # the impulses usually belong to the step's own contacts, whose pairs are then written once
+    # the impulses usually belong to the step's own contacts, whose pairs are then stored only once
     own = np.array_equal(memory.held_pairs, memory.pairs)
     return {
         "contact_pairs": memory.pairs.ravel().astype(np.uint32),
@@ -188,8 +191,8 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
     Raises
     ------
     RecordingError
-        If the row is incomplete, has another number of bodies, is not finite, or differs from its digest: a file from a
-        stranger may hold anything. Rows of old recordings have no digest, and are accepted without one.
+        If the row is incomplete, has another number of bodies, is not finite, or differs from its digest, since a file
+        from a stranger may contain anything. Rows of old recordings have no digest, and are accepted without one.
     """
     try:
         row = _Row(stored, bodies)
@@ -270,7 +273,7 @@ class _Row:
         if not np.array_equal(np.sort(found["order"]), np.arange(self._bodies)):
             raise ValueError(f"{_ORBITS}order is not an order of the bodies")
         if series.phase not in (0.0, 1.0, 2.0) or series.steps < 0.0 or series.limit not in (0.0, 1.0, 2.0):
-            raise ValueError(f"{_ORBITS}series is none of equal steps")
+            raise ValueError(f"{_ORBITS}series is not a series of equal steps")
         x, v = found["position"].reshape(-1, 3), found["velocity"].reshape(-1, 3)
         return OrbitCheckpoint(series, found["order"], found["near"], x, v)
 
@@ -280,7 +283,7 @@ class _Row:
         held = self._pairs("held_pairs")
         held = held if len(held) else pairs[: len(impulse) // 4]
         if impulse.size != 4 * len(held):
-            raise ValueError(f"{impulse.size // 4} impulses of {len(held)} contacts")
+            raise ValueError(f"{impulse.size // 4} impulses for {len(held)} contacts")
         angular = np.empty((len(held), 0))
         if "held_angular" in self._stored:
             angular = self._finite("held_angular", 3 * len(held)).reshape(-1, 3)

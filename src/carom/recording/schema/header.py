@@ -25,11 +25,11 @@ from carom.scene.units.system import SI, UnitSystem
 
 @dataclass(frozen=True)
 class ShownMaterials:
-    """Materials of a scene that has any."""
+    """Materials of a scene with [[material]]."""
 
-    names: list[str]  # (a,) of the materials that bodies have
+    names: list[str]  # (a,) names of the materials that bodies have
     colours: list[int]  # (a,) 0xRRGGBBAA
-    index: IntArray  # (n,) the material of each body
+    index: IntArray  # (n,) index of each body's material
     has_colours: bool  # whether the scene gives a material a colour
     contacts: list[KindOfContact]
 
@@ -69,19 +69,19 @@ class ShownMaterials:
 
 Scalar = str | int | float | bool
 
-STATIC_COLOURS = ("group", "material")  # what colours bodies for the whole run
+STATIC_COLOURS = ("group", "material")  # colourings that are constant during a run
 COLOUR_BY = (*STATIC_COLOURS, "speed", "graph", "island")
 
 _FLAGS = {
     "accuracy": "promises",
     "contact": "collides",
     "friction": "has_friction",
-    "record.impacts": "records_contacts",  # no part of the model, but what series of contacts need
+    "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
     "spin": "spins",
     "stabilisation": "stabilises",
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
-RECORDED_PARTS = (*_FLAGS, *_FORCES)  # of the model, that series depend on
+RECORDED_PARTS = (*_FLAGS, *_FORCES)  # parts of the model on which series depend
 
 
 def flag_of(part: str) -> str:
@@ -93,11 +93,11 @@ def flag_of(part: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SweepMember:
-    """A run's place in its sweep."""
+    """The place of a run in its sweep."""
 
-    name: str  # shown in place of the title
-    parameters: Mapping[str, Any]  # keys that vary, and the random seed, as in TOML
-    command: str  # that started the sweep
+    name: str  # shown instead of the title
+    parameters: Mapping[str, Any]  # the varied keys and the random seed, as in TOML
+    command: str  # the command that started the sweep
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,30 +113,30 @@ class Header:
     seed: int
     run_id: str  # a UUID; the recording id
     names: Sequence[str]  # (n,)
-    group: IntArray  # (n,) bodies of one group share a hue
+    group: IntArray  # (n,); bodies of one group share a hue
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
     inertia: FloatArray  # (n,) kg m²
     spins: bool  # whether bodies have angular velocities and rotational energy
     has_orientation: bool
-    has_torque: bool  # and angular accelerations
+    has_torque: bool  # whether they also have angular accelerations
     has_friction: bool
     forces: frozenset[str]  # named as in `scene.forces` or by extensions
     collides: bool
-    stabilises: bool  # whether position correction undoes overlaps, which injects energy
-    body_colouring: bool  # contact.colouring = "bodies": a body's colour is its colour in the graph
-    duration: float  # s of simulated time, as asked for
+    stabilises: bool  # whether position correction removes overlaps, which adds energy
+    body_colouring: bool  # contact.colouring = "bodies": bodies have colours in the collision graph
+    duration: float  # s of simulated time, as requested
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
-    check_interval: float | None = None  # s, between checks of energy and momentum; None: at the frames
-    promises: bool = False  # an accuracy
+    check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
+    promises: bool = False  # whether it promises an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
     box: FloatArray | None = None  # (3,) m, size of a periodic domain
-    units: UnitSystem = SI  # of the recorded numbers, and of printed ones
+    units: UnitSystem = SI  # units of the recorded and of the printed numbers
     walls: FloatArray | None = None  # (3,) m, size of a walled domain
-    planes: HalfSpaces | None = None  # the static half-spaces besides the walls
+    planes: HalfSpaces | None = None  # the static half-spaces other than the walls
     colour_by: str = "auto"  # record.colour_by
-    data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] of the scene
-    data_notes: Sequence[Sequence[str]] = ()  # of each [[bodies]]: unused columns of its file
+    data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] table of the scene
+    data_notes: Sequence[Sequence[str]] = ()  # for each [[bodies]] table: unused columns of its file
     materials: ShownMaterials | None = None  # None in a scene without [[material]]
     properties: Mapping[str, Scalar] = field(default_factory=dict)  # versions, command, git, cpu …
     member: SweepMember | None = None  # None for a single run

@@ -1,8 +1,8 @@
-"""Colours, as 0xRRGGBBAA, that colour-blind readers can tell apart.
+"""Colours, as 0xRRGGBBAA, that colour-blind readers can distinguish.
 
-The 3D views use Okabe and Ito's palette on a dark ground; on paper, in the light theme, its bright colours are darkened
-(`legible`). Plots have the ground of the theme. Their curves use `LINES`: each colour has a contrast of at least 3 to 1
-on both grounds.
+The 3D views use Okabe and Ito's palette on a dark background; on paper, in the light theme, its bright colours are
+darkened (`legible`). Plots have the background of the theme. Their curves use `LINES`, whose colours have a contrast of
+at least 3 to 1 on both backgrounds.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ GREY = 0x9A9A9AFF
 WHITE = 0xFFFFFFFF
 BACKGROUND = 0x0B0E14FF
 GROUNDS = {"dark": BACKGROUND, "light": WHITE}  # of 3D views
-INKS = {"dark": WHITE, "light": 0x16181DFF}  # of letters and lines on these
+INKS = {"dark": WHITE, "light": 0x16181DFF}  # colours of text and lines on these
 
-# A search maximised the smallest difference of two colours, with and without colour blindness: ΔE ≥ 18 (CIE76).
+# A search maximised the smallest difference between two colours, with and without colour blindness: ΔE ≥ 18 (CIE76).
 LINES = {
     "blue": 0x4A66F0FF,
     "red": 0xD42A1EFF,
@@ -43,7 +43,7 @@ PLOT_GROUNDS = {"light": 0xFFFFFFFF, "dark": 0x0D0D0DFF}  # of plots, in the vie
 # Neighbouring stages must be distinct at a glance, so the order alternates warm and cold.
 STAGES = (VERMILION, SKY, YELLOW, GREEN, PURPLE, ORANGE, BLUE)
 STAGE_NAMES = ("vermilion", "sky blue", "yellow", "green", "purple", "orange", "blue")
-SERIAL_STAGE = 64  # contacts beyond this many colours are solved serially, last; drawn white
+SERIAL_STAGE = 64  # contacts with more colours than this are solved serially, last, and drawn white
 STAGE_COLOURS = np.array([*itertools.islice(itertools.cycle(STAGES), SERIAL_STAGE), WHITE], dtype=np.uint32)
 
 NAMED = {
@@ -65,7 +65,7 @@ ARROWS = {  # by entity: an arrow has one colour in every view
     paths.FORCE_NORMAL: YELLOW,
     paths.FORCE_FRICTION: PURPLE,
 }
-SPIN = 0x5CE0B0FF  # the palette's green hardly shows on the bodies
+SPIN = 0x5CE0B0FF  # the palette's green is hardly visible on the bodies
 FIELD = GREY
 
 PHASES = {"warm-up": GREY, "free": SKY, "colliding": VERMILION, "settled": GREEN}
@@ -84,23 +84,23 @@ DT_LIMITS = {
     "end": GREEN,
 }
 
-MOST_SINGLE = 70  # the most single bodies that get hues in rotation; above this, a hue would have more than ten bodies
+MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have more than ten bodies
 
 _GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
-_SHADE = 0.45  # how much darker the darkest body of a group is than its hue
+_SHADE = 0.45  # how much darker than its hue the darkest body of a group is
 
 
-_BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and of 3 to 1 on a dark plot
+_BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and on a dark plot
 
 
 def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
-    """Return colours of the same hues that have a contrast of at least 3 to 1 on a ground.
+    """Return colours of the same hues that have a contrast of at least 3 to 1 on a background.
 
     Parameters
     ----------
     theme
-        "dark" leaves them as they are, since the palette is for a dark ground; "light" darkens bright ones for white
-        paper. By default they are made for both, as curves must be: a viewer's plots have the ground of its theme.
+        "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for white
+        paper. By default they suit both, as curves must: a viewer's plots have the background of its theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     if theme == "dark":
@@ -128,7 +128,7 @@ def node_colours(body_colours: IntArray) -> NDArray[np.uint32]:
 def body_colours(group: IntArray) -> NDArray[np.uint32]:
     """Return the static colours of bodies: a hue per group and per single body, in rotation, and a shade per body.
 
-    Up to `MOST_SINGLE` single bodies get hues of their own; more share one hue.
+    Up to `MOST_SINGLE` single bodies get separate hues; more share one hue.
     """
     count, turn, single = len(group), group, np.flatnonzero(group == -1)
     few = count <= len(BODIES)
@@ -148,7 +148,7 @@ def body_colours(group: IntArray) -> NDArray[np.uint32]:
 
 
 def material_colours(given: Sequence[str | None]) -> list[int]:
-    """Return the colours of materials: the scene's, by name or as "#rrggbb", or else one of the unused colours."""
+    """Return the colours of materials: the scene's, by name or as "#rrggbb", or otherwise an unused colour."""
     chosen = [None if colour is None else NAMED.get(colour) or int(f"{colour[1:]}ff", 16) for colour in given]
     left = itertools.cycle([hue for hue in BODIES if hue not in chosen] or BODIES)
     return [next(left) if colour is None else colour for colour in chosen]

@@ -9,10 +9,10 @@ import re
 
 STEP = "step"  # a count
 SIM_TIME = "sim_time"  # a duration in ns, scaled: see `TimeScale`
-IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the state at some of them
+IMPACT = "impact"  # a count, from 1 on: rows of impacts, and the states at some of them
 
 
-SCHEMA_VERSION = 3  # 3: impacts, and what contacts did; 2: runs can be resumed; 1: checkpoints could only be read
+SCHEMA_VERSION = 3  # 3: impacts and contact data; 2: runs can be resumed; 1: checkpoints can only be read
 
 SCENE = "scene"
 SCENE_TOML = "scene/toml"
@@ -30,7 +30,7 @@ FORCE_NORMAL = "world/forces/normal"
 FORCE_FRICTION = "world/forces/friction"
 IMPACTS = "impacts"
 IMPACT_SPINS = "impacts/spins"  # on the timeline of impacts only
-IMPACT_ENERGY = "impacts.energy"  # no entity: in the property `arrows`
+IMPACT_ENERGY = "impacts.energy"  # not an entity, but a key in the property `arrows`
 ENERGY = "energy"
 STEPS = "step"
 DT_LIMIT = "step/limit"
@@ -41,12 +41,12 @@ MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
 START = "state/start"  # in a clip: the exact state before its first frame
 STATIC_STATE = "state/bodies"
-GIVEN_STATE = "scene/bodies"  # the bodies of [[bodies]] at time 0
+GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
 
 
-CLOSING = frozenset({"extreme", "end"})  # written when a run ends: a resumed run writes its own
+CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own
 
 _BY_TEXT = (  # beginnings of the texts of events, for older recordings without kinds
     (re.compile(r"^end: "), "end"),

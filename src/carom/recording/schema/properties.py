@@ -13,7 +13,7 @@ from carom.errors import DamageError
 MOST_BODIES = 10_000_000
 LARGEST = 1e150  # largest coordinate or speed, so that squares do not overflow
 
-NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]]
+NOTES = re.compile(r"data_notes\.[0-9]{1,9}")  # keys of notes on data files, one for each [[bodies]] table
 _NUMBERS = re.compile(r"([0-9]{1,9}(,[0-9]{1,9})*)?")
 
 
@@ -114,7 +114,7 @@ def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
     Raises
     ------
     DamageError
-        With the key and the valid values, if a value is wrong.
+        The message names the key and the valid values, if a value is wrong.
     """
     for key in _REQUIRED.get(name, ()) if values else ():
         if key not in values:
@@ -122,5 +122,5 @@ def checked(name: str, values: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in values.items():
         for pattern, is_right in _KEYS.get(name, {}).items():
             if fnmatchcase(key, pattern) and not is_right(value):
-                raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} in place of {_WHAT[is_right]}")
+                raise DamageError(f"its property {name} has {key} = {str(value)[:40]!r} instead of {_WHAT[is_right]}")
     return dict(values)

@@ -1,8 +1,8 @@
 """The scalars of every frame: the table behind the encoder, the plots, the inventory and docs/recording.md.
 
-A scalar is added by adding a `Series` here, and its row to the table in docs/recording.md. Scenes add the series of
-installed packages by ``record.series``, and those of their forces by ``[forces]``. The inventory at the end
-lists all entities that a recording of a scene has.
+To add a scalar, add a `Series` here, and its row to the table in docs/recording.md. Scenes add the series of installed
+packages by ``record.series``, and those of their forces by ``[forces]``. The inventory at the end lists all entities
+that a recording of a scene has.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen; thinner curv
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A plot: all its series have one unit."""
+    """A plot, all of whose series have the same unit."""
 
     title: str
     unit: str
@@ -56,15 +56,15 @@ PLOTS = (  # from left to right; the plots of a column are tabs
     (Plot("Overlap / radius", "1"), Plot("dt", "s")),
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
-_TABLE = "record.impacts"  # of the scene, which must not be "none", for series of the contact table
-IMPULSES = Plot("Impulse of impacts", "N s")  # a point for each recorded impact, from its own row
+_TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
+IMPULSES = Plot("Impulse of impacts", "N s")  # one point for each recorded impact, from its own row
 
 
 class Sample(NamedTuple):
     """The arguments from which a scalar is computed."""
 
     frame: Frame
-    before: Frame | Checkpoint | None  # the frame before; None at the first frame
+    before: Frame | Checkpoint | None  # the previous frame; None at the first frame
     overlap: float  # m, the deepest of the frame's contacts; 0 without any
     relative_overlap: float  # the largest overlap / smaller radius of a contact
     colours: float  # number of colours of the contacts
@@ -78,8 +78,8 @@ class Past(Enum):
 
     NONE = auto()  # only the state, which a checkpoint holds
     STEP = auto()  # the step that led to the state
-    INTERVAL = auto()  # the steps since the frame before
-    RUN = auto()  # all frames before
+    INTERVAL = auto()  # the steps since the previous frame
+    RUN = auto()  # all previous frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,26 +88,28 @@ class Series:
 
     path: str
     unit: str
-    legend: str  # in the plot
+    legend: str  # in the legend of the plot
     colour: int  # 0xRRGGBBAA
-    plot: Plot | None  # one of `PLOTS`; None: it is recorded, but not plotted
+    plot: Plot | None  # one of `PLOTS`; None if it is recorded, but not plotted
     value: Callable[[Sample], float]
     meaning: str  # for docs/recording.md
-    part: str | None = None  # the part of the model (`carom explain`) without which it is not recorded; None: always
+    # the part of the model (`carom explain`) without which it is not recorded; None if it is always recorded
+    part: str | None = None
     past: Past = Past.NONE
     width: float = THIN
     inside: bool = False  # whether it is internal to the solver, so that runs of other engines lack it
-    flat_is_dull: bool = False  # leaves out the plot of a constant series, too; a series of zeros is never plotted
+    # whether the plot of a constant series is omitted, too; a series of zeros is never plotted
+    flat_is_dull: bool = False
 
     def __post_init__(self) -> None:
         if self.path.partition("/")[0] not in (ENERGY, STEPS):
-            raise ValueError(f"the series {self.path}: a path begins with {ENERGY}/ or {STEPS}/, whose tables have it")
+            raise ValueError(f"the series {self.path}: its path must begin with {ENERGY}/ or {STEPS}/")
         if self.part is not None and self.part not in RECORDED_PARTS and self.part not in registry.installed("forces"):
-            raise ValueError(f"the series {self.path}: no part {self.part}; take one of {', '.join(RECORDED_PARTS)}")
+            raise ValueError(f"the series {self.path}: no part {self.part}; use one of {', '.join(RECORDED_PARTS)}")
 
 
 def _impact_rate(sample: Sample) -> float:
-    """Return the impacts per simulated time (1/s) since the frame before."""
+    """Return the impacts per simulated time (1/s) since the previous frame."""
     frame, before = sample.frame, sample.before
     if before is None or frame.time <= before.time:
         return 0.0
@@ -115,7 +117,7 @@ def _impact_rate(sample: Sample) -> float:
 
 
 def _largest_force(sample: Sample) -> float:
-    """Return the largest normal force (N) of a contact that is no impact: its impulse over the step."""
+    """Return the largest normal force (N) of a contact other than an impact: its impulse over the step."""
     rows, dt = sample.frame.contact_rows, sample.frame.dt
     if rows is None or dt <= 0.0:
         return 0.0
@@ -152,7 +154,8 @@ def _loss(kind: ForceKind) -> Series:
     )
 
 
-# A table, two lines a series: what it is and how it is drawn; its value, meaning, part of the model and past.
+# A table, two lines a series: its name and style; its value, meaning, part of the model and dependence on earlier
+# steps.
 # fmt: off
 SERIES = (
     Series("energy/translational", "J", "translational", BLUE, _ENERGY,
@@ -183,7 +186,7 @@ SERIES = (
     Series("step/contacts", "1", "contacts", BLUE, CONTACTS,
            lambda s: len(s.frame.contacts.pairs), "contacts in the step", "contact", Past.STEP),
     Series("step/contact_force", "N", "largest force of a contact", GREEN, _FORCE,
-           _largest_force, "largest normal force of a contact that is no impact: its impulse over the step",
+           _largest_force, "largest normal force of a contact other than an impact: its impulse over the step",
            _TABLE, Past.STEP, inside=True),
     Series("step/impact_rate", "1/s", "impacts", RED, _IMPACTS,
            _impact_rate, "impacts since the previous frame, per time", "contact", Past.INTERVAL),
@@ -200,7 +203,7 @@ SERIES = (
 # fmt: on
 
 
-# for other engines, whose contacts are unknown: path → legend and meaning
+# for other engines, whose impulses are unknown: path → legend and meaning
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",

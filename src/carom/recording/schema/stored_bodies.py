@@ -1,7 +1,7 @@
-"""Names of bodies, and the bodies of [[bodies]] at time 0, as a recording stores them.
+"""Names of bodies, and the initial bodies of [[bodies]] tables, as stored in a recording.
 
-Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] are stored once,
-together with those of all bodies.
+Numbered names are stored by their prefix. Masses, radii, moments of inertia and names of [[bodies]] tables are stored
+once, together with those of all bodies.
 """
 
 from __future__ import annotations
@@ -84,14 +84,14 @@ def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
 def decode_bodies(
     stored: Mapping[str, NDArray[Any] | list[str]], index: int, row: int, place: range, bodies: BodyTable
 ) -> BodyColumns:
-    """Undo `encode` for one [[bodies]].
+    """Undo `encode` for one [[bodies]] table.
 
     Parameters
     ----------
     stored
         The components.
     index
-        Which [[bodies]] of the scene.
+        Index of the [[bodies]] table in the scene.
     row
         Row of its first body in the components.
     place

@@ -14,8 +14,8 @@ from carom.errors import RecordingError
 from carom.recording.schema.paths import IMPACT, SIM_TIME, STEP
 
 _LONGEST = 9.0e9  # s; 2⁶³ ns are 9.22e9 s, or 292 years
-_COARSEST = 1.0e-6  # s; impacts within shorter steps would have times with less than three digits
-_FINE = 1.0e-3  # s, of the shortest step after scaling: times within a step have six digits
+_COARSEST = 1.0e-6  # s; with shorter steps, times of impact would have fewer than three digits
+_FINE = 1.0e-3  # s, shortest step after scaling, so that times within a step have six digits
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class TimeScale:
         return np.round(shown * 1e9).astype(np.int64)
 
     def within(self, times: FloatArray, ends: FloatArray | None) -> IntArray:
-        """Turn seconds into nanoseconds that are earlier than those of the ends, which are frames; see `Index`."""
+        """Convert seconds to nanoseconds that are earlier than those of the frames ``ends``; see `Index`."""
         shown = self.nanoseconds(times)
         return shown if ends is None or not len(ends) else np.minimum(shown, self.nanoseconds(ends) - 1)
 
@@ -60,7 +60,7 @@ class TimeScale:
         impacts: Sequence[int] | IntArray = (),
         ends: FloatArray | None = None,
     ) -> list[rr.TimeColumn]:
-        """Return the time columns of a batch: step, time, the number of the impact, or several of these."""
+        """Return the time columns of a batch: step, time, number of the impact, or several of these."""
         columns = [rr.TimeColumn(STEP, sequence=steps)] if len(steps) else []
         if len(times):
             shown = self.within(np.asarray(times), ends)

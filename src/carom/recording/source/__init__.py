@@ -1,1 +1,1 @@
-"""Runs of other engines: what they show of their state, and what can be judged from that alone."""
+"""Runs of other engines: the states that they expose, and what can be judged from these alone."""

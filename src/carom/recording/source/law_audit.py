@@ -1,13 +1,13 @@
-"""The audit of another engine's run: the violated laws and their times, judged from states alone.
+"""The audit of another engine's run: violated laws and their times, judged from states alone.
 
-Between two states, the bodies are divided into clusters that cannot have touched each other. In a cluster that met
+Between two states, the bodies are divided into clusters that cannot have touched each other. In a cluster that touched
 neither a plane nor anything fixed,
 
     Σ m Δv = Σ m g Δt        momentum
     Δ Σ (m (x - X) × (v - V) + I ω) = 0        angular momentum about the centre of mass X
 
-hold for any contact model. The energy never rises, and falls only in contacts. A soft contact returns energy: a rise
-counts once it exceeds the energy that the contact has taken. Bodies that attract each other are one cluster.
+hold for any contact model. The energy never rises, and falls only in contacts. A soft contact returns energy, so a rise
+counts only once it exceeds the energy that the contact has absorbed. Bodies that attract each other are one cluster.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from carom.scene.wording import Names, bodies_called
 
 @dataclass(frozen=True, slots=True)
 class Clusters:
-    """Sets of bodies that met nothing outside their set between two moments."""
+    """Sets of bodies that touched nothing outside their set between two moments."""
 
     label: IntArray  # (n,)
     count: int
@@ -47,7 +47,7 @@ class Clusters:
 
 
 def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
-    """Divide the bodies into clusters; into one if ``whole``, as for bodies that attract each other."""
+    """Divide the bodies into clusters, or put all into one if ``whole``, as for bodies that attract each other."""
     n = len(setup)
     anchored = np.zeros(n, bool)
     i, j = near.pairs.T
@@ -72,7 +72,7 @@ def clusters_of(setup: Setup, near: Near, *, whole: bool) -> Clusters:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """Largest errors at which a law still counts as kept."""
+    """Largest errors that do not violate a law."""
 
     energy: float = 1e-3  # of the energy of the cluster, between two frames
     drift: float = 1e-2  # of the energy scale, since the start
@@ -89,14 +89,14 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A broken law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
+    """A violated law: "energy", "momentum", "angular-momentum", "overlap", "missed-impact" or "not-finite"."""
 
     law: str
     step: int
     time: float  # s
-    amount: float  # in units of the law's scale
+    amount: float  # error in units of the law's scale
     text: str  # a sentence
-    bodies: tuple[int, ...] = ()  # from n on planes
+    bodies: tuple[int, ...] = ()  # numbers from n on are planes
 
     @property
     def event(self) -> Event:
@@ -109,26 +109,26 @@ class AuditFinding:
     """Results of the audit of one frame."""
 
     faults: list[Fault] = field(default_factory=list)
-    taken: float = 0.0  # J, dissipated by contacts; negative where contacts returned energy
-    unjudged: float = 0.0  # J, lost by clusters with bodies that are not judged
-    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts that reversed
-    impacts: int = 0  # how many did
-    hardest: float = 0.0  # J
+    taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
+    unjudged: float = 0.0  # J, lost by clusters that contain bodies that are not judged
+    struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts whose velocity reversed
+    impacts: int = 0  # number of these contacts
+    hardest: float = 0.0  # J, the hardest of them
     hardest_pair: tuple[int, int] = (0, 0)
 
 
-UNCHANGED = 1e-3  # of the closing speed; smaller changes are no contact
-TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it while they pass through each other did not collide
+UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
+TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it while passing through each other did not collide
 SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
 FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must push
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
 MOST_NAMED = 8  # bodies in a sentence
-TOLD = 3  # events of one law
+TOLD = 3  # events reported for each law
 
 
 class LawAudit:
-    """Judges moments one after the other.
+    """Judges moments one after another.
 
     Parameters
     ----------
@@ -147,13 +147,13 @@ class LawAudit:
         self._tolerances = tolerances
         self._names = names
         self._units = units
-        self._owed = np.zeros(len(setup))  # J, taken from each body by contacts since it was last free
+        self._owed = np.zeros(len(setup))  # J, absorbed from each body by contacts since it was last free
         self._typical = 0.0  # m/s
         self._scale = 0.0  # J, the largest kinetic energy so far
-        self._allowed = 0.0  # J, the error of first-order steps in the uniform field so far
-        self.counts: dict[str, int] = {}  # frames that broke each law
+        self._allowed = 0.0  # J, accumulated error of first-order steps in the uniform field
+        self.counts: dict[str, int] = {}  # number of frames that violated each law
         self.first: dict[str, Fault] = {}
-        self.broken: list[tuple[float, str]] = []  # s and law, of each of these frames
+        self.broken: list[tuple[float, str]] = []  # s and law, for each of these frames
 
     def see(
         self, step: int, before: EngineMoment, now: EngineMoment, near: Near, potentials: tuple[float, float] | None
@@ -165,7 +165,7 @@ class LawAudit:
         step
             Its number.
         before, now
-            The moment of the frame before, and this.
+            The moment of the previous frame, and this moment.
         near
             The pairs that may have touched in between.
         potentials
@@ -212,7 +212,7 @@ class LawAudit:
         self._tell(fault)
 
     def _tell(self, fault: Fault) -> bool:
-        """Count a fault; return whether it is one of the first of its law."""
+        """Count a fault; return whether it is among the first of its law."""
         self.first.setdefault(fault.law, fault)
         self.broken.append((fault.time, fault.law))
         self.counts[fault.law] = self.counts.get(fault.law, 0) + 1
@@ -284,7 +284,7 @@ class LawAudit:
         potentials: tuple[float, float] | None,
         found: AuditFinding,
     ) -> Iterator[Fault]:
-        """Compare the energy of every cluster with known laws; book the energy that contacts took."""
+        """Compare the energy of every cluster with known laws; book the energy absorbed by contacts."""
         setup, g = self._setup, self._setup.gravity
         dt, strength = now.time - before.time, float(np.sqrt(g @ g))
         kinetic = [self._kinetic(moment) for moment in (before, now)]
@@ -321,7 +321,7 @@ class LawAudit:
         yield Fault("energy", *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
 
     def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
-        """Divide the energy that contacts took among the bodies of each cluster; without contacts, nothing is owed."""
+        """Divide the energy absorbed by contacts among each cluster's bodies; without contacts, nothing is owed."""
         label = clusters.label
         members = np.bincount(label, minlength=clusters.count)
         left = np.where(owed > 0.0, 1.0 - back / np.where(owed > 0.0, owed, 1.0), 0.0)
@@ -350,7 +350,7 @@ class LawAudit:
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
         normal = np.where(plane[:, None], near.normal, at)
-        # a plane does not fall: the speed that the field adds towards the plane is no impulse
+        # a plane does not fall, so the speed that the field adds towards it is not an impulse
         push = np.where(plane, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push
@@ -393,6 +393,6 @@ class LawAudit:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return a × b of rows of three; `numpy.cross` takes eight times as long for a few."""
+    """Return a × b for rows of three; `numpy.cross` takes eight times as long for a few."""
     (x, y, z), (u, v, w) = a.T, b.T
     return np.stack((y * w - z * v, z * u - x * w, x * v - y * u), axis=1)

@@ -37,7 +37,7 @@ DT_LIMIT = "engine"  # the recorded limit of dt
 
 
 class Observer:
-    """Turns states into frames with energies, momenta, contacts and the faults found by the audit.
+    """Converts states to frames with energies, momenta, contacts and the faults found by the audit.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Observer:
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
-        self._pull: float | None = None  # J, at the last frame
+        self._pull: float | None = None  # J, gravitational energy at the last frame
         self._before: EngineMoment | None = None
         self._began = first.time
 
@@ -75,7 +75,7 @@ class Observer:
         return self.extremes.highlights(self.names, self.units, energy_error="change of the energy without contact")
 
     def frame(self, step: int, state: State, store: FrameStore | None = None) -> Frame:
-        """Return the frame of a state; states are finite and come in order of time."""
+        """Return the frame of a state; states must be finite and in order of time."""
         self._take(state)
         now, before = self._moment(state), self._before
         dt = 0.0 if before is None else now.time - before.time
@@ -131,7 +131,7 @@ class Observer:
         statistics = self._statistics(contacts, seen)
         if statistics.contacts or statistics.impacts:  # otherwise there is no extreme to name
             self.extremes.add_contacts(step, time, statistics)
-        # update the extremes of the energy; energy returned by soft contacts is no gain
+        # update the extremes of the energy; energy returned by soft contacts is not a gain
         extremes = self.extremes
         extremes.add_energy(step, time, energy)
         self._lowest_error = min(self._lowest_error, energy.integration_error)
@@ -192,7 +192,7 @@ class Observer:
             return records if self.setup.forces else np.stack([records["i"], records["j"]], axis=1)
         pairs = np.asarray(known, dtype=np.int64)
         if pairs.size and (pairs.ndim != 2 or pairs.shape[1] != 2):
-            raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} in place of (m, 2)")
+            raise RecordingError(f"{self.setup.engine}: contacts has the shape {pairs.shape} instead of (m, 2)")
         if pairs.size and not (pairs.min() >= 0 and pairs.max() < ends):
             wrong = pairs[(pairs < 0) | (pairs >= ends)][0]
             raise RecordingError(f"{self.setup.engine}: contacts names {wrong}; bodies and planes are 0 to {ends - 1}")
@@ -205,7 +205,7 @@ class Observer:
             judged = np.append(self.setup.judged, np.ones(len(self.setup.planes), bool))
             known = judged[contacts.pairs].all(axis=1)
             relative = contacts.overlaps / radius[contacts.pairs].min(axis=1)
-            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # a small gap counts as touching
+            depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # a small gap counts as contact
             worst = int(np.argmax(depth))
             deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
         return ContactStatistics(

@@ -14,7 +14,7 @@ from carom.physics.vector import minimum_images
 from carom.recording.source.source import Setup
 
 MARGIN = 0.02  # of the smaller radius: engines push bodies apart before they touch
-TOUCH = 1e-3  # of the smaller radius; a gap up to this counts as touching
+TOUCH = 1e-3  # of the smaller radius; a smaller gap counts as contact
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class EngineMoment:
 class Near:
     """Pairs that may have touched since the moment before: bodies, and planes from n on."""
 
-    pairs: IntArray  # (k, 2)
+    pairs: IntArray  # (k,) m, r_i + r_j
     reach: FloatArray  # (k,) m, r_i + r_j
     small: FloatArray  # (k,) m, the smaller radius
     before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane
@@ -88,7 +88,7 @@ class Proximity:
         return Near(*(np.concatenate(column) for column in zip(*map(_columns, parts), strict=True)))
 
     def graph(self, near: Near, known: IntArray | None) -> CollisionGraph:
-        """Return the contacts at a moment: the pairs that the engine reports, or else all near pairs."""
+        """Return the contacts at a moment: the pairs reported by the engine, or otherwise all near pairs."""
         which = near.gap_now <= TOUCH * near.small if known is None else self._is_named(near, known)
         touching = np.flatnonzero(which)
         if len(touching) == 0:

@@ -18,8 +18,8 @@ from carom.recording.schema.properties import LARGEST
 from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 
-MASSLESS = 1e-30  # of the largest mass, in place of a test particle's 0
-DRAWN_RADIUS = 0.01  # of the bodies' extent, in place of a point mass's 0
+MASSLESS = 1e-30  # of the largest mass, instead of a test particle's 0
+DRAWN_RADIUS = 0.01  # of the bodies' extent, instead of a point mass's 0
 ROUGHLY = 0.01  # of the length of a quaternion
 SPHERE = 0.4  # moment of inertia / (m r²)
 
@@ -41,7 +41,7 @@ class Model:
     engine
         Name and version, such as ``mujoco 4.0.0``.
     mass, radius
-        (n,) kg and m. A mass of 0 is a test particle, a radius of 0 a point; nothing touches a point.
+        (n,) kg and m. A mass of 0 is a test particle, a radius of 0 a point mass, which nothing touches.
     inertia
         (n,) kg m², by default those of solid spheres.
     names
@@ -49,8 +49,8 @@ class Model:
     fixed
         (n,) whether a body never moves; by default none.
     judged
-        (n,) whether a body is a free sphere, whose laws the audit knows; by default all. Other bodies are drawn as
-        spheres, and bodies that touch them are not judged.
+        (n,) whether a body is a free sphere, whose laws the audit can check; by default all are. Other bodies are drawn
+        as spheres, and bodies that touch them are not judged.
     gravity
         (3,) m/s², a uniform field.
     constant, softening
@@ -64,10 +64,10 @@ class Model:
     time_step
         s, the shortest step to expect; 0 if unknown.
     units
-        Of all numbers, as in `Recorder`; empty: SI.
+        Units of all numbers, as in `Recorder`; empty for SI.
     every
-        Calls of `Recorder.frame` for one frame, unless the recorder has its own number: above 1 for engines that are
-        slow to copy a state.
+        Calls of `Recorder.frame` per frame, unless the recorder sets it: above 1 for engines that are slow to copy a
+        state.
     """
 
     engine: str
@@ -96,7 +96,7 @@ class State:
     position: Any  # (n, 3) m
     velocity: Any  # (n, 3) m/s
     orientation: Any = None  # (n, 4) quaternions, xyzw; None if the engine has none
-    angular_velocity: Any = None  # (n, 3) rad/s, in the frame of the world; None if the engine has none
+    angular_velocity: Any = None  # (n, 3) rad/s, in the world frame; None if the engine has none
     contacts: Any = (
         None  # (m,) `CONTACT` with forces, or (m, 2) indices of touching bodies, n + k for plane k; None: unknown
     )
@@ -115,7 +115,7 @@ class Source(Protocol):
 
 @runtime_checkable
 class SteppedSource(Protocol):
-    """A source that counts the time, because its engine does not report it."""
+    """A source that counts time itself, because its engine does not report it."""
 
     def stepped(self) -> None:
         """Count a call of `Recorder.frame` after the first, recorded or not."""
@@ -149,12 +149,12 @@ class Setup:
 
 
 def setup_of(model: Model, first: State) -> Setup:
-    """Check a model and its first state, and fill in missing arrays.
+    """Check a model and its first state, and complete missing arrays.
 
     Raises
     ------
     RecordingError
-        With the name of the array and the body.
+        The message names the array and the body.
     """
     engine = model.engine
     if not isinstance(engine, str) or not engine:
@@ -203,7 +203,7 @@ def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> Flo
     """Return a finite float64 array of a given shape. RecordingError names the first wrong number."""
     array = _numbers(engine, name, values)
     if array.shape != shape:
-        raise RecordingError(f"{engine}: {name} has the shape {array.shape} in place of {shape}")
+        raise RecordingError(f"{engine}: {name} has the shape {array.shape} instead of {shape}")
     if not np.isfinite(array).all():
         row = np.argwhere(~np.isfinite(array))[0]
         raise RecordingError(
@@ -213,7 +213,7 @@ def array_of(engine: str, name: str, values: Any, shape: tuple[int, ...]) -> Flo
 
 
 def time_of(state: State) -> float:
-    """Return the time (s) of a state. RecordingError quotes a value that is no number."""
+    """Return the time (s) of a state. RecordingError quotes a value that is not a number."""
     try:
         return float(state.time)
     except (TypeError, ValueError):
@@ -263,7 +263,7 @@ def _flags(engine: str, name: str, values: Any, n: int, default: bool) -> BoolAr
         return np.full(n, default)
     given = np.array(values, dtype=object)
     if given.shape != (n,):
-        raise RecordingError(f"{engine}: {name} has the shape {given.shape} in place of ({n},)")
+        raise RecordingError(f"{engine}: {name} has the shape {given.shape} instead of ({n},)")
     for body, value in enumerate(given.tolist()):
         if isinstance(value, (str, bytes)) or value not in (False, True):
             raise RecordingError(f"{engine}: {name}[{body}] is {value!r}; it must be True or False")
@@ -296,7 +296,7 @@ def _planes(engine: str, planes: Sequence[Plane]) -> HalfSpaces:
     )
 
 
-_LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` go through Python
+_LEAST, _MOST = np.minimum.reduce, np.maximum.reduce  # the methods `min` and `max` would call Python code
 _ARRAYS = ("position", "velocity", "orientation", "angular_velocity")
 
 _Floats = NDArray[np.floating[Any]]
@@ -305,8 +305,8 @@ _Floats = NDArray[np.floating[Any]]
 class StateMemory:
     """Memory that holds one state at a time.
 
-    The engine's thread fills it, so there are few calls: one copy for each array, and two passes over the block to
-    check that all numbers are finite.
+    The engine's thread fills it with few calls: one copy per array, and two passes over the block to check that all
+    numbers are finite.
 
     Parameters
     ----------
@@ -320,7 +320,7 @@ class StateMemory:
 
     def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:
         self.state, self.block, self.parts = state, block, parts
-        block.fill(0.0)  # or the system would provide the memory during the first copy
+        block.fill(0.0)  # otherwise the system would allocate the memory during the first copy
 
     @classmethod
     def like(cls, state: State) -> StateMemory:
@@ -340,9 +340,9 @@ class StateMemory:
             view = getattr(own, name)
             if view is not None:
                 values = getattr(state, name)
-                if np.shape(values) != view.shape:  # or numpy would broadcast the rows
+                if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
                     raise RecordingError(
-                        f"{name} has the shape {np.shape(values)} and had {view.shape}; a recording has a fixed set "
+                        f"{name} has the shape {np.shape(values)}, but had {view.shape}; a recording has a fixed set "
                         "of bodies, so start another recording"
                     )
                 view[:] = values
@@ -351,7 +351,7 @@ class StateMemory:
     @property
     def bounded(self) -> bool:
         """Whether all numbers are finite and below the overflow bound."""
-        # both return NaN, which fails the comparison; Python's numbers, since float32 ends before LARGEST
+        # both return NaN, which fails the comparison; compared as Python floats, since float32 ends before LARGEST
         return (
             -LARGEST <= self.state.time <= LARGEST
             and float(_LEAST(self.block, None)) >= -LARGEST
@@ -386,7 +386,7 @@ def engine_package(name: str, distribution: str | None = None) -> Any:
     Raises
     ------
     RecordingError
-        If it is not installed, with the line that installs it.
+        If it is not installed; the message names the line that installs it.
     """
     try:
         return importlib.import_module(name)

@@ -1,4 +1,4 @@
-"""Encodes contacts and impacts: columns beside the edges of the collision graph, arrows, and a row for each impact."""
+"""Encodes contacts and impacts: columns for the edges of the collision graph, arrows, and a row for each impact."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class BatchContacts:
     ----------
     frames
         The arrays of each frame.
-    edges, contacts, impacts
+    (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
         (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
     """
 
@@ -42,7 +42,7 @@ class BatchContacts:
         self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
 
     def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice]]:
-        """Yield the arrays of each frame, and its slice of an array with so many elements for each frame."""
+        """Yield the arrays of each frame, and its slice of an array with that many elements per frame."""
         ends = np.cumsum(each).tolist()
         return zip(self.frames, map(slice, [0, *ends[:-1]], ends), strict=True)
 
@@ -54,14 +54,14 @@ class BatchContacts:
     def strongest_impacts(self, counts: IntArray) -> tuple[Records, IntArray]:
         """Return the impacts with the largest normal impulses, in order of time, and their indices in each frame.
 
-        ``counts`` is their number in each frame, (frames,). Among equal impulses the first are taken.
+        ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
         """
         return self._strongest([frame.impacts for frame in self.frames], self.impacts, counts)
 
     def strongest_contacts(self, counts: IntArray) -> Records:
         """Return the contacts with the largest normal impulses of each frame, the largest first.
 
-        ``counts`` is their number in each frame, (frames,). Among equal impulses the first are taken.
+        ``counts`` is their number in each frame, (frames,). Of equal impulses, the first are selected.
         """
         rows, _ = self._strongest([frame.rows for frame in self.frames], self.contacts, counts)
         return picked(rows, np.lexsort((-rows["normal_impulse"], np.repeat(np.arange(len(counts)), counts))))
@@ -85,9 +85,9 @@ def _contacts_of(frame: Frame) -> FrameContacts:
 def contact_columns(
     contacts: BatchContacts, middle: FloatArray, radius: FloatArray
 ) -> tuple[list[ComponentColumn], int]:
-    """Return columns with a value for each edge, and their bytes.
+    """Return columns with one value per edge, and their bytes.
 
-    Contacts that opened within the step have no edge and are left out.
+    Contacts that opened within the step have no edge and are omitted.
 
     Parameters
     ----------
@@ -147,11 +147,11 @@ def force_rows(
     middle
         (frames,) N s, the middle of each frame's scale.
     drawn
-        (frames,) number of drawn contacts, those with the largest normal impulses.
+        (frames,) number of contacts to draw, those with the largest normal impulses.
     longest
         m.
     origin
-        (3,) m, of what is drawn.
+        (3,) m, of the drawing.
     friction
         Whether friction is modelled.
     """
@@ -185,20 +185,20 @@ _ROUND_OFF = 1e-12  # of J v_n; smaller energy losses are rounding
 
 
 class ContactEncoder:
-    """Turns the contacts and impacts of batches of frames into rows.
+    """Converts the contacts and impacts of batches of frames to rows.
 
     Parameters
     ----------
     header
         Of the recording.
     origin
-        (3,) m, of what is drawn.
+        (3,) m, of the drawing.
     references
-        Magnitudes in the middle of the scales; unknown ones are added by the first frame with something to draw.
+        Magnitudes in the middle of the scales; the first frame with something to draw adds unknown ones.
     before
         The impacts before the first frame.
     everything
-        Whether to encode everything, whatever the scene says, for a comparison with a recording.
+        Whether to encode everything, whatever the scene requests, for a comparison with a recording.
     """
 
     def __init__(
@@ -225,7 +225,7 @@ class ContactEncoder:
     def columns(
         self, batch: Sequence[Frame], contacts: BatchContacts, position: FloatArray
     ) -> tuple[list[ComponentColumn], int]:
-        """Return the columns beside the edges of a batch's frames, and their bytes.
+        """Return the columns for the edges of a batch's frames, and their bytes.
 
         Parameters
         ----------
@@ -252,7 +252,7 @@ class ContactEncoder:
         """Return arrows and impacts of the last encoded batch."""
         header, kept, impacts = self._header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
-        # even without arrows, to clear the contacts of the frame before
+        # written even without arrows, to clear the contacts of the previous frame
         yield from force_rows(
             index, self._contacts, self._middle, kept.arrows, longest, self._origin, header.has_friction
         )
@@ -270,7 +270,7 @@ class ContactEncoder:
         batch
             The frames whose rows were returned last.
         before
-            The frame before them.
+            The previous frame.
         """
         found = list[Instant]()
         first = np.cumsum(self._kept.impacts) - self._kept.impacts  # of each frame's chosen impacts

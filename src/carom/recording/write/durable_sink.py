@@ -1,8 +1,9 @@
 """Writes the recording to disk and keeps the file readable when writing fails.
 
 When a write of Rerun's own file sink fails, its thread dies, half a message stays in the file, and the process may hang
-at exit. So the sink writes into a pipe, which never fails, and `DurableSink` copies the pipe to the file, one whole
-message at a time. When the disk is full it releases a reserve, which leaves space for pending messages and the footer.
+at exit. The sink therefore writes to a pipe, which never fails, and `DurableSink` copies the pipe to the file, one
+whole message at a time. When the disk is full, it releases a reserve, which provides space for pending messages and the
+footer.
 """
 
 from __future__ import annotations
@@ -57,10 +58,10 @@ class DiskReserve:
 
 
 FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
-_SPARE = 32 << 20  # bytes of addresses for the last messages where `ulimit -v` leaves no others; never touched
+_SPARE = 32 << 20  # bytes of address space for the last messages if `ulimit -v` leaves no other; never touched
 _PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
 _POLL = 0.001  # s
-_GATHER = 0.002  # s between two reads: each takes the interpreter lock from the physics
+_GATHER = 0.002  # s between two reads; each acquires the interpreter lock, which the physics needs
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -87,7 +88,7 @@ class DurableSink:
         self._limit = None if soft_limit == resource.RLIM_INFINITY else soft_limit
         self._splitter = MessageSplitter()
         self._spare = mmap.mmap(-1, _SPARE)
-        self._piece = memoryview(bytearray(_PIPE))  # allocated now: later there may be no memory
+        self._piece = memoryview(bytearray(_PIPE))  # allocated now, since there may be no memory later
         self._turn = threading.Lock()
         self._thread = threading.Thread(target=self._copy, name="carom-sink", daemon=True)
         self._thread.start()
@@ -98,7 +99,7 @@ class DurableSink:
         return f"/dev/fd/{self._entry}"
 
     def opened(self) -> None:
-        """Close our end of the pipe after Rerun's sink has opened its own: the sink then ends the pipe."""
+        """Close our end of the pipe once Rerun's sink has opened its own, which then ends the pipe."""
         os.close(self._entry)
 
     def reserve(self, size: int) -> None:
@@ -119,7 +120,7 @@ class DurableSink:
             return True
 
     def drain(self) -> None:
-        """Wait until all flushed data is in the file."""
+        """Wait until all flushed data are in the file."""
         while self._thread.is_alive():
             with self._turn:
                 if _bytes_waiting(self._source) == 0:
@@ -145,9 +146,9 @@ class DurableSink:
         while size:
             waiting.poll()
             time.sleep(_GATHER)
-            with self._turn:  # so that an empty pipe means to `drain` that all is written
+            with self._turn:  # so that `drain` can take an empty pipe as a sign that everything is written
                 size = os.readv(self._source, [self._piece])
-                if self.error is None:  # or else drain the pipe: Rerun's sink would block for ever
+                if self.error is None:  # otherwise Rerun's sink would block forever
                     self._write_whole(self._piece[:size])
 
     def _write_whole(self, piece: memoryview) -> None:
@@ -162,7 +163,7 @@ class DurableSink:
             self.error = OSError(errno.EIO, f"{type(error).__name__}: {error}")
 
     def _add(self, piece: memoryview) -> None:
-        """Add a piece to the waiting ones; if memory runs out, release the spare memory and try again."""
+        """Add a piece to the waiting ones; if memory runs out, release the reserve and try again."""
         try:
             self._splitter.add(piece)
         except MemoryError:
@@ -183,7 +184,7 @@ class DurableSink:
                     self._use_reserve()
                     continue
                 os.ftruncate(self._file, self.written)  # the file ends with a whole message
-                # without the traceback, whose frame keeps `rest` and with it the splitter's memory
+                # without the traceback, whose frame would keep `rest` and the splitter's memory alive
                 self.error = error.with_traceback(None)
                 return
         self.written += len(message)
@@ -200,22 +201,22 @@ def _bytes_waiting(descriptor: int) -> int:
     return count[0]
 
 
-# Addresses kept free under ``ulimit -v``: Rerun's encoder aborts the process when none are left.
+# Address space kept free under ``ulimit -v``: Rerun's encoder aborts the process when none is left.
 
 _STATM = Path("/proc/self/statm")
 
-# Bytes, as measured on heaps of spheres that touch 12 others, rounded up; `plan.limits` counts the bodies.
+# Bytes, measured on heaps of spheres that touch 12 others and rounded up; `plan.limits` counts the bodies.
 _FRAME_PER_CONTACT = 400
 _CHECKPOINT_PER_CONTACT = 800
-_CLOSING = 16_000_000  # what is static, layout, footer, and reading the file once
+_CLOSING = 16_000_000  # static data, layout, footer, and one reading of the file
 _CLOSING_PER_CONTACT = 800
 _STATIC_PER_BODY = 1000
 
 
 class AddressReserve:
-    """Refuses a batch when addresses run short, while enough remain to close the file.
+    """Refuses a batch when address space runs short, while enough remains to close the file.
 
-    It works only where `ulimit -v` limits addresses and the system reports their use.
+    It works only if `ulimit -v` limits the address space and the system reports its use.
     """
 
     def __init__(self, bodies: int) -> None:
@@ -229,11 +230,11 @@ class AddressReserve:
 
     @property
     def limited(self) -> bool:
-        """Whether addresses are limited and the system reports their use."""
+        """Whether address space is limited and the system reports its use."""
         return self._limit is not None
 
     def require(self, batch: Sequence[Frame], path: Path) -> None:
-        """Reserve the addresses for closing the file. Raises RecordingError if too few remain to encode a batch."""
+        """Reserve the address space for closing the file. Raises RecordingError if too few remain to encode a batch."""
         if self._limit is None:
             return
         contacts = [len(frame.contacts.pairs) for frame in batch]
@@ -257,12 +258,12 @@ class AddressReserve:
         return True
 
     def release(self) -> None:
-        """Release the addresses."""
+        """Release the address space."""
         if self._kept is not None:
             self._kept.close()
         self._kept, self._size = None, 0
 
 
 def _in_use() -> int:
-    """Return the bytes of addresses that this process uses."""
+    """Return the address space (bytes) that this process uses."""
     return int(_STATM.read_text(encoding="ascii").split()[0]) * resource.getpagesize()

@@ -57,7 +57,7 @@ NO_IMPACTS = RecordedImpacts()
 
 
 class BatchEncoder:
-    """Turns batches of frames into rows, entity by entity.
+    """Converts batches of frames to rows, entity by entity.
 
     It keeps the state on which rows depend: the origin, the last written phase and dt limit, the arrows' references,
     the last frame, and the numbers of recorded contacts. ``curves`` are the outlines of the series encoded so far.
@@ -67,9 +67,9 @@ class BatchEncoder:
     header
         Of the recording.
     origin
-        (3,) m, of what is drawn.
+        (3,) m, of the drawing.
     arrow_references, last_state, before, impacts_before
-        For a resumed run: the state after the rows before it, and the number of impacts in them.
+        For a resumed run: the state after the previous rows, and the number of impacts in them.
     everything
         Whether to encode every impact, for a comparison with a recording.
     """
@@ -147,7 +147,7 @@ class BatchEncoder:
         return frame_rows(BODIES, index, columns, size)
 
     def at_impacts(self, found: Sequence[Instant]) -> Iterable[Rows]:
-        """Draw the states at some impacts: they are on the timelines of time and of impacts, and have no step."""
+        """Draw the states at some impacts; these rows are on the timelines of time and of impacts, and have no step."""
         if not found:
             return
         numbers, ends = np.array([one.number for one in found]), np.array([one.end for one in found])
@@ -188,7 +188,7 @@ class BatchEncoder:
                 kind, turned = rr.Points3D, None
                 places = kind.descriptor_positions()
             case _:
-                # each instance needs a scale, or it would be drawn at scale 1; one colour serves all
+                # each instance needs a scale, since the default is 1; one colour serves all
                 kind, colours = rr.InstancePoses3D, None
                 places = kind.descriptor_translations()
                 scales = single(np.tile(np.repeat(self.header.radius, 3), len(centres) // n).reshape(-1, 3))
@@ -249,7 +249,7 @@ class BatchEncoder:
     ) -> Rows:
         """Return arrows of one kind.
 
-        ``body`` lists the bodies frame by frame (``each`` has their numbers), with the magnitudes of their torques.
+        ``body`` lists the bodies frame by frame (``each`` holds their numbers), with the magnitudes of their torques.
         """
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
         if len(body) and path not in self.arrow_references.chosen:
@@ -327,7 +327,7 @@ class BatchEncoder:
             yield frame_rows(series.path, index, [column], array_bytes(values))
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
-        """Yield rows only for frames whose state differs from the frame before."""
+        """Yield rows only for frames whose state differs from that of the previous frame."""
         changed = []
         for frame in batch:
             if self._last_state.get(path) != state(frame):
@@ -351,7 +351,7 @@ class BatchEncoder:
 
 
 def _stacked(name: str, batch: Sequence[Frame], store: FrameStore | None) -> FloatArray:
-    """Return one of the arrays of all frames, (frames, n, …): a view of the store, or else a copy."""
+    """Return one of the arrays of all frames, (frames, n, …), as a view of the store or a copy."""
     first = batch[0].slot
     if store is not None and first is not None:
         lying: FloatArray = getattr(store, name)[first : first + len(batch)]

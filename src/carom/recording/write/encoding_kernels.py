@@ -1,8 +1,8 @@
-"""Loops over the bodies and contacts of a batch of frames that turn float64 state into the float32 that is drawn.
+"""Loops over the bodies and contacts of a batch of frames that convert float64 state to the float32 that is drawn.
 
 They are kernels because NumPy holds the interpreter lock, which the physics needs after each of its own kernels. Loops
-over bodies handle a whole batch and release the lock. Loops over contacts handle one frame, in the arrays of the
-physics. They keep the lock, since they take microseconds and waiting for the lock takes longer.
+over bodies process a whole batch and release the lock. Loops over contacts process one frame, in the arrays of the
+physics. They keep the lock, since they take microseconds, and reacquiring the lock would take longer.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from carom.arrays import ColourArray, FloatArray, IntArray, Records, SingleArray
 from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
 from carom.recording.layout.drawing import part_of_longest
 
-_part_of_longest = inline(part_of_longest)  # the same function, compiled: NumPy takes the other for arrays
+_part_of_longest = inline(part_of_longest)  # the same function, compiled; NumPy uses the other for arrays
 
 
 class FrameContacts(NamedTuple):
@@ -31,7 +31,7 @@ class FrameContacts(NamedTuple):
 
 
 class EdgeColumns(NamedTuple):
-    """A value for each edge."""
+    """One value for each edge."""
 
     bodies: NDArray[np.uint32]  # (m, 2)
     normal_impulse: SingleArray
@@ -70,7 +70,7 @@ def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray,
     torque
         (frames, n, 3) N m.
     each
-        (frames,), overwritten: how many bodies each frame lists.
+        (frames,), overwritten: the number of bodies that each frame lists.
     """
     found = 0
     for f in range(torque.shape[0]):
@@ -105,7 +105,7 @@ def draw_arrows(
     Parameters
     ----------
     unit
-        (n,) N m, the torque of each body whose arrow sticks out by half of ``l_max``.
+        (n,) N m, the torque of each body for which its arrow extends by half of ``l_max``.
     """
     c = 0
     for f in range(len(each)):
@@ -136,7 +136,7 @@ def draw_edges(
     Parameters
     ----------
     stages
-        The colour of each stage; the last is that of all later ones.
+        The colour of each stage; the last one is used for all later stages.
     extremes
         (3,), overwritten: the deepest overlap in m, the deepest over the smaller radius, and the number of colours.
     """
@@ -173,16 +173,16 @@ def write_contacts(
     widths: SingleArray,
     columns: EdgeColumns,
 ) -> None:
-    """Write what the contacts of a frame did, and how the edges are drawn by their impulses.
+    """Write the contact data of a frame, and how edges are drawn by their impulses.
 
     Parameters
     ----------
     pairs, rows
-        Of the edges, and of the contacts, which are more where some opened within the step; both sorted by pair.
+        Of the edges, and of the contacts, which are more if some opened within the step; both sorted by pair.
     middle
         N s, the impulse in the middle of the scale.
     scale, widths
-        (levels,) colours and radii by rising impulse.
+        (levels,) colours and radii in ascending order of impulse.
     """
     a = 0
     for e in range(len(pairs)):
@@ -228,7 +228,7 @@ def _median(values: FloatArray) -> float:
 
 @inner
 def _select(values: FloatArray, place: int) -> float:
-    """Partition values in place around the one of a place in rising order, and return it: Hoare's quickselect.
+    """Partition values in place around the one that belongs at an index, and return it: Hoare's quickselect.
 
     Rejected: np.median and np.partition, which Numba compiles in 3 and 10 s.
     """
@@ -253,19 +253,19 @@ def _select(values: FloatArray, place: int) -> float:
 
 @kernel
 def pick_strongest(rows: Records, scratch: FloatArray, chosen: IntArray, picked: Records) -> None:
-    """Pick the rows with the largest normal impulses, in their order, of equal ones the first; as many as ``picked``.
+    """Select the rows with the largest normal impulses, in their order, as many as ``picked`` holds.
 
     Parameters
     ----------
     scratch
         At least as many numbers as rows, overwritten.
     chosen, picked
-        Overwritten: which rows they are, and copies of them.
+        Overwritten: a mask of the selected rows, and copies of them.
     """
     m, count = len(rows), len(picked)
     if count == 0:
         return
-    least, equal = -np.inf, 0  # the smallest impulse that is chosen, and how many of those as large
+    least, equal = -np.inf, 0  # the smallest selected impulse, and the number of selected ones equal to it
     if count < m:
         for c in range(m):
             scratch[c] = rows[c].normal_impulse
@@ -283,12 +283,12 @@ def pick_strongest(rows: Records, scratch: FloatArray, chosen: IntArray, picked:
 
 @long_kernel
 def count_moved(position: FloatArray, before: SingleArray, moved: IntArray) -> None:
-    """Count the bodies of each frame, (frames, n, 3), that are drawn elsewhere than in the frame before.
+    """Count the bodies of each frame, (frames, n, 3), that are drawn at other positions than in the previous frame.
 
     Parameters
     ----------
     before
-        (n, 3), of the frame before the first, overwritten by the last.
+        (n, 3), positions in the previous frame, overwritten by those of the last.
     """
     for f in range(len(position)):
         moved[f] = 0

@@ -1,4 +1,4 @@
-"""The chunks of a recording of a run; a replay compares them with the chunks of the file."""
+"""The chunks that record a run; a replay compares them with the chunks of the file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _INDEX, _DATA = {b"rerun:kind": b"index"}, {b"rerun:kind": b"data"}
 
 
 def rows_of(frames: Sequence[Frame], encoder: BatchEncoder, clock: TimeScale) -> Iterator[Chunk]:
-    """Encode frames like the recorder; return a chunk for each entity with one row in every frame."""
+    """Encode frames like the recorder; return a chunk for each entity with one row per frame."""
     for rows in encoder.rows(frames):
         if rows.path not in BY_EVENT and len(rows.steps):
             yield chunk_of(rows, clock)

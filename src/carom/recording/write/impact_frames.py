@@ -1,7 +1,7 @@
-"""Frames at the instants of impacts: bodies, edges and impulses there, energies and spins just before and after.
+"""Frames at the instants of impacts: bodies, edges and impulses at these times, energies and spins around them.
 
-They lie between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts. What
-else changes between the two frames is taken to change in proportion to time: energies, spins, orientations.
+They are between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts. Other
+changes between the two frames are assumed to be linear in time: energies, spins, orientations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STEPPING = (  # the series that change at an impact, in the order of `Instant.en
     "energy/ledger/friction",
 )
 _SPIN_ARROW = 1.3  # length of the faster spin's arrow, in radii of the smaller body
-_SPIN_WIDTH = 0.04  # its radius, likewise
+_SPIN_WIDTH = 0.04  # its radius, in the same unit
 _BEFORE, _AFTER = 0x8A93A6FF, 0x5CE0B0FF
 
 
@@ -41,10 +41,10 @@ class Instant(NamedTuple):
     """The state at an impact."""
 
     number: int  # of the impact, from 1 on
-    end: float  # s, of the frame that it leads to
+    end: float  # s, time of the next frame
     frame: Frame  # positions, contacts and impulses at the instant
     energies: FloatArray  # (2, 5) J, `STEPPING` before and after all impacts of the instant
-    bodies: IntArray  # (b,) that meet: one if it meets a plane
+    bodies: IntArray  # (b,) bodies that meet: one if it meets a plane
     spins: FloatArray | None  # (2, b, 3) rad/s, before and after; None if they are not modelled
 
 
@@ -56,7 +56,7 @@ def instants(
     chosen: IntArray,
     numbers: IntArray,
 ) -> list[Instant]:
-    """Find the state at some impacts between two frames.
+    """Determine the state at some impacts between two frames.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def instants(
     impacts
         All impacts between them, `CONTACT_ROW`, in order of time.
     chosen, numbers
-        Which of them, (k,), and their numbers in the run.
+        Indices of the chosen impacts, (k,), and their numbers in the run.
     """
     box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
     times = impacts["time"][chosen]
@@ -92,7 +92,7 @@ def instants(
 
 
 def _together(impacts: Records, k: int) -> tuple[Records, CollisionGraph]:
-    """Return the impacts at the time of one, and their graph; of a pair that meets twice it is the largest."""
+    """Return the impacts at the time of one impact, and their graph; of a pair that meets twice, the larger one."""
     rows = impacts[impacts["time"] == impacts["time"][k]]
     rows = rows[np.argsort(-rows["normal_impulse"], kind="stable")]
     pairs, first = np.unique(np.stack([rows["i"], rows["j"]], axis=1), axis=0, return_index=True)
@@ -103,7 +103,7 @@ def _together(impacts: Records, k: int) -> tuple[Records, CollisionGraph]:
 
 
 class _Jumps:
-    """Energies and spins between two frames: what jumps at impacts, and the rest in proportion to time."""
+    """Energies and spins between two frames: jumps at impacts, and a remainder that is linear in time."""
 
     def __init__(self, header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> None:
         self._time, self._ends = impacts["time"], (before.time, frame.time)
@@ -142,7 +142,7 @@ class _Jumps:
         return np.asarray(smooth + self._kicks[own & past[:, None]].sum(axis=0))
 
     def _gains(self, header: Header) -> FloatArray:
-        """Return by how much each impact raises the rotational energy, (k,) J."""
+        """Return the increase of the rotational energy in each impact, (k,) J."""
         assert self._kicks is not None
         gains = np.zeros(len(self._time))
         for body in np.unique(self._pairs[self._pairs < header.bodies]).tolist():
@@ -159,7 +159,7 @@ class _Jumps:
 
 
 def _kicks(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Records) -> FloatArray:
-    """Return the changes of both spins in each impact, (k, 2, 3) rad/s; zero for planes and for what does not move."""
+    """Return the changes of both spins in each impact, (k, 2, 3) rad/s; zero for planes and fixed bodies."""
     normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1)
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]], axis=1)
     torque = np.cross(normal, -friction)  # on both bodies, over their radii
@@ -179,12 +179,12 @@ def _terms(energy: Energy) -> FloatArray:
 
 
 def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> Iterable[Rows]:
-    """Draw the spins of the bodies that meet, those before in grey; on the timeline of impacts only.
+    """Draw the spins of the bodies that meet, with those before in grey; on the timeline of impacts only.
 
     Parameters
     ----------
     points
-        (k, n, 3) m, the bodies as they are drawn.
+        (k, n, 3) m, the bodies as drawn.
     """
     spinning = [(one, places, one.spins) for one, places in zip(found, points, strict=True) if one.spins is not None]
     if not spinning:

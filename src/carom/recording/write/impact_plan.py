@@ -1,4 +1,4 @@
-"""Impacts in a recording: the number for each frame, their rows, and the positions of the bodies at their times."""
+"""Impacts in a recording: their number per frame, their rows, and the positions of the bodies at their times."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
 from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
 
-# Positions of the bodies at impacts between two frames. A body that has impacts between the frames is at the contact
-# point of each, on the straight lines from one to the next. The others follow the cubic through their positions and
-# velocities in both frames. Orientations are interpolated.
+# Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
+# of each, and on straight lines in between. The others follow the cubic through their positions and velocities in both
+# frames. Orientations are interpolated.
 
 
 def positions_at(
@@ -104,7 +104,7 @@ def _pass_through(
             way[0, k], way[last, k] = 0.0, path[body, k]
         for c in range(1, last):
             impact = impacts[own[lo + c - 1]]
-            reach = -radius[body] if impact.i == body else radius[body]  # along the normal, which points out of i
+            reach = -radius[body] if impact.i == body else radius[body]  # along the normal, which points away from i
             clock[c] = impact.time
             way[c, 0] = impact.x + reach * impact.nx - start[body, 0]
             way[c, 1] = impact.y + reach * impact.ny - start[body, 1]
@@ -113,7 +113,7 @@ def _pass_through(
                 for k in range(3):
                     way[c, k] = minimum_image(way[c, k], box[k])
         for m in range(len(times)):
-            time, c = times[m], 0  # the corner before, as in `numpy.interp`
+            time, c = times[m], 0  # the previous corner, as in `numpy.interp`
             while c < last and clock[c + 1] <= time:
                 c += 1
             for k in range(3):
@@ -125,10 +125,10 @@ def _pass_through(
 
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
-SHARE = 0.22  # of all else in the file; with what is not counted here a fifth of the whole
-_ARROWS, _SCENES = 0.02, 0.04  # of all else: arrows, and frames at impacts
+SHARE = 0.22  # of everything else in the file; with data not counted here, a fifth of the whole
+_ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
-_SCENE = 600  # bytes of a frame at an impact besides its bodies: edge, arrows, energies, spins
+_SCENE = 600  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars
 
@@ -136,10 +136,10 @@ _SCALARS = 500  # bytes of a frame's scalars
 class BudgetRecord(Protocol):
     """Bytes of a recording so far."""
 
-    others: float  # of all but contacts and impacts
+    others: float  # of everything except contacts and impacts
     contacts: float  # of contacts and impacts
-    arrows: float  # of these, on arrows
-    scenes: float  # of these, on frames at impacts
+    arrows: float  # of these, for arrows
+    scenes: float  # of these, for frames at impacts
 
 
 _BUDGET = dtype_of(BudgetRecord)
@@ -148,22 +148,22 @@ _BUDGET = dtype_of(BudgetRecord)
 class Kept(NamedTuple):
     """Numbers of recorded contacts and impacts in each frame of a batch, (frames,)."""
 
-    impacts: IntArray  # impacts since the frame before, with the largest normal impulses
-    arrows: IntArray  # contacts that are drawn with arrows
-    scenes: IntArray  # of these, the largest, that have a frame of their instant
+    impacts: IntArray  # impacts since the previous frame, with the largest normal impulses
+    arrows: IntArray  # contacts drawn with arrows
+    scenes: IntArray  # of these, the largest ones, which have a frame of their instant
 
 
 class ImpactPlan:
     """Decides how many impacts and contacts of each frame are recorded.
 
-    All impacts are kept while contacts take at most a fifth of the file. Beyond that, only the largest normal impulses
-    are kept, at least one in each frame. The choice depends on the frames but not on the batches, so that the same run
+    All impacts are kept while contacts take at most a fifth of the file. After that, only the largest normal impulses
+    are kept, at least one per frame. The choice depends on the frames but not on the batches, so that the same run
     always has the same rows.
 
     Parameters
     ----------
     everything
-        Whether to keep all impacts and to draw arrows at all contacts, regardless of their size.
+        Whether to keep all impacts and draw arrows at all contacts, whatever their size.
     oriented, turned
         Whether bodies have orientations and torques.
     """
@@ -200,7 +200,7 @@ class ImpactPlan:
 
 
 def largest(impacts: Records, count: int) -> IntArray:
-    """Return the indices of the impacts with the largest normal impulses, in order of time; among equals, the first."""
+    """Return the indices of the impacts with the largest normal impulses, in order of time; of equal ones the first."""
     if len(impacts) <= count:
         return np.arange(len(impacts))
     return np.sort(np.argsort(-impacts["normal_impulse"], kind="stable")[:count])
@@ -220,7 +220,7 @@ def _spend(
     budget: RecordArray[BudgetRecord],
     kept: Kept,
 ) -> None:
-    """Decide for frames from their numbers of moved bodies, edges, contacts and impacts, (frames,) each."""
+    """Decide for frames, given their numbers of moved bodies, edges, contacts and impacts, (frames,) each."""
     used = budget[0]
     scene = _SCENE + bodies * (28 if oriented else 12)
     arrow = 2 * _ARROW if turned else _ARROW  # with friction two

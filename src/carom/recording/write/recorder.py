@@ -1,4 +1,4 @@
-"""`FrameRecorder`: writes frames of the physics to an .rrd in its own thread, with a checkpoint from time to time."""
+"""`FrameRecorder`: writes frames of the physics to an .rrd in a thread of its own, with occasional checkpoints."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
-# A bounded queue between the physics thread and the recorder, read in batches. The reader sleeps until a batch is full
-# or due. `queue.Queue` would wake the reader for every frame. Each time, the reader would take the interpreter lock
+# A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
+# due. `queue.Queue` would wake the reader for every frame. At each frame, the reader would take the interpreter lock
 # from the physics: a tenth of a run of 1000 bodies (benchmarks/recording.py).
 
 _Item = TypeVar("_Item")
@@ -47,7 +47,7 @@ class BatchQueue(Generic[_Item]):
         self._seconds = seconds
         self._items: list[_Item] = []
         self._changed = threading.Condition()
-        self._oldest = 0.0  # monotonic time when the first of the items was put in
+        self._oldest = 0.0  # monotonic time when the first of the items was added
         self._closed = False
         self._error: Exception | None = None
 
@@ -67,7 +67,8 @@ class BatchQueue(Generic[_Item]):
             if not self._items:
                 self._oldest = time.monotonic()
             self._items.append(item)
-            if len(self._items) in (1, self._batch):  # the first starts the reader's clock, the last fills a batch
+            # the first item starts the reader's clock, the last completes a batch
+            if len(self._items) in (1, self._batch):
                 self._changed.notify_all()
 
     def close(self) -> None:
@@ -160,10 +161,10 @@ def _bytes_of(frame: Frame) -> int:
 
 _BATCH_FRAMES = 2048
 _QUEUE_FRAMES = 512
-_BATCH_SECONDS = 1.0  # s, of frames that a killed run may lose
+_BATCH_SECONDS = 1.0  # s, the frames that a killed run may lose
 _QUEUE_BYTES = 64_000_000
-_LOOK = 1.25  # factor between the frame counts at two updates of the camera
-_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets one blueprint, at the end
+_LOOK = 1.25  # ratio between the frame counts at two updates of the camera
+_LAID_OUT_AFTER = 1_000_000  # bytes; a smaller recording gets a single blueprint, at the end
 
 
 class FrameRecorder:
@@ -182,7 +183,7 @@ class FrameRecorder:
         queue_size: int | None = None,
         continued: Continuation | None = None,
     ) -> None:
-        rr.set_strict_mode(True)  # otherwise bad data is a warning, and the row is lost
+        rr.set_strict_mode(True)  # otherwise bad data would only cause a warning, and the row would be lost
         self.path = Path(path)
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
         self.header = header
@@ -195,8 +196,8 @@ class FrameRecorder:
         batch = max(1, min(_BATCH_FRAMES, frames_in_batch(header.bodies), room // 2))
         self._queue: BatchQueue[Frame] = BatchQueue(room, batch, _BATCH_SECONDS)
         self._store: FrameStore | None = None
-        # a slot is reused once its frame has left the queue, the batch being written, and `_last`; the frame that is
-        # being copied has a place in the queue already
+        # a slot is reused once its frame has left the queue, the batch being written, and `_last`; a frame being copied
+        # already has a place in the queue
         self._slots = max(room, batch) + batch + 1
         self._plan = CheckpointPlan(every_frame=header.exact)
         self._addresses = AddressReserve(header.bodies)
@@ -211,7 +212,7 @@ class FrameRecorder:
         self._closed = False
         self._start: FloatArray | None = None  # (n, 3) m, of the centres
         self._start_known = threading.Event()  # or the recorder is closed
-        self._begun = threading.Event()  # static data is in the file, or never will be
+        self._begun = threading.Event()  # static data are in the file, or never will be
         self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
         self._thread.start()
 
@@ -226,9 +227,9 @@ class FrameRecorder:
         return self._encoder.impacts if self._encoder else None
 
     def begin(self, position: FloatArray) -> None:
-        """Write the static data, for centres (n, 3) in m at the start; otherwise the first `put` does so.
+        """Write the static data, given the initial centres (n, 3) in m; otherwise the first `put` does so.
 
-        A run that fails before its first frame then leaves a readable file, too.
+        A run that fails before its first frame then leaves a readable file.
         """
         self._start = position.copy()
         self._start_known.set()
@@ -313,7 +314,7 @@ class FrameRecorder:
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
         known = encoder.arrow_references
-        # sent now, so that a killed run has them too
+        # sent now, so that a killed run has them
         self._stream.send_property("arrows", {name: known[name] for name in known if name not in self._references})
         self._references = set(known)
         kept = self._plan.chosen(batch)
@@ -326,7 +327,7 @@ class FrameRecorder:
         self._stream.flush()
 
     def _begin(self, position: FloatArray) -> BatchEncoder:
-        """Send everything static, and before the first frame of a resumed run the frames that it continues."""
+        """Send all static data and, before the first frame of a resumed run, the frames that it continues."""
         self._addresses.release()
         continued = self._continued
         if continued is not None:
@@ -342,7 +343,7 @@ class FrameRecorder:
         reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
         self._camera_fit = CameraFit.of_scene(self.header, origin, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
-        self._stream.flush()  # logged data waits in a batcher; without it the frames of a killed run could not be read
+        self._stream.flush()  # without a flush, the frames of a killed run could not be read
         if continued is not None:
             self._stream.send_continued(continued)
             self.frames = continued.frames
@@ -356,7 +357,7 @@ class FrameRecorder:
             self._laid_out = True
         if (
             self._camera_fit.is_few or self.frames >= _LOOK * self._looked
-        ):  # an update takes a millisecond, during which the physics waits
+        ):  # an update takes a millisecond, for which the physics waits
             self._looked = self.frames
             self._camera_fit.see(batch, origin)
 

@@ -1,8 +1,8 @@
 """Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
-Nothing else in carom uses them. Without them recordings are written, read, resumed and shown alike; what is lost is
-memory, or the layout of a clip. test_rerun_compat.py tries each, and each fallback: it is the canary
-for a new version of rerun-sdk. 0.41 is the first whose viewer makes pictures; 0.40 records and replays, too.
+No other module of carom uses them. Without them, recordings are written, read, resumed and shown just the same; what is
+lost is memory, or the layout of a clip. test_rerun_compat.py tries each interface and each fallback, as a canary for
+new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
 test of tests/show/test_web.py tries it in a browser.
@@ -97,7 +97,7 @@ def connect_viewer(url: str) -> ViewerClient:
 
 
 class StoredLayout(rrb.Blueprint):
-    """A layout read from another file, sent as it is."""
+    """A layout read from another file, sent unchanged."""
 
     def __init__(self, chunks: Iterable[Chunk]) -> None:
         super().__init__(rrb.Horizontal())

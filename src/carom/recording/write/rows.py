@@ -1,4 +1,4 @@
-"""`Rows`: one entity's part of a batch, as Rerun's `send_columns` accepts it, and its columns."""
+"""`Rows`: one entity's part of a batch, in the form that Rerun's `send_columns` accepts, and its columns."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 
 # Columns of a batch: the values of a component, row after row, and their number in each row. Rerun's own columns copy
-# their values, and make offsets for every single value before a column is partitioned. That took most of the recorder's
-# time, under the interpreter's lock. These wrap the arrays as they are.
+# their values, and compute offsets for every single value before a column is partitioned. That took most of the
+# recorder's time, while holding the interpreter lock. These wrap the arrays without a copy.
 
 Each = IntArray | int  # values in each row; one number if all rows have the same
 Descriptor = rr.ComponentDescriptor
@@ -31,7 +31,7 @@ _STRIP = pa.list_(pa.field("item", _VECTOR, nullable=False))
 
 
 class BatchColumn(ComponentColumn):
-    """A component's values; an Arrow array, cut into rows."""
+    """A component's values: an Arrow array, divided into rows."""
 
     def __init__(self, descriptor: Descriptor, values: pa.Array, each: Each = 1) -> None:
         self.descriptor = descriptor
@@ -100,10 +100,11 @@ NO_STEPS, _NO_TIMES = np.empty(0, dtype=np.int64), np.empty(0)
 class Index(NamedTuple):
     """Positions of rows on the timelines, shared by the entities of a batch."""
 
-    steps: IntArray  # empty for rows within a step, and for rows only on the timeline of impacts
+    steps: IntArray  # empty for rows within a step, and for rows on the timeline of impacts only
     times: FloatArray  # s
     impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
-    ends: FloatArray = _NO_TIMES  # s, of the frames before whose nanosecond the rows lie, where they are within a step
+    # s, times of the next frames, for rows within a step, which lie before their nanosecond
+    ends: FloatArray = _NO_TIMES
 
     @classmethod
     def of(cls, frames: Sequence[Frame]) -> Index:
@@ -142,7 +143,7 @@ def frame_rows(path: str, index: Index, columns: Iterable[ComponentColumn], size
 
 
 def kind_of(rows: Rows) -> tuple[str, bool, bool, bool, tuple[str, ...]]:
-    """Return what rows must have in common to be joined: entity, timelines and components."""
+    """Return the properties that rows must share to be joined: entity, timelines and components."""
     names = tuple(str(column.component_descriptor()) for column in rows.columns)
     steps, times, impacts, _ = (len(values) > 0 for values in rows.index)
     return rows.path, steps, times, impacts, names

@@ -28,11 +28,11 @@ Static = tuple[str, rr.AsComponents]
 _THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
-_MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to appear round
+_MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
 
 
 def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) -> Iterable[Static]:
-    """Yield the static data, entity by entity; at the start all bodies are within ``reach`` (m) of the origin."""
+    """Yield the static data, entity by entity; initially all bodies are within ``reach`` (m) of the origin."""
     yield (
         paths.SCENE,
         rr.TextDocument(scene_document(header, clock, origin), media_type=rr.MediaType.MARKDOWN),
@@ -61,7 +61,7 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.DT_LIMIT, _states(palette.DT_LIMITS)
 
 
-STATES_AT_IMPACTS = "states_at_impacts"  # in the property `carom`: whether impacts have frames with more than bodies
+STATES_AT_IMPACTS = "states_at_impacts"  # in the property `carom`: whether frames at impacts hold more than bodies
 
 
 def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, Scalar | FloatArray]:
@@ -156,7 +156,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
-    """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
+    """All bodies are within ``reach`` (m) of the centre.
 
     All bodies are within ``reach`` (m) of the centre.
     """
@@ -183,7 +183,7 @@ def _grid(normal: FloatArray, offset: float, centre: FloatArray, reach: float) -
 
 
 def _two_tone_sphere() -> rr.Mesh3D:
-    """Return a unit sphere with one dark half, so that rotation is visible."""
+    """Return a unit sphere with one dark half, which makes rotation visible."""
     polar = np.linspace(0.0, np.pi, _MESH_RINGS + 1)
     around = np.linspace(0.0, 2.0 * np.pi, 2 * _MESH_RINGS, endpoint=False)
     theta, phi = np.meshgrid(polar, around, indexing="ij")
@@ -246,7 +246,7 @@ def _run(header: Header) -> str:
 
 
 def _data(header: Header) -> str:
-    """List the notes on data files (unused columns, other readings); empty without any."""
+    """List the notes on data files (unused or reinterpreted columns); empty without any."""
     notes = [note.replace("`", "'") for notes in header.data_notes for note in notes]
     return "\n".join(["## Data", *(f"- `{note}`" for note in notes)]) if notes else ""
 
@@ -270,7 +270,7 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
         )
     if header.planes is not None:
         names = in_series(header.planes.name)
-        lines.append(f"- Static planes, drawn as grids: {names}. They extend without end.")
+        lines.append(f"- Static planes, drawn as grids: {names}. They extend to infinity.")
     if header.walls is not None:
         lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + f"{m}.")
     if header.box is not None:

@@ -1,4 +1,4 @@
-"""`Stream`: sends rows, properties and layouts to the file and to the live viewer, if there is one."""
+"""`Stream`: sends rows, properties and layouts to the file and to a live viewer."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LiveView:
 
     def __init__(self, address: str, application_id: str, run_id: str) -> None:
         host, port = _host_and_port(address)
-        _probe(host, port)  # without a listener, a sink would block for seconds, here and at exit
+        _probe(host, port)  # without a listener, a sink would block for seconds, now and at exit
         self._stream: rr.RecordingStream | None = rr.RecordingStream(application_id, recording_id=run_id)
         self._stream.set_sinks(rr.GrpcSink(f"rerun+http://{host}:{port}/proxy"))
 
@@ -88,13 +88,13 @@ def _probe(host: str, port: int) -> None:
 BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
 
 # Rerun's encoder keeps 5.7 kB of memory and 1.2 kB of the footer for each message, and a batch has some 60. A long run
-# therefore joins batches, so that their number grows with the logarithm of time and size: 28 800 batches make a footer
+# therefore joins batches, so that their number grows logarithmically with time and size: 28 800 batches make a footer
 # of 2 GB, the largest readable one.
 PROMPT_BATCHES = 100  # first batches, which are written without joining
-OF_TIME = 0.01  # largest fraction of its time that a killed run loses
+OF_TIME = 0.01  # largest fraction of its time that a killed run may lose
 OF_SIZE = 0.004  # of the recorded bytes
 JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 GB; 28 800 of them are 1.8 TB
-_ENCODED = 1.3  # bytes in the file for each byte of data, at most
+_ENCODED = 1.3  # bytes in the file per byte of data, at most
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
 _CONTINUED_BYTES = 16_000_000  # that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
@@ -130,7 +130,7 @@ class Stream:
         self._opened = self._written = monotonic()
         self._application = application_id(header)
         self._live = None if live is None else LiveView(live, self._application, header.run_id)
-        # for the current batch when the disk fills up, the last checkpoint and the end of the file
+        # for the current batch when the disk fills up, for the last checkpoint, and for the end of the file
         self._reserve = int(_ENCODED * batch_bytes) + checkpoint_columns.largest_size(header) + _ENDING
         self._sink = DurableSink(file or path, self._reserve)
         end_earlier_streams()
@@ -144,7 +144,7 @@ class Stream:
         return self._live is not None
 
     def send(self, rows: Rows, clock: TimeScale) -> None:
-        """Send one entity's rows: to a live viewer at once, and to the file when its batch is due."""
+        """Send one entity's rows: at once to a live viewer, and to the file when its batch is due."""
         self.payload_bytes += rows.bytes
         if self._batches < PROMPT_BATCHES:
             self._send(rows, clock, self._streams())
@@ -223,7 +223,7 @@ class Stream:
             send_layout(stream, self._application, layout)
 
     def flush(self) -> None:
-        """End a batch, and wait until all batches that are due are in the file; raises if they cannot be written."""
+        """End a batch, and wait until all due batches are in the file; raise an error if they cannot be written."""
         if not self._waiting or self._waiting_bytes >= self._largest or not self.patience:
             self._send_waiting()
             self._batches, self._written = self._batches + 1, monotonic()

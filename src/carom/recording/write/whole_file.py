@@ -1,6 +1,6 @@
 """Output files: locked against other processes, and complete when they appear.
 
-A full disk or an interrupt leaves the file that was there.
+A full disk or an interrupt leaves the previous file unchanged.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Claim:
     def release(self) -> None:
         """Release the path."""
         with contextlib.suppress(OSError):
-            self._lock.unlink()  # while still locked: a process that opened it meanwhile notices that it is gone
+            self._lock.unlink()  # while still locked, so that a process that opened it meanwhile finds it deleted
         os.close(self._descriptor)
 
 
@@ -94,10 +94,10 @@ def _locked(path: Path) -> int:
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a new path with the same ending; its file moves to this one on success and is removed on failure.
+    """Yield a new path with the same suffix; its file is renamed to this one on success and removed on failure.
 
-    In a folder that is open to other users, no link of theirs is followed. Nobody can foresee the name; where others
-    could replace the file, it is written in the private folder instead.
+    In a folder that other users can write to, none of their links is followed. Nobody can predict the name; where
+    others could replace the file, it is written in the private folder instead.
     """
     with new_name(path, path.suffix) as part, contextlib.ExitStack() as stack:
         if is_fixed(path):
@@ -157,7 +157,7 @@ class Writer:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        """Close the file. Raises RecordingError if some of the data is not in it."""
+        """Close the file. Raise RecordingError if some of the data are not in it."""
         try:
             self._stream.disconnect()
             self._sink.close()
@@ -191,7 +191,7 @@ class Writer:
         send_layout(self._stream, self._application, layout)
 
     def flush(self) -> None:
-        """Wait until everything sent is in the file; raises if it cannot be written."""
+        """Wait until everything sent is in the file; raise an error if it cannot be written."""
         self._stream.flush(timeout_sec=FLUSH)
         self._sink.drain()
         self._fail_if_full()
