@@ -6,25 +6,33 @@ own begins with the last ones, as beside the first run on a machine.
 What tests draw at random, and the examples of Hypothesis, are the same in every run, so that no commit fails by chance.
 CAROM_SEED=random looks for what was not tried yet. The report of a test that failed has its seed.
 
+With all tests in memory, Python's search for garbage took an eighth of a compilation: here it searches seldom.
+
+PYTHONDONTWRITEBYTECODE is set in many containers. Each process of a test run would rewrite all of Hypothesis and of the
+tests for pytest, and each command that a test starts would compile the sources of carom: we keep byte code anyway.
+
 A shell that starts us in the background has us ignore the interrupt key, and `nohup` the end of the terminal. The
 programs that tests start and then interrupt would inherit both.
 """
 
+import gc
+import os
 import signal
+import sys
 from collections.abc import Generator
 
 import pytest
-from hypothesis import settings
 
 from carom.cli.compiling import start_on_a_new_installation
 from needs import missing_though_required, need
 from other_processor import other_processor  # noqa: F401 - a fixture
 from seeds import VARIABLE, chosen_seed, is_random
 
-settings.register_profile("same", deadline=None, derandomize=True, database=None)
-settings.register_profile("new", deadline=None, print_blob=True)
-settings.load_profile("new" if is_random() else "same")
 SEED = chosen_seed()
+
+gc.set_threshold(100_000)
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
     if signal.getsignal(number) == signal.SIG_IGN:
@@ -32,9 +40,17 @@ for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHU
 
 
 def pytest_configure() -> None:
-    """End at once where a package that CAROM_REQUIRE requires is missing: modules of tests are skipped without it."""
+    """End at once where a package that CAROM_REQUIRE requires is missing: modules of tests are skipped without it.
+
+    Otherwise set what Hypothesis draws.
+    """
     if missing := missing_though_required():
         raise pytest.UsageError(f"CAROM_REQUIRE: {', '.join(missing)}: not installed; pip install '.[full]'")
+    from hypothesis import settings  # not before byte code is kept
+
+    settings.register_profile("same", deadline=None, derandomize=True, database=None)
+    settings.register_profile("new", deadline=None, print_blob=True)
+    settings.load_profile("new" if is_random() else "same")
 
 
 def pytest_report_header() -> str:

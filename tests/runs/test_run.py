@@ -8,7 +8,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -70,15 +70,19 @@ def test_runs_of_one_process_may_vary_a_key_over_words_numbers_and_lists(tmp_pat
     assert kept == given
 
 
-def test_python_seeks_garbage_seldom_during_a_run_and_as_before_after_it(tmp_path: Path) -> None:
+def test_python_seeks_garbage_seldom_during_a_run_and_as_before_after_it(
+    tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     class Watched(Space):
         def run(self, *arguments: Any, **options: Any) -> Iterator[Frame]:
             thresholds.append(gc.get_threshold())
             yield from super().run(*arguments, **options)
 
-    before, thresholds = gc.get_threshold(), list[tuple[int, int, int]]()
+    request.addfinalizer(partial(gc.set_threshold, *gc.get_threshold()))
+    before, thresholds = (700, 10, 10), list[tuple[int, int, int]]()
+    gc.set_threshold(*before)
     simulate(Watched(pair()), tmp_path / "pair.rrd")
-    assert thresholds == [(max(100_000, before[0]), *before[1:])]
+    assert thresholds == [(100_000, 10, 10)]
     assert gc.get_threshold() == before
 
 

@@ -7,7 +7,6 @@ import secrets
 from collections.abc import Callable
 
 import pytest
-from hypothesis import settings
 
 VARIABLE = "CAROM_SEED"
 USUAL = 1
@@ -20,6 +19,8 @@ ALL = "CAROM_EXAMPLES"  # "all": as many as a test names, as in the longer tests
 
 def examples(count: int) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Mark a test that draws with Hypothesis: how many examples the longer tests try; others try a quarter."""
+    from hypothesis import settings
+
     everything = is_random() or os.environ.get(ALL) == "all"
 
     def mark(test: Callable[..., None]) -> Callable[..., None]:
