@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 MOST_ROWS = 40  # printed in the table
 FORMATS = (".parquet", ".csv")  # of files
+FIGURES = (".png", ".svg")  # of statistics
 
 _MEASURED = (
     ("approach_speed", "approach", VELOCITY),
@@ -75,7 +76,13 @@ def contacts(
     as_json: JsonOption = False,
     as_csv: Annotated[bool, typer.Option("--csv", help="Print as CSV.")] = False,
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="FILE", help="File to write: .parquet or .csv.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="FILE",
+            help="File to write: .parquet or .csv; statistics also as a figure: .png or .svg.",
+        ),
     ] = None,
     force: ForceOption = False,
 ) -> None:
@@ -91,7 +98,7 @@ def contacts(
 
     _refuse_contradictions(at, impacts, statistics, start, end, bodies, as_json + as_csv + (output is not None))
     if output is not None:
-        refuse_format(output, FORMATS)
+        refuse_format(output, (*FORMATS, *FIGURES) if statistics else FORMATS)
         refuse_output(output, force)
     with opened(file) as path:
         recording = Recording.open(path)
@@ -196,7 +203,12 @@ def _measure(
 
     with replaying(recording) as watch:
         statistics = Statistics.of(recording, start, end, again, watch)
-    if output is not None:
+    if output is not None and output.suffix in FIGURES:
+        from carom.lab.statistics.statistics_figure import draw
+
+        draw(statistics, output)
+        say(f"{output} written.")
+    elif output is not None:
         table = statistics.table()
         _write_table(table, output)
         say(f"{output} written: {counted(table.num_rows, 'row')}.")

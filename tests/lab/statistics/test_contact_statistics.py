@@ -13,6 +13,10 @@ from carom import Recording
 from carom.lab.statistics import contact_network, force_chains, impact_rates, stress_tensor
 from carom.lab.statistics.contact_network import contact_counts, held_bodies
 from carom.lab.statistics.interval import Interval
+from carom.lab.statistics.statistic import Histogram, Statistic
+from carom.lab.statistics.statistics_figure import draw
+from carom.lab.statistics.statistics_report import Statistics
+from carom.scene.units.dimension import VELOCITY
 from small_scenes import scene_of
 
 COLUMN = 10  # balls
@@ -65,6 +69,16 @@ def test_the_forces_of_a_column_rise_by_a_weight_and_its_lower_half_is_a_chain(c
     # the stress of ball k is that of COLUMN - k weights below and COLUMN - k - 1 above; half of them are above the mean
     assert values["chains"].value == 1.0
     assert values["chain_length"].value == values["longest_chain"].value == COLUMN / 2
+
+
+@pytest.mark.needs("matplotlib")
+def test_the_figure_has_a_panel_for_each_histogram_with_its_unit(column: Interval, tmp_path: Path) -> None:
+    kinds = {"contacts": contact_network.measure(column), "forces": force_chains.measure(column)}
+    kinds["speeds"] = Statistic({}, {"speeds": Histogram.of("approach speed", np.linspace(0.0, 1.0, 50), VELOCITY)})
+    draw(Statistics(column, kinds), tmp_path / "figure.svg")
+    text = (tmp_path / "figure.svg").read_text(encoding="utf-8")
+    for label in ("fraction of the bodies", "normal force / mean", "approach speed / m/s", "density / (m/s)⁻¹"):
+        assert label in text
 
 
 def test_a_bent_chain_ends_at_its_bend() -> None:

@@ -51,7 +51,9 @@ def measure(interval: Interval) -> Statistic:
     }
     edges = np.arange(int(each.max()) + 2, dtype=np.float64) - 0.5
     share = np.histogram(each, edges)[0] / len(each)
-    return Statistic(values, {"contacts_of_a_body": Histogram("contacts of a body", edges, share, function="bodies")})
+    return Statistic(
+        values, {"contacts_of_a_body": Histogram("contacts of a body", edges, share, function="fraction of the bodies")}
+    )
 
 
 def contact_counts(pairs: IntArray, bodies: int) -> IntArray:

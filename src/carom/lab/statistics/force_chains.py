@@ -50,7 +50,7 @@ def measure(interval: Interval) -> Statistic:
         "longest_chain": MeasuredValue("… of the longest", int(max(chains, default=0))),
         "in_chains": MeasuredValue("bodies in chains", sum(chains) / bodies),
     }
-    return Statistic(values, {"forces": Histogram.of("normal force / mean", ratio)})
+    return Statistic(values, {"forces": Histogram.of("normal force / mean", ratio, falls=True)})
 
 
 def chains_of(pairs: IntArray, normal: FloatArray, force: FloatArray, radius: FloatArray) -> list[int]:

@@ -48,8 +48,8 @@ def measure(interval: Interval) -> Statistic:
         "mean_free_path": known("mean free path", paths.length / collisions, LENGTH),
     }
     histograms = {
-        "free_times": Histogram.of("free time", paths.free_times, TIME),
-        "free_paths": Histogram.of("free path", paths.free_paths, LENGTH),
+        "free_times": Histogram.of("free time", paths.free_times, TIME, falls=True),
+        "free_paths": Histogram.of("free path", paths.free_paths, LENGTH, falls=True),
     }
     left_out = interval.impacts_left_out
     lack = f"of these impacts, {left_out} were not recorded; with --replay they are computed again" if left_out else ""

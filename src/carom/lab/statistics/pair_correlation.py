@@ -49,8 +49,9 @@ def measure(interval: Interval) -> Statistic:
     centres = min(interval.bodies, MOST_CENTRES_OF_FRAME)
     steps = interval.step[interval.chosen(MOST_CENTRES // centres)].tolist()
     largest = _largest_distance(interval.positions.drawn(steps[-1]), radius, box)
-    edges = np.linspace(0.0, largest, SHELLS + 1)
-    counts, near = np.zeros((2, SHELLS)), np.zeros((2, len(NEAR) - 1))
+    shells = max(1, round(SHELLS / largest))  # up to s = 1
+    edges = np.arange(int(largest * shells) + 1) / shells
+    counts, near = np.zeros((2, len(edges) - 1)), np.zeros((2, len(NEAR) - 1))
     for step in steps:
         distances = distances_of(interval.positions.drawn(step), radius, box, largest)
         counts += distances.counts(edges)
@@ -59,7 +60,7 @@ def measure(interval: Interval) -> Statistic:
     if largest >= NEAR[-1] and np.all(near[0] > 0.0):
         contact, error = value_at_contact(near)
         values["contact_value"] = MeasuredValue("g at contact", contact, error=error)
-    g = np.divide(counts[0], counts[1], out=np.zeros(SHELLS), where=counts[1] > 0.0)
+    g = np.divide(counts[0], counts[1], out=np.zeros_like(counts[0]), where=counts[1] > 0.0)
     histogram = Histogram("distance / sum of radii", edges, g, function="pair correlation g")
     return Statistic(values, {"pair_correlation": histogram})
 

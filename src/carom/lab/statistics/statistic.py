@@ -12,7 +12,7 @@ from carom.arrays import FloatArray
 from carom.extend import Dimension, UnitSystem
 
 NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
-BINS = 40  # of a histogram
+MOST_BINS = 40  # of a histogram
 TAIL = 0.995  # fraction of the values in a histogram; its last values would stretch it
 
 
@@ -42,14 +42,16 @@ class Histogram:
     function: str = ""  # label of the values; empty for a density
     expected: FloatArray | None = None  # (b,) the values in theory
     theory: str = ""  # its name
+    falls: bool = False  # about exponentially, so that a figure has a logarithmic axis
 
     @classmethod
-    def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, low: float = 0.0) -> Histogram:
-        """Return the density of values from a bound to the largest ones."""
+    def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
+        """Return the density of values from 0 to the largest ones."""
         high = float(np.quantile(values, TAIL)) if len(values) else 1.0
-        edges = np.linspace(low, high if high > low else low + 1.0, BINS + 1)
+        bins = max(1, min(MOST_BINS, round(2 * len(values) ** (1 / 3))))  # Rice's rule
+        edges = np.linspace(0.0, high if high > 0.0 else 1.0, bins + 1)
         counts = np.histogram(values, edges)[0]
-        return cls(label, edges, counts / (max(1, len(values)) * np.diff(edges)), dimension)
+        return cls(label, edges, counts / (max(1, len(values)) * np.diff(edges)), dimension, falls=falls)
 
     def document(self, units: UnitSystem) -> dict[str, Any]:
         """Return it as JSON, in the units of the recording."""
