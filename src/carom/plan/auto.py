@@ -49,7 +49,7 @@ HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
 WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
-WIDEST_PULL = 0.1  # of the time of a pair: an orbit of 90 steps
+WIDEST_PULL_FRACTION = 0.1  # of the time of a pair: an orbit of 90 steps
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:
@@ -371,7 +371,7 @@ def accurate_limits(scene: Scene, refinement: float, until: float) -> StepLimits
         target_dx=(WIDEST_FALL / refinement) ** 2 * smallest_radius(scene) if touches else None,
         held_dx=None,
         held_part=HELD_PART,
-        pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL / refinement,
+        pull_fraction=None if pull_fraction(scene) is None else WIDEST_PULL_FRACTION / refinement,
         smoothing=1.0,
     )
 
@@ -393,6 +393,6 @@ def wider_limits(scene: Scene, stride: float) -> StepLimits:
         target_dx=None if root is None else root * root,
         held_dx=None if rest is None else min(stride, WIDEST_HELD) ** 2 * rest,
         held_part=min(stride * HELD_PART, WIDEST_HELD_PART),
-        pull_fraction=wider(pull_fraction(scene), WIDEST_PULL),
+        pull_fraction=wider(pull_fraction(scene), WIDEST_PULL_FRACTION),
         smoothing=1.0,
     )

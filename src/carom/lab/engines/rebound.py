@@ -67,14 +67,14 @@ class ReboundSource:
         if radius is not None:
             size = np.where(size > 0.0, size, radius)
         particles = [simulation.particles[k] for k in range(self._n)]
-        pulls = _setting_name(simulation, "gravity") != "none"
+        has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
             radius=size,
             names=[_name(particle, k) for k, particle in enumerate(particles)],
-            constant=simulation.G if pulls else 0.0,
+            constant=simulation.G if has_gravity else 0.0,
             softening=simulation.softening,
             box=_box(simulation) if periodic else None,
             collides=touches,

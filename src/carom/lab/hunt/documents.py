@@ -117,11 +117,11 @@ def meeting(
     def choose(given: bool | None) -> bool:
         return draw.choice(False, True) if given is None else given
 
-    pulls, falls = choose(gravity), choose(field)
+    has_gravity, has_field = choose(gravity), choose(field)
     # With an adaptive step, Baumgarte's bias diverges for squeezed bodies: test_random_scenes.py has the scene.
     undoing = stabilisation or draw.choice("split", "none", *(["baumgarte"] if fixed_step is not False else []))
     fixed = undoing == "baumgarte" or choose(fixed_step)
-    wraps = not pulls and not falls and choose(periodic)
+    wraps = not has_gravity and not has_field and choose(periodic)
     L, U, M = scale or scales(draw)
     overlapping = not wraps and draw.integer(0, 3) == 0
     bodies = _bodies(draw, L, U, M, draw.integer(1, most_bodies), overlapping, drift)
@@ -144,11 +144,11 @@ def meeting(
         },
         "record": {"every": "step", "check_every": 1},
     }
-    if pulls:
+    if has_gravity:
         # The attraction of overlapping bodies without softening is unbounded, beyond the model (physics.md, 16).
         soft = draw.choice(0.1, 1.0) if overlapping else draw.choice(0.0, 0.0, 0.1, 1.0)
         document["gravity"] = {"constant": decade(draw, -3, 2) * U * U * L / M, "softening": soft * L}
-    if falls:
+    if has_field:
         document["gravity"]["uniform"] = row(vector(draw) * (decade(draw, -2, 1) * U * U / L))
     if wraps:
         document["domain"] = {"boundary": "periodic", "size": _box(bodies, draw.choice(0.0, 0.125, 1.0))}

@@ -237,8 +237,8 @@ class _Solver:
         d = x[None, :, :] - x[:, None, :]
         r2 = np.sum(d * d, axis=2) + self._scene.gravity.softening**2
         np.fill_diagonal(r2, 1.0)
-        pull = self._constant * self._bodies.mass / (r2 * np.sqrt(r2)) if self._constant else np.zeros_like(r2)
-        acceleration = np.einsum("ij,ijk->ik", pull, d) + self._field
+        gm_r3 = self._constant * self._bodies.mass / (r2 * np.sqrt(r2)) if self._constant else np.zeros_like(r2)
+        acceleration = np.einsum("ij,ijk->ik", gm_r3, d) + self._field
         if drag := self._scene.drag:
             slip = y[3 * self._n :].reshape(-1, 3) - drag.medium_velocity
             acceleration -= slip / drag.relaxation_time
@@ -336,10 +336,10 @@ class _Solver:
             rate = self._closing(state, int(pair))
             if rate <= self._rate_noise(state, int(pair), self._tolerance):
                 continue  # it stays in touch; `_pressed` checks for a force that presses
-            pull = self._pull(state, int(pair))
-            if pull >= 0.0:
+            opening = self._gap_acceleration(state, int(pair))
+            if opening >= 0.0:
                 continue
-            flight = rate / -pull
+            flight = rate / -opening
             if rate * flight / 2 < LOWEST_FLIGHT * self._near[pair]:
                 self._end_in_contact(int(pair))
             longest = min(longest, flight)
@@ -378,7 +378,7 @@ class _Solver:
         speeds = np.linalg.norm(v[self._i[pair]]) + np.linalg.norm(v[self._j[pair]])
         return relative * float(self._speed + speeds)
 
-    def _pull(self, state: FloatArray, pair: int) -> float:
+    def _gap_acceleration(self, state: FloatArray, pair: int) -> float:
         """Return the second derivative of the gap of a pair, in m/s²."""
         acceleration = self._rates(self._time, state)[3 * self._n :].reshape(-1, 3)
         x, v = state.reshape(2, -1, 3)

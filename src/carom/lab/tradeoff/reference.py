@@ -282,7 +282,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
     tell(f"reference: steps {factor:g} times smaller")
     coarse = follow(_space(scene, factor, threads), times)
     reference: Reference | None = None
-    _, of_the_pull = _finer_pull(scene)
+    _, of_gravity = _finer_gravity(scene)
     while True:
         factor, started = 2.0 * factor, time.perf_counter()
         tell(f"reference: steps {factor:g} times smaller")
@@ -294,7 +294,7 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
             kind="refined",
             fineness=factor,
             whole=True,
-            text=f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_the_pull} ({reason})",
+            text=f"refined: the scene with steps {factor:g} and {factor / 2:g} times smaller{of_gravity} ({reason})",
         )
         gained = reference is None or found.samples > GAIN * reference.samples
         reference, coarse = found, fine
@@ -305,13 +305,13 @@ def _refined(scene: Scene, finest: float, threads: int | None, budget: float, te
 
 def _space(scene: Scene, factor: float, threads: int | None) -> Space:
     """Return the scene with smaller steps and without the error of a tree; without forces, use times of impact."""
-    overrides = refined(scene, factor) + _finer_pull(scene)[0]
+    overrides = refined(scene, factor) + _finer_gravity(scene)[0]
     if not require(scene).pulls:
         overrides += ["contact.timing=time-of-impact", "time.integrator=leapfrog"]
     return Space(scene.changed(overrides), threads)
 
 
-def _finer_pull(scene: Scene) -> tuple[list[str], str]:
+def _finer_gravity(scene: Scene) -> tuple[list[str], str]:
     """Return the overrides that remove the error of a tree, and their description."""
     if not auto.uses_tree(scene):
         return [], ""
