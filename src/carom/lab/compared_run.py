@@ -1,8 +1,8 @@
 """The data by which runs are compared: states at common times, first contacts and extremes.
 
-Common times fall within steps, and cutting the steps would change the run. The state is therefore interpolated between
-the ends of a step, by a polynomial of degree five, or three if the integrator has no forces there. After an impact, a
-body flies freely until its next one.
+Common times fall within steps, and steps cut there would change the run. The state is therefore interpolated between
+the ends of a step, by a polynomial of degree five, or of degree three if the integrator computes no forces at the ends.
+After an impact, a body flies freely until its next one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from carom.extend import TIME, auto, every, minimum_images, whole_file, write_wh
 TELLING = 5.0  # s between two lines of progress
 
 
-STEPS = (4.0, 2.0, 1.0, 0.5)  # of each integrator, if only the integrator matters
+STEPS = (4.0, 2.0, 1.0, 0.5)  # step factors of each integrator, if only the integrator matters
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Setting:
 
     name: str  # such as "step × 2, integrator = euler"
     overrides: tuple[str, ...]  # as given to ``--set``
-    threads: int | None = None  # None: as in the study
+    threads: int | None = None  # None for the study's
     engine: str = ""  # another engine, to whose own keys `overrides` belong; empty for carom
 
     def apply(self, scene: Scene) -> Scene:
@@ -60,7 +60,7 @@ class RunStoppedError(ExperimentError):
     reached
         The simulated time as text, with its unit.
     by_limit
-        Whether the CPU time stopped it, which ``--limit`` sets.
+        Whether the CPU time stopped it, which ``--limit`` bounds.
     """
 
     def __init__(self, steps: int, seconds: float, reached: str, *, by_limit: bool) -> None:
@@ -130,15 +130,15 @@ class Trajectory:
     time: FloatArray  # (K,) s
     position: FloatArray  # (K, n, 3) m
     velocity: FloatArray  # (K, n, 3) m/s
-    pair: IntArray  # (m, 2) bodies that met, in the order of their first contacts; j - n counts the planes
+    pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j - n counts the planes
     met: FloatArray  # (m,) s, the time of their first contact
-    energy_error: float  # largest |integration error| over the energy scale, or energy injected by contacts
-    energy_gain: float  # largest rise of the total energy above its lowest so far, over the energy scale
+    energy_error: float  # largest |integration error| over the energy scale, or energy added by contacts
+    energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
     angular_momentum_error: float  # the same of the angular momentum
     overlap: float  # deepest overlap over the smaller radius; NaN if no contact is possible
-    sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can rest
-    impacts: int  # contacts that closed faster than at rest, summed over the steps
+    sinking: float  # mean overlap over the smaller radius of contacts late in the run; NaN if nothing can be at rest
+    impacts: int  # contacts that closed faster than the rest speed, summed over the steps
     steps: int
     frames: int  # in a recording of the run; 0 for a reference, which is not recorded
     # only in exact references: the ends of every impact, (k, 2), and its time, (k,) s
@@ -173,7 +173,7 @@ def sample_times(scene: Scene) -> FloatArray:
     """Return the times at which trajectories of a scene are compared, (K,) s; the last one is its duration.
 
     The last fraction is exactly 1, so that no time is rounded past the end of the run. The other times are not round
-    numbers, because impacts often happen at round times, and a velocity then has two values.
+    numbers: impacts often happen at round times, where a velocity has two values.
     """
     count = MORE_SAMPLES if scene.count <= MORE_SAMPLES_UP_TO else SAMPLES
     fractions = (np.arange(1, count + 1) - EARLIER) / count
@@ -184,7 +184,7 @@ def sample_times(scene: Scene) -> FloatArray:
 def follow(
     space: Space, times: FloatArray, bound: RunBound = UNBOUNDED, tell: Callable[[int, float], None] = _ignore
 ) -> Trajectory:
-    """Run a space to its end and collect its data, without a change of its steps.
+    """Run a space to its end and collect its data, without changing its steps.
 
     Parameters
     ----------
@@ -193,14 +193,14 @@ def follow(
     bound
         The bound.
     tell
-        Called with the step and the time in s now and then.
+        Called now and then with the step and the time in s.
 
     Raises
     ------
     PhysicsError
         If the state is no longer finite.
     RunStoppedError
-        If it goes beyond its bound.
+        If it exceeds its bound.
     """
     guard = RunGuard(bound, tell)
     watch = _Watch(space, times, guard)
@@ -245,11 +245,11 @@ class _Watch:
         self.met: dict[int, float] = {}  # s, by i (n + p) + j
         self._space, self._times, self._guard = space, times, guard
         self._recorded = every(auto.frame_interval(space.scene))
-        self._frames, self._last_recorded = 1, True  # the start
+        self._frames, self._last_recorded = 1, True  # the initial frame
         self._ends = len(space.state) + len(space.planes)
         self._overlaps: list[FloatArray] = []  # over the smaller radius, late in the run
-        self._touching = np.empty(0, dtype=np.int64)  # the contacts of the step before
-        self._began = 0.0  # s, when that step began
+        self._touching = np.empty(0, dtype=np.int64)  # the contacts of the previous step
+        self._began = 0.0  # s, start of that step
         self._before: tuple[float, FloatArray, FloatArray, FloatArray]
 
     def __call__(self, step: int, before: float, time: float) -> bool:
@@ -348,11 +348,11 @@ class _Flight:
 
     def __init__(self, v: FloatArray, a: FloatArray, jerk: FloatArray, scene: Scene) -> None:
         self._way, self._v, self._a, self._jerk = np.zeros_like(v), v.copy(), a, jerk
-        self._since = np.zeros((len(v), 1))  # s, the last impact of each
+        self._since = np.zeros((len(v), 1))  # s, the last impact of each body
         self._drag = scene.drag
 
     def at(self, h: float | FloatArray, bodies: slice | IntArray = slice(None)) -> tuple[FloatArray, FloatArray]:
-        """Return displacements and velocities h after the beginning, in s."""
+        """Return displacements and velocities a time h (s) after the start."""
         since, v, jerk = self._since[bodies], self._v[bodies], self._jerk[bodies]
         s, a = h - since, self._a[bodies] + since * jerk
         if self._drag is None:

@@ -75,7 +75,7 @@ def examined_other(
         for fault in seen.faults
     }
     criteria = [
-        # a run that ended early might have exceeded a limit later; and since energy taken by contacts cannot be
+        # a run that ended early might have exceeded a limit later; and since energy absorbed by contacts cannot be
         # separated from the integrator's error, only a lower bound of that error is measured
         _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
         for v in verdicts
@@ -111,7 +111,7 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
 
 
 # Follows runs of engines, several at a time in their own processes; nothing is timed meanwhile.
-MIN_RUNS_FOR_PROCESSES = 8  # for fewer, processes take longer to start than they save
+MIN_RUNS_FOR_PROCESSES = 8  # with fewer, starting processes takes longer than they save
 _TICK = 60.0  # s of a wait for runs
 
 
@@ -131,11 +131,11 @@ class Followed:
 
     watched: Watched
     trajectory: Trajectory | None  # None if the run failed
-    reason: str  # why it did
+    reason: str  # why it failed
 
 
 def execute(task: CrosscheckTask) -> Followed:
-    """Follow a run step by step and record it; run it again for samples between steps if the engine supports them."""
+    """Follow a run step by step and record it; repeat it for samples between steps if the engine supports them."""
     engine = engine_called(task.setting.engine)
     engine.ensure_installed()
     times = sample_times(task.scene)
@@ -155,7 +155,8 @@ class Runs(ExitStack):
     Parameters
     ----------
     workers
-        Number of processes. None: one for each core from `MIN_RUNS_FOR_PROCESSES` runs on. 1: this process.
+        Number of processes. None: one per core if there are at least `MIN_RUNS_FOR_PROCESSES` runs; 1: only this
+        process.
     """
 
     def __init__(self, workers: int | None) -> None:
@@ -171,7 +172,7 @@ class Runs(ExitStack):
         self._tasks[task.path] = task
 
     def begin(self) -> None:
-        """Start all announced runs, if other processes follow them."""
+        """Start all registered runs, if other processes follow them."""
         workers = self._workers or (cores() if len(self._tasks) >= MIN_RUNS_FOR_PROCESSES else 1)
         if workers == 1 or len(self._tasks) < 2:
             return
@@ -180,7 +181,7 @@ class Runs(ExitStack):
         self._pool.send(execute, self._tasks)
 
     def result(self, task: CrosscheckTask) -> Followed:
-        """Return the result of a run; wait for it, or follow it in this process."""
+        """Return the result of a run: wait for it, or follow it in this process."""
         if task.path not in self._begun:
             return execute(task)
         self._begun.remove(task.path)
@@ -215,7 +216,7 @@ class Crosscheck:
     scene
         The scene.
     engines
-        To compare carom with.
+        The reference to compare carom with.
     folder
         Folder of the results. Results of an interrupted check of the same scene are kept.
     threads
@@ -265,11 +266,11 @@ class Crosscheck:
 
     @property
     def results(self) -> list[SettingResult]:
-        """The measured runs, carom's first."""
+        """The measured runs, starting with carom's."""
         return self.study.results
 
     def announce(self) -> None:
-        """Announce the runs that are not followed yet."""
+        """Register the runs that are not yet followed."""
         for setting in self._settings():
             name, known = setting.name, {result.setting.name: result.status for result in self.results}
             if setting.engine and (name not in self.examinations or known.get(name, "pending") == "pending"):
@@ -278,10 +279,10 @@ class Crosscheck:
     def follow(self, tell: Teller) -> None:
         """Follow and examine the remaining runs; nothing is timed."""
         for result in self.study.measure(self._settings(), 0, tell):
-            self._examine(result, tell)  # runs left unexamined by an interruption
+            self._examine(result, tell)  # runs that an interruption left unexamined
 
     def time(self, repeats: int, tell: Teller) -> None:
-        """Time all runs in rotation, so many times."""
+        """Time all runs in rotation, a number of times."""
         self.study.measure(self._settings(), repeats, tell)
         write_document(self.folder / DOCUMENT, self.document())
 
@@ -318,7 +319,7 @@ class Crosscheck:
         return followed.trajectory
 
     def _examine(self, result: SettingResult, tell: Teller) -> None:
-        """Examine a run that was followed, unless it has been, and save the result."""
+        """Examine a run that was followed, unless it is already examined, and save the result."""
         name = result.setting.name
         if name not in self.examinations:
             tell(f"{name}: laws")

@@ -66,8 +66,8 @@ class Parting:
     """The divergence of a run from the reference."""
 
     time: float  # s, of the first sample that is too far away
-    impact: int | None  # number in carom's recording of the first impact with another outcome; 0: none
-    between: str  # its names
+    impact: int | None  # number in carom's recording of the first impact with another outcome; 0 if there is none
+    between: str  # names of its bodies
     impact_time: float  # s, in the reference
     laws: list[str]  # violated from that impact on
 
@@ -87,13 +87,13 @@ def parting_of(
     run
         The run.
     reference
-        Its samples up to the horizon are compared.
+        The reference; samples up to the horizon are compared.
     broken
         Times (s) and laws of the frames that violate one, in order.
     dt
         s, the step of the run.
     names
-        Of bodies and planes.
+        Names of bodies and planes.
     numbered
         The impacts of carom's own run.
 
@@ -127,11 +127,11 @@ def parting_of(
 def _first_other_outcome(
     run: Trajectory, reference: Reference, pairs: IntArray, times: FloatArray, before: int, dt: float
 ) -> int | None:
-    """Return the first of so many impacts with another outcome in a run; None without impacts.
+    """Return the first of ``count`` impacts with another outcome in a run; None without impacts.
 
     The velocities of its bodies are compared at the last sample before their next impacts. If these follow before a
-    soft contact may have ended, their outcome must differ, too. If no velocity differs, return the last impact: the run
-    diverges by its delay, or in the flight after it.
+    soft contact may have ended, their own outcomes must differ, too. If no velocity differs, return the last impact:
+    the run diverges by its delay, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]
@@ -210,7 +210,7 @@ def draw(check: Crosscheck, path: Path) -> None:
 
 
 def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[SettingResult]) -> None:
-    """Draw the distance of each run from the reference; later lines are thinner, so that earlier ones stay visible."""
+    """Draw the distance of each run from the reference; later lines are thinner, so that earlier ones are visible."""
     units = check.scene.unit_system
     colours = colours_of([*(engine.name for engine in check.engines), *(run.setting.engine for run in runs)])
     seen: dict[str, int] = {}
@@ -223,7 +223,7 @@ def _draw_runs(ax: Any, check: Crosscheck, reference: Reference, runs: list[Sett
         time = units.shown(1.0, TIME) * reference.trajectory.time[: len(shown)]
         width = WIDEST - (WIDEST - 1.0) * number / len(runs)
         ax.plot(time, shown, style, color=colours[engine], linewidth=width, label=result.setting.name)
-        # mark the first frame that broke each law
+        # mark the first frame that violates each law
         examination = check.examinations.get(result.setting.name)
         for broken in () if examination is None else examination.laws.values():
             at = units.shown(broken["time"], TIME)

@@ -28,7 +28,7 @@ from carom.lab.diff.divergence import (
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # largest difference of the numbers of impacts of a pair for which impacts are matched
+MOST_SKIPPED = 1000  # largest difference between the numbers of a pair's impacts for which these are matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -65,10 +65,10 @@ class ImpactDivergence:
     differences of times.
     """
 
-    counts: tuple[int, int] | None  # up to the last frame at a common time; None if there is no such frame
+    counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
     compared: int  # impacts that both recorded
     first: ImpactPair | None  # the first of these that differs
-    alone: ImpactPair | None  # the first impact of only one run, where the other recording is complete
+    alone: ImpactPair | None  # the first impact of only one run, if the other recording is complete there
 
     @property
     def same(self) -> bool:
@@ -124,7 +124,7 @@ def _matched(ends: tuple[IntArray, ...], times: tuple[FloatArray, ...]) -> tuple
 
 
 def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
-    """Return the rows of the impacts of each pair, rising."""
+    """Return the rows of the impacts of each pair, in ascending order."""
     if not len(ends):
         return {}
     keys, inverse = np.unique(ends, axis=0, return_inverse=True)
@@ -137,14 +137,15 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
     """Match each time of the shorter list with one of the longer, in order, with the smallest sum of differences.
 
-    This is dynamic programming over the number of skipped times. Beyond `MOST_SKIPPED`, the last times are left out.
+    This is dynamic programming over the number of skipped times. If the numbers differ by more than `MOST_SKIPPED`, the
+    last times are ignored.
     """
     skips = min(len(long) - len(short), MOST_SKIPPED)
     if skips == 0:
         return np.arange(len(short))
     cost, taken = np.zeros(skips + 1), np.empty((len(short), skips + 1), np.int64)
     for k, time in enumerate(short):
-        best = np.minimum.accumulate(cost)  # lowest cost with at most so many skipped before
+        best = np.minimum.accumulate(cost)  # lowest cost with at most this many skipped before
         first = np.maximum.accumulate(np.where(cost == best, np.arange(skips + 1), 0))
         taken[k] = first
         cost = best + np.abs(long[k : k + skips + 1] - time)
@@ -163,7 +164,7 @@ def _alone(
     times: tuple[FloatArray, ...],
     rows: tuple[IntArray, IntArray],
 ) -> ImpactPair | None:
-    """Return the first impact that certainly only one run has, in the common time; None if there is none."""
+    """Return the first impact that certainly only one run has, within the common time; None if there is none."""
     spans = [recording.fingerprints()["time"].to_numpy() for recording in recordings]
     begin, end = max(span[0] for span in spans), min(span[-1] for span in spans)
     found: list[ImpactPair] = []
@@ -214,8 +215,8 @@ class Diff:
     """Two recordings compared."""
 
     paths: tuple[Path, Path]
-    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where one is not written
-    defaults: dict[str, Any]  # values of keys that one scene leaves out
+    scene: dict[str, tuple[Any, Any]]  # keys that differ; None where a key is not written
+    defaults: dict[str, Any]  # values of keys that one scene omits
     environment: dict[str, tuple[Any, Any]]  # differences of versions, machine, command
     frames: tuple[int, int]
     matched_by: str  # "step", or "sim_time" where dt differs
@@ -229,7 +230,7 @@ class Diff:
     def same(self) -> bool:
         """Whether all common frames and impacts have the same bits.
 
-        In a comparison with another engine, whose bits always differ, whether no difference was measured.
+        In a comparison with another engine, whose bits always differ: whether no difference was measured.
         """
         return self.verdict.kind == "same" and (self.impacts is None or self.impacts.same)
 

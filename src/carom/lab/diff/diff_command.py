@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
 
-ROWS = 12  # of the table of how the difference grows
+ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # of the scene that are printed; --json has all
 
 FirstArgument = Annotated[

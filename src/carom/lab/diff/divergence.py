@@ -1,7 +1,7 @@
 """The growth of a difference between two runs, and its cause.
 
 Two runs of a chaotic system that differ by round-off diverge exponentially: ln d = a + λ t. A difference with another
-cause, such as a bug or a different scene, exceeds the bound of grown round-off or grows as a power of time.
+cause, such as a bug or a different scene, exceeds the bound on grown round-off, or grows as a power of time.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from carom.errors import RecordingError
 from carom.extend import LENGTH, RATE, SI, TIME, RecordedPositions, UnitSystem, minimum_images
 
 _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow freely
-_POINTS, _FACTOR = 5, 10.0  # least number of frames, and least growth, to which a rate is fitted
+_POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, for the fit of a rate
 _ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
-_GRAZING = 1000.0  # a grazing impact multiplies a difference by mean free path over radius at once
+_GRAZING = 1000.0  # a grazing impact multiplies a difference at once by mean free path over radius
 _SURE = 3.0  # standard errors by which a rate must differ from 0
 
 
@@ -33,7 +33,7 @@ class DistanceCurve:
     rms: FloatArray  # (k,) m, of the distances between counterparts
     floor: FloatArray  # (k,) m; a smaller difference may be rounding of recorded positions
     energy: FloatArray  # (k,) J, second minus first
-    differs: BoolArray  # (k,) whether the fingerprints differ, or else the positions
+    differs: BoolArray  # (k,) whether the fingerprints or, without these, the positions differ
     size: float  # m, rms distance of the bodies from their centre
     reach: float  # m, the largest coordinate, to which round-off is relative
     of_bits: bool = True  # whether fingerprints were compared; those of other engines are not comparable
@@ -54,14 +54,14 @@ class Divergence:
     begin: float  # s
     end: float  # s
     points: int
-    factor: float  # by which the difference grew meanwhile
+    factor: float  # growth of the difference in that time
     power: float  # p of the best t^p
-    is_exponential: bool  # the line fits better than any power of time
+    is_exponential: bool  # whether the line fits better than any power of time
 
 
 @dataclass(frozen=True, slots=True)
 class DiffVerdict:
-    """The cause in one word, in one sentence, and the numbers behind it."""
+    """The cause in one word and in one sentence, and the numbers behind it."""
 
     kind: str  # "same", "start", "jump", "chaos", "drift" or "small"
     text: str
@@ -168,7 +168,7 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
 # `FrameAlignment`: the common frames of two recordings, and the distances of the bodies in each.
 SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
 _GAPS_AT_THE_END = 2.0  # times the largest gap between common frames, since one run may have two recording intervals
-_UNSEEN = 2.0  # largest acceleration between frames over that which three of them show
+_UNSEEN = 2.0  # largest acceleration between frames over the one that three frames show
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
@@ -260,7 +260,7 @@ class FrameAlignment:
         return i, j, float((time - self._b.time[j - 1]) / (reached - self._b.time[j - 1]))
 
     def _near(self, one: FloatArray, other: FloatArray) -> FloatArray:
-        """Return the periodic images of other positions that are nearest to some positions."""
+        """Return the periodic images of other positions that are nearest to given positions."""
         if self._box is None:
             return other
         apart = other - one
@@ -269,8 +269,8 @@ class FrameAlignment:
     def _bend(self, j: int, earlier: FloatArray, later: FloatArray) -> float:
         """Bound the error of linear interpolation at the midpoint: an eighth of the acceleration times h².
 
-        Frames need not be equally spaced. The bound is twice the larger of the accelerations at both ends, because
-        three frames understate the curvature of an orbit between them.
+        Frames need not be equally spaced. The bound is twice the larger acceleration at both ends, because three frames
+        understate the curvature of an orbit between them.
         """
         time, largest = self._b.time, 0.0
         h = time[j] - time[j - 1]

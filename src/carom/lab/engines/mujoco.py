@@ -193,7 +193,7 @@ def _named(name: str, number: int) -> str:
     return name or f"body {number}"
 
 
-BOUNCE = 20.0  # steps that a bounce takes: the spring must be resolved
+BOUNCE = 20.0  # steps per bounce, so that the spring is resolved
 IMPEDANCE = 0.99  # of a contact; 1 would be rigid, which MuJoCo does not allow
 
 
@@ -229,7 +229,7 @@ class MuJoCo(SteppedEngine):
                 type=engine.mjtGeom.mjGEOM_PLANE, pos=place, quat=_turn(normal), size=[0.0, 0.0, 1.0]
             )
             plane.name = problem.planes.name[k]
-            plane.priority = 1  # its own coefficients count
+            plane.priority = 1  # its own coefficients take precedence
             _set_law(plane, problem.at_planes[k], dt)
         start = problem.start
         alike = len(set(start.name)) < len(start.name)
@@ -258,9 +258,9 @@ class _InOrder:
     Parameters
     ----------
     place
-        (n,) where the bodies of the scene are in the source.
+        (n,) indices of the scene's bodies in the source.
     names
-        Of the bodies of the scene.
+        Names of the scene's bodies.
     """
 
     def __init__(self, source: Source, place: IntArray, names: Sequence[str]) -> None:

@@ -26,8 +26,8 @@ from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, pr
 from carom.record import CONTACT, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
-SLOW = 200  # bodies; copying their states takes a thirtieth of a step
-SELDOM = 5  # steps for a frame of 1000 bodies: reading it takes a sixth of one step
+SLOW = 200  # bodies from which copying their states takes a thirtieth of a step
+SELDOM = 5  # steps per frame of 1000 bodies, whose reading takes a sixth of a step
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
@@ -103,7 +103,7 @@ class PyBulletSource:
 
     def state(self) -> State:
         """Return the present state."""
-        # PyBullet has no call for several bodies: these two a body are most of the cost of a frame
+        # PyBullet has no call for several bodies: these two calls per body are most of the cost of a frame
         places = map(self._package.getBasePositionAndOrientation, self._bodies, repeat(self._client))
         rates = map(self._package.getBaseVelocity, self._bodies, repeat(self._client))
         place, rate = _rows(places, len(self._bodies), 7), _rows(rates, len(self._bodies), 6)
@@ -136,7 +136,7 @@ def pybullet(
 
 
 def calls_per_frame(bodies: int) -> int:
-    """Return the number of steps for a frame for which copying the states takes a small fraction of the time."""
+    """Return the number of steps per frame for which copying the states takes a small fraction of the time."""
     return min(SELDOM, 1 + bodies // SLOW)
 
 

@@ -1,9 +1,8 @@
 """REBOUND: its recorder, and the engine that `crosscheck` compares. An optional package, under the GPL.
 
-REBOUND integrates bodies that attract each other, or smooth hard spheres.
-Every integrator that can run the scene is compared: IAS15, which controls its error, and those with a constant step at
-several steps. The symplectic maps for one dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the
-shortest period about that body.
+REBOUND integrates bodies that attract each other, or smooth hard spheres. Every integrator that can run the scene is
+compared: IAS15, which controls its error, and those with a constant step at several steps. The symplectic maps for one
+dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the shortest period about that body.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from carom.record import Model, Source, State, StateMemory
 
 G_SI = 6.674e-11  # m³ kg⁻¹ s⁻²; REBOUND's own differs in the fifth digit
 READ = ("x", "y", "z", "vx", "vy", "vz")  # the first numbers of a particle in memory
-ROW = np.dtype((np.void, 8 * len(READ)))  # all of them, copied as one: six times as fast as six numbers
+ROW = np.dtype((np.void, 8 * len(READ)))  # the same, copied as one item: six times as fast as six numbers
 
 
 class ReboundSource:
@@ -98,12 +97,12 @@ class ReboundSource:
         simulation = self._simulation
         if self._all != simulation.N:
             raise RecordingError(
-                f"rebound had {self._all} particles and has {simulation.N}; a recording has a fixed set of bodies, so "
-                "start another recording"
+                f"rebound had {self._all} particles, but now has {simulation.N}; a recording has a fixed set of "
+                "bodies, so start another recording"
             )
         if not simulation.is_synchronized:
             simulation.synchronize()
-        address = ctypes.addressof(simulation._particles.contents)  # `simulation.particles` makes objects
+        address = ctypes.addressof(simulation._particles.contents)  # `simulation.particles` would create objects
         if address != self._address:
             self._address, self._particles = address, _particles_at(address, self._stride, self._n)
         into.parts[0][:] = self._particles
@@ -155,12 +154,12 @@ def _particles_at(address: int, size: int, count: int) -> Records:
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
 OLDEST = 5  # major version; earlier ones have other names for settings of integrators
-ANY = ("leapfrog",)  # with the scene's own step
+ANY = ("leapfrog",)  # name of the setting with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
 UNSYNCHRONISED = ("whfast", "mercurius")  # unless every step is requested to end with a readable state
 TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
-SEED = 1  # of the order of impacts in one step, which REBOUND draws; its own seed is the clock
-PARTS = (20.0, 40.0, 80.0, 160.0)  # of the shortest period
+SEED = 1  # of the order of impacts in one step, which REBOUND draws at random; its default seed is the clock
+PARTS = (20.0, 40.0, 80.0, 160.0)  # fractions of the shortest period
 
 
 class Rebound:
@@ -262,7 +261,7 @@ class Rebound:
         return require(scene).contact.modelled
 
     def run(self, scene: Scene, setting: Setting) -> float:
-        """Run a scene, as fast as the integrator allows; return the CPU time it took in s: it uses one thread."""
+        """Run a scene as fast as the integrator allows; return its CPU time (s) on one thread."""
         simulation = _simulation(scene, setting, safe=False)
         began = time.thread_time()
         simulation.integrate(scene.time.duration, exact_finish_time=0)

@@ -47,7 +47,7 @@ class Problem:
 
     @property
     def extent(self) -> float:
-        """The distance in m from the middle of the bodies at the start to the farthest, or a radius if that is more."""
+        """Distance (m) from the initial middle of the bodies to the farthest of them, or a radius if that is larger."""
         centre = self.start.position.mean(axis=0)
         away = np.linalg.norm(self.start.position - centre, axis=1)
         return float(max(away.max(), self.start.radius.max()))
@@ -71,7 +71,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     Raises
     ------
     ExperimentError
-        If the scene has parts that such engines lack; the message names each.
+        If the scene has features that such engines lack; the message names each.
     """
     parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
@@ -178,7 +178,7 @@ class SteppedEngine(ABC):
 
 
 def steps_of(scene: Scene, dt: float) -> int:
-    """Return the steps that a scene takes at a dt in s; the last one may end a little later than the scene."""
+    """Return the number of steps of a scene at a dt (s); the last step may end slightly after the scene."""
     return math.ceil(scene.time.duration / dt * (1.0 - ROUNDING))
 
 

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 ROUNDING = 1e-9  # of the duration, by which the sum of the steps may fall short
 COMPLETED = "completed"
-MOST_SEEN = 20_000  # examined steps, where nothing can touch
-FRAMES = 600  # of a recording, besides frames that violate a law
+MOST_SEEN = 20_000  # steps examined where nothing can touch
+FRAMES = 600  # frames of a recording, in addition to those that violate a law
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class Watched:
     trajectory: Trajectory
     extremes: Extremes
     faults: list[Fault]  # the first of each law, in order of time
-    counts: dict[str, int]  # frames that broke each law
+    counts: dict[str, int]  # number of frames that violate each law
     broken: list[tuple[float, str]]  # time (s) and law of every such frame
 
 
@@ -56,7 +56,7 @@ def watch(
     path
         The ``.rrd`` to write; an existing file is replaced.
     limit
-        s of CPU time, after which the run is stopped.
+        s of CPU time after which the run is stopped.
 
     Raises
     ------
@@ -100,7 +100,7 @@ class _Walk:
         self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
 
     def run(self, first: State, log: _Log | None, limit: float) -> str:
-        """Run until the scene ends, the state is not finite, or so many s of CPU time are spent; return which."""
+        """Run until the scene ends, the state is not finite, or an amount of CPU time (s) is spent; return which."""
         units, began = self._scene.unit_system, clock()
         self.frame = self.observer.frame(0, _copied(first))
         if log is not None:
@@ -207,7 +207,7 @@ class _Samples:
 
 
 def _copied(state: State) -> State:
-    """Copy a state that may be a view of the engine's memory: the observer keeps it until the next."""
+    """Copy a state that may be a view of the engine's memory, since the observer keeps it until the next one."""
     arrays = (state.position, state.velocity, state.orientation, state.angular_velocity)
     position, velocity, turn, spin = (None if each is None else np.array(each, dtype=np.float64) for each in arrays)
     return State(state.time, position, velocity, turn, spin, state.contacts)

@@ -1,1 +1,1 @@
-"""Forks of a recorded run: what if, from a moment on, under other parameters or from a state that differs by a bit."""
+"""Forks of a recorded run: its continuation under other parameters, or from a state that differs in the last bits."""

@@ -31,7 +31,7 @@ from carom.extend import (
 from carom.lab.run_summary import Expression, Observation, Touches, UnknownNameError
 
 _BODIES = ("body", "bodies", "group", "seed", "units", "title", "description")
-_STATE = {"domain": "the places of the bodies belong to it", "sweep": "one fork is one run"}
+_STATE = {"domain": "the positions of the bodies depend on it", "sweep": "one fork is one run"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,14 +60,14 @@ class ForkStart:
             For the kernels.
         shift
             Seed of a perturbation that moves each coordinate of each position by ``ulps`` units in the last place, up
-            or down; None moves nothing.
+            or down; None for no perturbation.
         ulps
             Number of units.
         """
         checkpoint = self.checkpoint if shift is None else _shifted(self.checkpoint, shift, ulps)
         records = self.recording.records_contacts
         space = space_of(self.recording, self.scene, checkpoint, threads, False, records)
-        begun = space.frame().checkpoint  # with the forces of the new parameters in this state
+        begun = space.frame().checkpoint  # with the forces of the new parameters at this state
         space.restore(
             replace(checkpoint, acceleration=begun.acceleration, energy=begun.energy, books=begun.books)
             if checkpoint.step
@@ -102,7 +102,7 @@ def start_of(branch: Branch) -> ForkStart:
 
 
 def _checkpoint_at(recording: Recording, scene: Scene, time: float) -> Checkpoint:
-    """Run again from the last checkpoint before a time (s), up to the step that contains it."""
+    """Rerun from the last checkpoint before a time (s), up to the step that contains it."""
     checkpoint = checkpoint_before(recording, time)
     goal = time - tolerance(time)
     if checkpoint.time >= goal:
@@ -160,7 +160,7 @@ def _shifted(checkpoint: Checkpoint, seed: int, ulps: int) -> Checkpoint:
 OPTION = "--outcome"
 MOST_FRAMES = 200
 _MULTIPLE = 1e-9  # relative, as in `Every`
-_MOMENTS = "moments."  # keys of the summary that exist once something has happened
+_MOMENTS = "moments."  # prefix of keys in the summary that exist only once something has happened
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,9 +283,9 @@ class PerturbedResult:
 
 
 def results_of(tasks: Iterable[PerturbedTask], workers: Workers) -> Iterator[PerturbedResult]:
-    """Yield results as they come; waiting tasks are dropped when the caller stops.
+    """Yield results as they arrive; waiting tasks are cancelled when the caller stops.
 
-    The bits do not depend on how many workers there are.
+    The bits do not depend on the number of workers.
 
     Raises
     ------

@@ -1,13 +1,14 @@
-"""Branches of a recording: a run that continues from one of its states, or many whose states differ by a few bits.
+"""Branches of a recording: a run that continues from one of its states, or many runs whose states differ by a few bits.
 
 `Ensemble` describes the spread of many branches and the probability of an outcome. `inevitable` finds the time from
-which an outcome was inevitable: it bisects the time of the fork, with a sequential test. Branches are run until Wald's
+which an outcome was inevitable: it bisects the time of the fork with a sequential test. Branches are run until Wald's
 test of the probability p of the outcome decides between p ≥ 0.99 and p ≤ 0.9, with errors of 5 %. After k outcomes in m
 branches, the logarithm of the likelihood ratio is
 
     k ln(0.99/0.9) + (m - k) ln(0.01/0.1)
 
-The test ends when this leaves (ln(0.05/0.95), ln(0.95/0.05)). If all branches agree, it takes 31 of them.
+The test ends when this value leaves the interval (ln(0.05/0.95), ln(0.95/0.05)). If all branches agree, it takes 31 of
+them.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Chance:
 
     @property
     def band(self) -> tuple[float, float]:
-        """The interval that has the probability with 95 % (Wilson, JASA 22, 209, 1927)."""
+        """The interval that contains the probability with 95 % (Wilson, JASA 22, 209, 1927)."""
         n, p, z2 = self.forks, self.probability, _Z * _Z
         middle, half = p + z2 / (2 * n), _Z * math.sqrt(p * (1.0 - p) / n + z2 / (4 * n * n))
         low, high = ((middle + sign * half) / (1.0 + z2 / n) for sign in (-1.0, 1.0))
@@ -87,14 +88,14 @@ class Tested:
 class Inevitable:
     """The time from which an outcome was inevitable."""
 
-    earliest: float  # s, the last time at which it was not, or the beginning
-    latest: float  # s, the first time at which it is
+    earliest: float  # s, the last time at which it was not inevitable, or the beginning
+    latest: float  # s, the first time at which it is inevitable
     always: bool  # whether it was inevitable from the beginning
     tested: list[Tested] = field(default_factory=list)  # in order of time
 
 
 def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
-    """Bisect for the time between two times (s), the later of which certainly has the outcome."""
+    """Bisect for the time between two times (s), the later of which certainly leads to the outcome."""
     first = judge(draw, begin)
     found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
     for _ in range(0 if first.inevitable else rounds):
@@ -290,7 +291,7 @@ def text_of(start: ForkStart, found: Diff) -> str:
 
 
 def _value(found: Diff, key: str, written: object) -> str:
-    """Return the value of a scene's key, or its default where the scene does not have it."""
+    """Return the value of a scene's key, or its default if the scene does not set it."""
     if written is not None:
         return str(written)
     default = found.defaults.get(key)

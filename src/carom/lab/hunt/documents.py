@@ -1,7 +1,7 @@
 """Random scenes as documents: bodies about to meet, bodies that attract each other smoothly, pairs that meet once.
 
-Sizes, speeds and masses span decades, in units that are no powers of two, so that sums are rounded. Numbers come from
-coarse grids, so that ties, exact touches and exact zeros are frequent: they reveal mistakes. They come from a random
+Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers come from
+coarse grids, so that ties, exact touches and exact zeros, which reveal mistakes, are frequent. They come from a random
 number generator or from a test library.
 """
 
@@ -50,7 +50,7 @@ class RandomDraw:
 
 
 def one_in(draw: Draw, count: int) -> bool:
-    """Draw a truth value that is true once in so many times."""
+    """Draw a truth value that is true once in a number of draws."""
     return draw.integer(0, count - 1) == count - 1
 
 
@@ -156,7 +156,7 @@ def meeting(
 
 
 def _bodies(draw: Draw, L: float, U: float, M: float, count: int, overlapping: bool, drift: float) -> list[Document]:
-    """Draw bodies, each beside one placed before it: touching, at a distance, or overlapping where that is allowed."""
+    """Draw bodies, each beside an earlier one: touching, at a distance, or overlapping where that is allowed."""
     alike, spinning = draw.choice(False, True), draw.choice(False, True)
     bulk = vector(draw) * draw.choice(0.0, 1.0, drift)
     gaps = [0.0, 0.0, 0.01, 0.1, 1.0, 10.0] + ([-0.1, -0.5, -1.0] if overlapping else [])
