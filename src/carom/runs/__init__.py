@@ -1,1 +1,1 @@
-"""Runs: from a scene to a recording, and again from a recording."""
+"""Runs a scene and records it; replays and resumes recorded runs."""

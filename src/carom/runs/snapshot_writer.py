@@ -136,14 +136,14 @@ class SnapshotWriter:
             for step, snapshot in batch:
                 if self._error is None:
                     self._record(step, snapshot.state)
-                self._spare.put(snapshot)  # always, or `spare` would wait for ever
+                self._spare.put(snapshot)  # in any case; otherwise `spare` would wait forever
 
     def _record(self, step: int, state: State) -> None:
         try:
             if state.contacts is not None:
                 self._observer.named(state.contacts)
         except (RecordingError, TypeError, ValueError) as error:
-            self._unrecorded.add(step, state.time, error, "Its contacts are those of the distances.")
+            self._unrecorded.add(step, state.time, error, "Its contacts are computed from distances.")
             state.contacts = None
         try:
             frame = self._observer.frame(step, state, self._store)

@@ -208,7 +208,7 @@ def test_invalid_contacts_are_noted_and_their_frame_has_the_pairs_that_touch(
 ) -> None:
     recorder = recorded(lambda step: wrong if step == 2 else contact(), tmp_path / "run.rrd")
     (problem,) = recorder.problems
-    assert problem.startswith(message) and problem.endswith("Its contacts are those of the distances.")
+    assert problem.startswith(message) and problem.endswith("Its contacts are computed from distances.")
     recording = Recording.open(tmp_path / "run.rrd")
     forces = [recording.contacts(0.1 * step)["normal_force"][0].as_py() for step in range(1, 5)]
     assert recording.frames == 5 and forces == pytest.approx([3.0, 0.0, 3.0, 3.0], rel=1e-6)
