@@ -25,6 +25,7 @@ from carom.lab.diff.divergence import (
     divergence_of,
     verdict,
 )
+from carom.lab.diff.first_bits import FirstBits, first_bits
 
 # The first impact at which two recordings differ.
 
@@ -77,14 +78,14 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if one records no impacts.
+    """Compare the impacts in both recordings; None if one records no impacts, as those of other engines.
 
     Raises
     ------
     RecordingError
         If impacts cannot be read.
     """
-    if not (a.records_contacts and b.records_contacts):
+    if not (a.records_contacts and b.records_contacts) or a.engine or b.engine:
         return None
     numbers = impacts_by_number(a)[0], impacts_by_number(b)[0]
     tables = a.impacts(), b.impacts()
@@ -224,6 +225,7 @@ class Diff:
     divergence: Divergence | None
     verdict: DiffVerdict
     impacts: ImpactDivergence | None  # None if a recording has none
+    first_bits: FirstBits | None = None  # None if the exact states of the first frame that differs are not in both
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
 
     @property
@@ -259,6 +261,8 @@ def diff(a: Recording, b: Recording) -> Diff:
     same = _written_otherwise(a, b, written)
     scene = {key: values for key, values in written.items() if key not in same}
     defaults = _defaults(a, b, scene)
+    judged = verdict(curve, divergence, a.units)
+    step = None if judged.first is None or matched.by != "step" else int(curve.step[judged.first])
     return Diff(
         paths=(a.path, b.path),
         scene={key: values for key, values in scene.items() if key not in defaults or defaults[key] not in values},
@@ -268,8 +272,9 @@ def diff(a: Recording, b: Recording) -> Diff:
         matched_by=matched.by,
         curve=curve,
         divergence=divergence,
-        verdict=verdict(curve, divergence, a.units),
+        verdict=judged,
         impacts=impact_divergence(a, b),
+        first_bits=None if step is None else first_bits(a, b, step),
         engines=engines,
     )
 

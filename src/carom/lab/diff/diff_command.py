@@ -10,12 +10,14 @@ import typer
 
 from carom.extend import (
     ENERGY,
+    FORCE,
     IMPULSE,
     LENGTH,
     TIME,
     VELOCITY,
     ForceOption,
     JsonOption,
+    bodies_called,
     command,
     counted,
     not_a_folder,
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 
     from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
+    from carom.lab.diff.first_bits import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
 KEYS = 50  # of the scene that are printed; --json has all
@@ -99,11 +102,19 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
         },
         "engines": list(found.engines),
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
+        "first_bits": None if found.first_bits is None else _bits_document(found.first_bits, names),
         "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
         "growth": None if found.divergence is None else asdict(found.divergence),
         "size": curve.size,
         "curve": [dict(zip(keys, row, strict=True)) for row in rows],
     }
+
+
+def _bits_document(found: FirstBits, names: Names) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    contact = None if found.contact is None else asdict(found.contact) | {"between": names.pair(found.contact.ends)}
+    return asdict(found) | {"names": [names.of(body) for body in found.bodies], "contact": contact}
 
 
 def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
@@ -165,9 +176,22 @@ def _overview(found: Diff, names: Names, units: UnitSystem) -> Table:
         if len(differing) > KEYS:
             table.add_row("", f"… and {len(differing) - KEYS} more keys")
     table.add_row("in common", f"{counted(len(found.curve.step), 'frame')}, matched by {found.matched_by}")
+    if found.first_bits is not None:
+        for k, line in enumerate(_bits_lines(found.first_bits, names, units)):
+            table.add_row("" if k else "first bits", line)
     for k, line in enumerate(_impact_lines(found.impacts, names, units)):
         table.add_row("" if k else "impacts", line)
     return table
+
+
+def _bits_lines(found: FirstBits, names: Names, units: UnitSystem) -> Iterator[str]:
+    """Describe the first bodies whose bits differ, their contact and the laws that were broken there."""
+    who, when = bodies_called(found.bodies, names.bodies), units.text(found.time, TIME, ".9g")
+    yield f"step {found.step}, t = {when}: {', '.join(found.arrays)} of {who}"
+    if found.contact is not None:
+        one, other = ("none" if force is None else units.text(force, FORCE, ".9g") for force in found.contact.forces)
+        yield f"contact of {names.pair(found.contact.ends)}: normal force {one} in A, {other} in B"
+    yield from found.laws
 
 
 def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSystem) -> Iterator[str]:
