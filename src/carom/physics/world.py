@@ -92,7 +92,7 @@ class World:
     bodies: Bodies
     planes: HalfSpaces
     is_periodic: bool
-    box: FloatArray  # (3,) m, size of the periodic box; zeros in open space
+    box: FloatArray  # (3,) m, size of the periodic box, `ENDLESS` along other axes; zeros in open space
     falling: FloatArray  # (3,) m/s², the uniform field if it accelerates everything equally; otherwise zeros
     forces: TotalForce
     contact: ContactPipeline | None  # None if no contact is possible
@@ -111,8 +111,7 @@ class World:
             torques=needs.torque.modelled,
             planes=len(planes),
         )
-        is_periodic = scene.domain.boundary == "periodic"
-        box = np.array(scene.domain.size if is_periodic else (0.0, 0.0, 0.0))
+        box = np.array(scene.domain.period or (0.0, 0.0, 0.0))
         forces = TotalForce(scene, needs, bodies, team, profile)
         at_rest = np.zeros(3)
         falling, bending = (at_rest, forces.uniform) if scene.anchored else (forces.uniform, at_rest)
@@ -127,7 +126,7 @@ class World:
             names=Names(start.name, planes.name),
             bodies=bodies,
             planes=planes,
-            is_periodic=is_periodic,
+            is_periodic=scene.domain.is_periodic,
             box=box,
             falling=falling,
             forces=forces,

@@ -197,7 +197,7 @@ def _accurate(scene: Scene) -> str:
     """Return the integrator with the lowest cost for an accuracy, before a look-ahead may find a cheaper one."""
     if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
-    if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.boundary == "periodic":
+    if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.is_periodic:
         return "leapfrog"
     by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM
     return "gauss-radau15" if by_pairs else "yoshida4"
@@ -206,7 +206,7 @@ def _accurate(scene: Scene) -> str:
 def _bounces_on_curves(scene: Scene) -> bool:
     """Return whether a few colliding bodies move on curves, so that a high order between impacts is worthwhile."""
     bent = contact_parts.load(scene) != "" and not pulls.damping(scene)
-    open_space = scene.domain.boundary != "periodic" and not scene.contact.allow_overlap
+    open_space = not scene.domain.is_periodic and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
 
@@ -220,7 +220,7 @@ def holding(scene: Scene) -> Scene:
 def _leaves_step_free(scene: Scene) -> bool:
     """Return whether an integrator may choose its steps by its own error: in open space, if no key sets a step."""
     rule = scene.time
-    if scene.domain.boundary == "periodic":
+    if scene.domain.is_periodic:
         return False
     keys = (rule.target_dx, rule.cfl, rule.pull_fraction, rule.smoothing)
     return rule.fixed_dt is None and all(value == "auto" for value in keys) and scene.gravity.method not in TREES

@@ -191,7 +191,7 @@ def _refuse_further_forces(scene: Scene) -> None:
     """Refuse forces of installed packages in scenes where they are not defined."""
     for name in scene.forces.given:
         force = force_called(name)
-        if isinstance(force, BodyForce) and not force.periodic and scene.domain.boundary == "periodic":
+        if isinstance(force, BodyForce) and not force.periodic and scene.domain.is_periodic:
             raise SceneError(
                 f"[forces.{name}] in a periodic box: its potential differs on opposite faces; set domain.boundary = "
                 '"open" or "walls"',
@@ -223,7 +223,7 @@ def _refuse_what_no_error_controls(scene: Scene) -> None:
             'remove contact.allow_overlap, or use "leapfrog"',
             ("contact", "allow_overlap"),
         )
-    if scene.domain.boundary == "periodic":
+    if scene.domain.is_periodic:
         raise SceneError(
             f'{name} in a periodic box: it supports only open space; use "leapfrog" or "yoshida4"', BOUNDARY
         )
@@ -256,7 +256,7 @@ def _refuse_what_is_no_hierarchy(scene: Scene) -> None:
             'or use "leapfrog"',
             INTEGRATOR,
         )
-    if scene.domain.boundary == "periodic":
+    if scene.domain.is_periodic:
         raise SceneError(f'{name} in a periodic box: it supports only open space; use "leapfrog"', BOUNDARY)
     if uses_tree(scene):
         raise SceneError(
@@ -283,11 +283,12 @@ def _limit_of_steps(scene: Scene) -> str:
 
 def _refuse_narrow_box(scene: Scene) -> None:
     """Refuse periodic boxes so small that a body could touch its own image, or another body and its image."""
-    if scene.domain.boundary != "periodic" or scene.domain.size is None:
+    if not scene.domain.is_periodic or scene.domain.size is None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
     largest, units = max(given + [group.radius.max for group in scene.group]), scene.unit_system
-    if min(scene.domain.size) < 4 * largest:
+    repeating = [size for size, axis in zip(scene.domain.size, scene.domain.axes, strict=True) if axis == "periodic"]
+    if min(repeating) < 4 * largest:
         least = units.text(4 * largest, LENGTH, "g")
         raise SceneError(
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "

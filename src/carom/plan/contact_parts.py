@@ -15,7 +15,7 @@ def contact(scene: Scene) -> Part:
     name = "contact"
     if not scene.contact.enabled:
         return Part(name, False, "contact.enabled = false")
-    solids = len(scene.plane) + (6 if scene.domain.boundary == "walls" else 0)
+    solids = len(scene.plane) + 2 * len(scene.domain.walled)
     if scene.count == 1 and solids == 0:
         return Part(name, False, "a single body has nothing to touch")
     if not differing(scene) and not moves_relatively(scene):

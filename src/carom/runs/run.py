@@ -354,7 +354,7 @@ def header_of(space: Space) -> Header:
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,
-        walls=np.array(scene.domain.size) if scene.domain.boundary == "walls" else None,
+        walls=np.array(scene.domain.size) if scene.domain.walled else None,
         planes=planes_of(scene) if scene.plane else None,
         colour_by=scene.record.colour_by,
         extensions=extensions_of(scene),

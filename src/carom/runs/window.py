@@ -66,7 +66,7 @@ class Window:
         except SceneError as error:
             raise RecordingError(f"{recording.path} cannot be rerun: {error}") from error
         self.fixed = fixed_of(scene)  # (n,)
-        self.box = scene.domain.size if scene.domain.boundary == "periodic" else None  # m
+        self.box = scene.domain.period  # m
         self._space = space_of(recording, scene, checkpoint, threads, record_contacts=contacts)
 
     @property

@@ -19,7 +19,6 @@ from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
 from carom.scene.schema.body import Matter, StaticPlane
 from carom.scene.schema.contact import DEFAULT, Surface, combined
-from carom.scene.start import WALLS
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
 
@@ -233,7 +232,7 @@ def _completed(numbers: Numbers, law: str, surface: Surface | None) -> dict[str,
 
 def _table(scene: Scene, names: list[str]) -> FloatArray:
     """Return the coefficients of each material with each material, plane and wall, (a, a + p, 3 + k)."""
-    walls = len(WALLS) if scene.domain.boundary == "walls" else 0
+    walls = 2 * len(scene.domain.walled)
 
     def row(name: str, other: str, plane: StaticPlane | None = None) -> tuple[float, ...]:
         meeting = between(scene, name, other)

@@ -87,10 +87,12 @@ def planes_of(scene: Scene) -> HalfSpaces:
 def half_spaces(scene: Scene) -> HalfSpaces:
     """Return all half-spaces of a scene: its planes, then the walls."""
     planes, size = planes_of(scene), scene.domain.size
-    if scene.domain.boundary != "walls" or size is None:
+    walled = scene.domain.walled
+    if not walled or size is None:
         return planes
+    walls = [WALLS[2 * axis + side] for axis in walled for side in (0, 1)]
     return HalfSpaces(
-        name=[*planes.name, *(name for name, _ in WALLS)],
-        normal=np.vstack((planes.normal, [inward for _, inward in WALLS])),
-        offset=np.concatenate((planes.offset, -0.5 * np.repeat(size, 2))),
+        name=[*planes.name, *(name for name, _ in walls)],
+        normal=np.vstack((planes.normal, [inward for _, inward in walls])),
+        offset=np.concatenate((planes.offset, -0.5 * np.repeat([size[axis] for axis in walled], 2))),
     )

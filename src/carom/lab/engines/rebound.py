@@ -294,7 +294,7 @@ def _refuse(scene: Scene) -> None:
         and parts.friction.modelled,
         "planes": bool(len(half_spaces(scene))),
         "bodies of several materials": len(pair_coefficients(scene).places) > 0,
-        "a periodic box": scene.domain.boundary == "periodic",
+        "a periodic box": scene.domain.is_periodic,
         "a uniform field": any(scene.gravity.uniform),
         "drag": scene.drag is not None,
         f"the force {force}": force != "",

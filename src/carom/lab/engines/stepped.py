@@ -76,7 +76,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
     parts, coefficients, force = require(scene), pair_coefficients(scene), further(scene)
     lacks = {
         "the bodies' own gravity": parts.gravity.modelled,
-        "a periodic box": scene.domain.boundary == "periodic",
+        "a periodic box": scene.domain.is_periodic,
         "drag": scene.drag is not None,
         f"the force {force}": force != "",
         scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),

@@ -325,9 +325,8 @@ def execute(task: PerturbedTask) -> PerturbedResult:
 def apart(a: FloatArray, b: FloatArray, start: ForkStart) -> FloatArray:
     """Return the distances of counterparts, (k, n) m, between nearest images in a periodic box."""
     off = a - b
-    if start.scene.domain.boundary == "periodic":
-        box = np.asarray(start.scene.domain.size, dtype=np.float64)
-        off = minimum_images(off, box)
+    if start.scene.domain.period is not None:
+        off = minimum_images(off, np.array(start.scene.domain.period))
     return np.asarray(np.sqrt((off * off).sum(axis=2)))
 
 

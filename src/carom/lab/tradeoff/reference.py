@@ -246,7 +246,7 @@ def fineness(scene: Scene, setting: Scene) -> float:
 
 def scale_of(scene: Scene, trajectory: Trajectory) -> ErrorScale:
     """Return the scale of a reference of a scene."""
-    box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" else None
+    box = None if scene.domain.period is None else np.array(scene.domain.period)
     return ErrorScale.of(trajectory, box)
 
 

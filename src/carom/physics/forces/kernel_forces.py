@@ -72,8 +72,7 @@ class KernelForce:
 
 def make(name: str, scene: Scene, bodies: Bodies, team: Team) -> KernelForce:
     """Return a force that has a section in a scene."""
-    size = scene.domain.size if scene.domain.boundary == "periodic" else None
-    box = np.array(size or (0.0, 0.0, 0.0))
+    box = np.array(scene.domain.period or (0.0, 0.0, 0.0))
     return KernelForce(kind_called(name), parameters_of(name, scene), bodies, box, team)
 
 

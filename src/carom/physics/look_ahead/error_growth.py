@@ -57,8 +57,8 @@ class Scale:
 
         For a single body, it is the distance from the origin, or the radius if it is there.
         """
-        if scene.domain.boundary == "periodic":
-            box = np.array(scene.domain.size)
+        if scene.domain.period is not None:
+            box = np.array(scene.domain.period)
             return cls(float(box.min()) / 2.0, box)
         apart = start.position - start.position.mean(axis=0)
         size = math.sqrt(float(np.mean(np.sum(apart * apart, axis=1))))

@@ -47,7 +47,7 @@ def place(scene: Scene) -> InitialBodies:
 
 
 def _place(scene: Scene) -> InitialBodies:
-    box = np.array(scene.domain.size) if scene.domain.boundary == "periodic" and scene.domain.size else None
+    box = None if scene.domain.period is None else np.array(scene.domain.period)
     parts = [_given(scene)] if scene.body or scene.bodies else []
     if parts and scene.contact.enabled:
         reach = np.abs(parts[0].position).max(axis=1)
@@ -226,7 +226,7 @@ def _refuse_full_region(mixture: Mapping[int, BodyGroup], radii: Mapping[int, Fl
 
 def _refuse_full_box(scene: Scene) -> None:
     """Refuse groups that do not fit into a periodic box or between walls, whatever the size of their regions."""
-    if scene.domain.boundary == "open" or scene.domain.size is None or not scene.group:
+    if "open" in scene.domain.axes or scene.domain.size is None or not scene.group:
         return
     filled = sum(mean_volume(group) * group.count for group in scene.group) / math.prod(scene.domain.size)
     if all(group.arrangement == "random" for group in scene.group):

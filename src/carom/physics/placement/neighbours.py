@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import SceneError
+from carom.scene.schema.settings import ENDLESS
 from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:
@@ -70,10 +71,10 @@ def squared_distance(a: FloatArray, b: FloatArray, box: FloatArray | None) -> Fl
 
 
 def wrapped(position: FloatArray, box: FloatArray | None) -> FloatArray:
-    """Return positions in [0, box), as a periodic k-d tree needs them."""
+    """Return positions in [0, box) along the axes that repeat, as a periodic k-d tree needs them."""
     if box is None:
         return position
-    inside = np.mod(position, box)
+    inside = np.where(box < ENDLESS, np.mod(position, box), position)
     return np.where(inside >= box, 0.0, inside)  # np.mod rounds a tiny negative number up to the box itself
 
 
@@ -94,7 +95,8 @@ def _candidates(position: FloatArray, radius: FloatArray, box: FloatArray | None
 
     inside = wrapped(position, box)
     classes = size_classes(radius)
-    trees = [cKDTree(inside[members], boxsize=box) for members in classes]
+    periods = None if box is None else np.where(box < ENDLESS, box, 0.0)  # 0 stands for an axis that does not repeat
+    trees = [cKDTree(inside[members], boxsize=periods) for members in classes]
     reach = [radius[members].max() for members in classes]
     if len(radius) * (len(radius) - 1) // 2 > MOST_CANDIDATES:
         _refuse_crowds(trees, reach)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from carom.scene.schema.settings import ENDLESS
+
 if TYPE_CHECKING:
     from carom.recording.export.export import Snapshot
 
@@ -38,6 +40,8 @@ def _cell(snapshot: Snapshot) -> str:
     """Name the vectors of the periodic box, if there is one, and its lower corner, which OVITO reads."""
     if snapshot.box is None:
         return 'pbc="F F F"'
-    x, y, z = snapshot.box
-    corner = " ".join(repr(-length / 2.0) for length in snapshot.box)
-    return f'Lattice="{x!r} 0 0 0 {y!r} 0 0 0 {z!r}" Origin="{corner}" pbc="T T T"'
+    repeats = [length < ENDLESS for length in snapshot.box]
+    x, y, z = (length if one else 0.0 for length, one in zip(snapshot.box, repeats, strict=True))
+    corner = " ".join(repr(0.0 - length / 2.0) for length in (x, y, z))
+    flags = " ".join("T" if one else "F" for one in repeats)
+    return f'Lattice="{x!r} 0 0 0 {y!r} 0 0 0 {z!r}" Origin="{corner}" pbc="{flags}"'

@@ -316,7 +316,7 @@ class CameraFit:
 
 def corners_of(header: Header, origin: FloatArray) -> FloatArray | None:
     """Return the drawn corners (8, 3) of the walls or of the periodic box; None if there is neither."""
-    size = header.walls if header.walls is not None else header.box
+    size = header.walls if header.walls is not None else header.drawn_box
     return None if size is None else np.array(list(product((-0.5, 0.5), repeat=3))) * size - origin
 
 

@@ -19,6 +19,7 @@ from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.schema import Scene
+from carom.scene.schema.settings import ENDLESS
 from carom.scene.start import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem
 
@@ -130,7 +131,7 @@ class Header:
     check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
     promises: bool = False  # whether it promises an accuracy
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
-    box: FloatArray | None = None  # (3,) m, size of a periodic domain
+    box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers
     walls: FloatArray | None = None  # (3,) m, size of a walled domain
     planes: HalfSpaces | None = None  # the static half-spaces other than the walls
@@ -169,6 +170,13 @@ class Header:
     def records_contacts(self) -> bool:
         """Whether impacts and the contact table are recorded."""
         return self.collides and self.record_impacts != "none"
+
+    @property
+    def drawn_box(self) -> FloatArray | None:
+        """The size of the periodic box as drawn, (3,) m: where an axis does not repeat, that of the walls, or flat."""
+        if self.box is None:
+            return None
+        return np.where(self.box < ENDLESS, self.box, 0.0 if self.walls is None else self.walls)
 
     @property
     def bodies(self) -> int:

@@ -20,6 +20,7 @@ from carom.recording.schema.stored_bodies import encode_bodies, encode_names
 from carom.recording.schema.time_scale import TimeScale
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
+from carom.scene.schema.settings import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, TIME
 from carom.scene.wording import in_series
 
@@ -140,7 +141,7 @@ def _bodies(header: Header) -> Iterable[Static]:
 
 def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[Static]:
     """Draw the walls or the periodic box, and each plane as a square grid."""
-    for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.box)):
+    for path, size in ((paths.WALLS, header.walls), (paths.PERIODIC_BOX, header.drawn_box)):
         if size is not None:
             yield (
                 path,
@@ -274,7 +275,8 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
     if header.walls is not None:
         lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + f"{m}.")
     if header.box is not None:
-        lines.append("- The box is periodic with sides " + " × ".join(f"{side:g}" for side in header.box) + f"{m}.")
+        sides = [f"{axis} with {side:g}{m}" for axis, side in zip("xyz", header.box, strict=True) if side < ENDLESS]
+        lines.append(f"- Space is periodic along {in_series(sides)}.")
     return "\n".join(lines)
 
 

@@ -185,7 +185,7 @@ def take_over_laws(
                 refuted[index] = (
                     f"gravity.{key} is {number!r} in it, but {own!r} here; leave gravity.{key} out, or set that"
                 )
-        if law.periodic and scene.domain.boundary != "periodic":
+        if law.periodic and not scene.domain.is_periodic:
             refuted[index] = 'its box is periodic; set domain.boundary = "periodic" and domain.size'
         if not law.collides and scene.contact.enabled:
             notes.append("its bodies pass through each other; contact.enabled = false does the same here")

@@ -129,7 +129,7 @@ class Scene(Forces, Heading):
     @property
     def anchored(self) -> bool:
         """Whether there are planes, walls or fixed bodies, which absorb momentum."""
-        return bool(self.plane) or self.domain.boundary == "walls" or self.has_fixed_bodies
+        return bool(self.plane) or bool(self.domain.walled) or self.has_fixed_bodies
 
     @classmethod
     def load(cls, source: str | Path, overrides: list[str] | None = None) -> Scene:
@@ -270,7 +270,14 @@ class Scene(Forces, Heading):
 
     @model_validator(mode="after")
     def _periodic_space_has_no_uniform_field(self) -> Self:
-        if self.domain.boundary == "periodic" and any(self.gravity.uniform):
+        repeating = [axis for axis, boundary in enumerate(self.domain.axes) if boundary == "periodic"]
+        if any(self.gravity.uniform[axis] for axis in repeating):
+            if len(repeating) < len(self.domain.axes):
+                named = " and ".join("xyz"[axis] for axis in repeating if self.gravity.uniform[axis])
+                raise ValueError(
+                    f'gravity.uniform along {named}, where domain.boundary is "periodic": bodies would fall for '
+                    'ever; set it to 0 there, or make that axis "open"'
+                )
             raise ValueError(
                 'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever, and '
                 "the potential of the field is not periodic; set gravity.uniform = [0, 0, 0]"
@@ -279,7 +286,15 @@ class Scene(Forces, Heading):
 
     @model_validator(mode="after")
     def _periodic_space_has_no_planes(self) -> Self:
-        if self.domain.boundary == "periodic" and self.plane:
+        if isinstance(self.domain.boundary, tuple):
+            for axis, boundary in enumerate(self.domain.axes):
+                slanted = next((k for k, plane in enumerate(self.plane) if plane.normal[axis]), None)
+                if boundary == "periodic" and slanted is not None:
+                    raise SectionError(
+                        ("plane", slanted, "normal"),
+                        f"its component along {'xyz'[axis]} must be 0, because space repeats along that axis",
+                    )
+        elif self.domain.boundary == "periodic" and self.plane:
             raise ValueError(
                 'domain.boundary = "periodic" with a [[plane]]: a periodic space cannot contain planes; use '
                 'boundary = "walls" or "open", or remove the plane'
@@ -289,7 +304,7 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _periodic_space_has_no_self_gravity(self) -> Self:
         pulls = self.gravity.constant > 0 and self.gravity.method != "none"
-        if self.domain.boundary == "periodic" and pulls:
+        if self.domain.is_periodic and pulls:
             raise ValueError(
                 'domain.boundary = "periodic" with self-gravity: the sum over infinitely many images does not '
                 "converge, so there is no correct result; set gravity.constant = 0"

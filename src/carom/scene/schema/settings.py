@@ -226,28 +226,67 @@ class Record(Section):
         return self.check_every
 
 
+Boundary = Literal["open", "periodic", "walls"]
+ENDLESS = 2.0**1000  # m; so far away, the nearest image of a point is the point itself, to the last bit
+
+
 class Domain(Section):
     """[domain]: the space around the bodies."""
 
-    boundary: Literal["open", "periodic", "walls"] = Field(
-        "open", description="open space, a periodic box, or a box with walls"
+    boundary: Boundary | tuple[Boundary, Boundary, Boundary] = Field(
+        "open",
+        description="open space, a periodic box, or a box with walls; or one of these for each axis, such as "
+        '["periodic", "periodic", "walls"]',
     )
     size: Annotated[tuple[Positive, Positive, Positive], LENGTH] | None = Field(
-        None, description="m, [x, y, z] of the box about the origin; needed unless the boundary is open"
+        None,
+        description="m, [x, y, z] of the box about the origin; needed unless the boundary is open. Along an open axis "
+        "it does not matter",
     )
 
     material: str | None = Field(None, description="name of the [[material]] of the walls")
 
+    @property
+    def axes(self) -> tuple[Boundary, Boundary, Boundary]:
+        """The boundary along x, y and z."""
+        return (self.boundary,) * 3 if isinstance(self.boundary, str) else self.boundary
+
+    @property
+    def is_periodic(self) -> bool:
+        """Whether space repeats along an axis."""
+        return "periodic" in self.axes
+
+    @property
+    def walled(self) -> tuple[int, ...]:
+        """The axes with walls."""
+        return tuple(axis for axis, boundary in enumerate(self.axes) if boundary == "walls")
+
+    @property
+    def period(self) -> tuple[float, float, float] | None:
+        """The size of the periodic box in m, `ENDLESS` along an axis that does not repeat; None in open space."""
+        if not self.is_periodic or self.size is None:
+            return None
+        x, y, z = (
+            size if boundary == "periodic" else ENDLESS for size, boundary in zip(self.size, self.axes, strict=True)
+        )
+        return x, y, z
+
+    @field_validator("boundary")
+    @classmethod
+    def _one_word_for_all_axes(cls, boundary: Boundary | tuple[Boundary, ...]) -> Boundary | tuple[Boundary, ...]:
+        return boundary[0] if isinstance(boundary, tuple) and len(set(boundary)) == 1 else boundary
+
     @model_validator(mode="after")
     def _walls_have_a_material(self) -> Self:
-        if self.material is not None and self.boundary != "walls":
+        if self.material is not None and not self.walled:
             raise ValueError(f'material = "{self.material}" without walls; set boundary = "walls", or remove it')
         return self
 
     @model_validator(mode="after")
     def _a_box_has_a_size(self) -> Self:
         if self.boundary != "open" and self.size is None:
-            raise ValueError(f'boundary = "{self.boundary}" needs size = [x, y, z]')
+            shown = f'"{self.boundary}"' if isinstance(self.boundary, str) else str(list(self.boundary))
+            raise ValueError(f"boundary = {shown} needs size = [x, y, z]")
         if self.size is not None and "boundary" not in self.model_fields_set:
             raise ValueError('size without a boundary; add boundary = "walls" or "periodic", or remove it')
         return self

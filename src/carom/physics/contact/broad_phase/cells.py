@@ -31,6 +31,7 @@ from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
+HUGE = 1e300  # m, less than `carom.scene.schema.settings.ENDLESS`, the period of an axis that does not repeat
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would exceed that margin
 MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
 SPARSE = 2.5  # cells per body; above this, cells are broader across rows
@@ -155,10 +156,16 @@ class Cells:
         return table
 
 
+@inline
+def repeats(size: float) -> bool:
+    """Return whether space repeats along an axis with this entry of the box."""
+    return 0.0 < size < HUGE
+
+
 @kernel
 def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -> tuple[float, float, float]:
-    """Write the corner where cells begin; return the extent of the bodies, or of the box, in m."""
-    if is_periodic(box):
+    """Write the corner where cells begin; return the extent of the bodies, or of the box where it repeats, in m."""
+    if repeats(box[0]) and repeats(box[1]) and repeats(box[2]):
         for k in range(3):
             origin[k] = -0.5 * box[k]
         return box[0], box[1], box[2]
@@ -169,7 +176,14 @@ def _measure_extent(position: FloatArray, origin: FloatArray, box: FloatArray) -
         x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
         x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
     origin[0], origin[1], origin[2] = x0, y0, z0
-    return x1 - x0, y1 - y0, z1 - z0
+    width, depth, height = x1 - x0, y1 - y0, z1 - z0
+    if repeats(box[0]):
+        origin[0], width = -0.5 * box[0], box[0]
+    if repeats(box[1]):
+        origin[1], depth = -0.5 * box[1], box[1]
+    if repeats(box[2]):
+        origin[2], height = -0.5 * box[2], box[2]
+    return width, depth, height
 
 
 @kernel
@@ -240,10 +254,9 @@ def _cut(width: float, broader: float, extent: tuple[float, float, float], box: 
     cells
         Number of cells.
     """
-    periodic = is_periodic(box)
-    grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), periodic)
-    grid.ny, grid.ky = _cut_axis(extent[1], width * broader, periodic)
-    grid.nz, grid.kz = _cut_axis(extent[2], width * broader, periodic)
+    grid.nx, grid.kx = _cut_axis(extent[0], width / (broader * broader), repeats(box[0]))
+    grid.ny, grid.ky = _cut_axis(extent[1], width * broader, repeats(box[1]))
+    grid.nz, grid.kz = _cut_axis(extent[2], width * broader, repeats(box[2]))
     cells: float = 1.0 * grid.nx * grid.ny * grid.nz
     return cells
 
@@ -260,7 +273,10 @@ def _cut_axis(extent: float, size: float, periodic: bool) -> tuple[int, float]:
 
 @inline
 def cell_of(ox: float, oy: float, oz: float, grid: GridRecord, periodic: bool) -> tuple[int, int, int]:
-    """Return the cell of a point, given in m from the corner where cells begin."""
+    """Return the cell of a point, given in m from the corner where cells begin.
+
+    In a periodic box, a cell along an axis that does not repeat is its own image.
+    """
     ix, iy, iz = math.floor(ox * grid.kx), math.floor(oy * grid.ky), math.floor(oz * grid.kz)
     if periodic:
         ix, iy, iz = ix % grid.nx, iy % grid.ny, iz % grid.nz

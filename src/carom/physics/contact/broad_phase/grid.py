@@ -27,12 +27,13 @@ from carom.physics.contact.broad_phase.cells import (
     Table,
     bucket_of,
     cell_of,
+    repeats,
 )
 from carom.physics.contact.geometry import are_near
 from carom.physics.jit.decorators import borrowing, inline, kernel
 from carom.physics.jit.instructions import atomic_add
 from carom.physics.jit.team import SOLO, Team
-from carom.physics.vector import between, is_periodic, sizes
+from carom.physics.vector import Vector, between, is_periodic, sizes
 
 PAIRS_PER_CLAIM = 256  # rows of the buffer that a thread claims at a time
 ALL_PAIRS_UP_TO = 100  # bodies up to which testing every pair is faster than sorting into cells
@@ -155,14 +156,14 @@ def search(
 def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tuple[int, int]:
     """Store the pairs of a body of grid K with bodies of grid L."""
     sphere, grid, origin = scope.table.sphere[a], scope.layout.grid[L], scope.layout.origin
-    periodic = is_periodic(scope.layout.box)
     ox, oy, oz = sphere.x - origin[0], sphere.y - origin[1], sphere.z - origin[2]
     search_radius = WIDER * ((sphere.radius + 0.5 * grid.diameter) * scope.scale + scope.skin)
-    fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, periodic)
-    fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, periodic)
-    fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, periodic)
+    box = sizes(scope.layout.box)
+    fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
+    fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
+    fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
     # within an octave, half of the neighbours; if a cell is a neighbour on both sides, the later bodies of all
-    half = K == L and not (periodic and _meets_itself(grid, scope.scale, scope.skin))
+    half = K == L and not _meets_itself(grid, scope.scale, scope.skin, box)
     later = K == L and not half
     cx, cy, cz = 0, 0, 0
     if half:
@@ -253,11 +254,14 @@ def _cells_along(o: float, search_radius: float, density: float, cells: int, per
 
 
 @inline
-def _meets_itself(grid: GridRecord, scale: float, skin: float) -> bool:
+def _meets_itself(grid: GridRecord, scale: float, skin: float, box: Vector) -> bool:
     """Return whether a cell of a periodic grid may be a neighbour on both sides of another."""
     most = WIDER * (grid.diameter * scale + skin)
-    apart_x, apart_y = 2.0 * (most * grid.kx + 1.0) < grid.nx, 2.0 * (most * grid.ky + 1.0) < grid.ny
-    return not (apart_x and apart_y and 2.0 * (most * grid.kz + 1.0) < grid.nz)
+    return (
+        (repeats(box[0]) and not 2.0 * (most * grid.kx + 1.0) < grid.nx)
+        or (repeats(box[1]) and not 2.0 * (most * grid.ky + 1.0) < grid.ny)
+        or (repeats(box[2]) and not 2.0 * (most * grid.kz + 1.0) < grid.nz)
+    )
 
 
 @inline

@@ -121,7 +121,7 @@ class EventDrivenDrift:
         spin = slice(None) if friction else slice(0)
         self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
-        self._bending = bending if not box.any() else np.zeros(3)
+        self._bending = bending
         self._log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self._trajectories = Trajectories(

@@ -51,9 +51,9 @@ from carom.physics.contact.law import (
 from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import inner, long_kernel
+from carom.physics.jit.decorators import inline, inner, long_kernel
 from carom.physics.rotation import rotate_one
-from carom.physics.vector import Vector, add, along, between, vector
+from carom.physics.vector import Vector, add, along, between, nearest_image, sizes, vector
 
 # of the rest speed; faster contacts are resolved where they touch, and rebound if faster than the rest speed.
 SLOW = 0.25
@@ -188,7 +188,9 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             R = T.radius[i] + T.radius[j]
             slow = drift.slow * max(own, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
-            if one.is_straight != other.is_straight:
+            # only the nearest image is met on a parabola, so a body must not come halfway to another one
+            if one.is_straight != other.is_straight and not (Lx > 0.0 and _passes_images(vx, vy, vz, span, T)):
+                dx, dy, dz = nearest_image(dx, dy, dz, T.box)
                 tau = _time_on_parabola(i, j, dx, dy, dz, vx, vy, vz, slow, T)
             elif Lx > 0.0:
                 tau = time_of_impact_in_box(dx, dy, dz, vx, vy, vz, ax, ay, az, R, span, since_kick, slow, Lx, Ly, Lz)
@@ -197,6 +199,13 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             when = clock + tau
             if when < one.impact_time or (when == one.impact_time < np.inf and j < one.partner):
                 one.impact_time, one.partner, one.partner_impacts = when, j, other.impacts
+
+
+@inline
+def _passes_images(vx: float, vy: float, vz: float, span: float, T: Trajectories) -> bool:
+    """Return whether a body moves by a quarter of the periodic box along an axis."""
+    Lx, Ly, Lz = sizes(T.box)
+    return bool(abs(vx) * span > 0.25 * Lx or abs(vy) * span > 0.25 * Ly or abs(vz) * span > 0.25 * Lz)
 
 
 @inner
