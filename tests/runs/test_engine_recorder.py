@@ -799,3 +799,23 @@ def test_a_limb_of_mujoco_has_the_velocity_of_its_centre_of_mass() -> None:
 def test_an_engine_that_is_not_installed_is_named_with_the_line_that_installs_it() -> None:
     with pytest.raises(carom.errors.RecordingError, match="pip install rebound-next"):
         engine_package("rebound_next", "rebound-next")
+
+
+@pytest.mark.needs("mujoco")
+def test_mujoco_that_becomes_unstable_and_resets_itself_leaves_its_last_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import mujoco
+
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes a log
+    ball = '<body pos="0 0 9"><freejoint/><geom type="sphere" size="0.1" mass="1"/></body>'
+    model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
+    data = mujoco.MjData(model)
+    with carom.record.Recorder(carom.record.mujoco(model, data), "crash.rrd", last=5) as recorder:
+        for step in range(1, 31):
+            data.xfrc_applied[1, 0] = np.nan if step == 20 else 0.0
+            mujoco.mj_step(model, data)
+            recorder.frame()
+    recording = Recording.open(tmp_path / "crash.rrd")
+    assert recording.fingerprints()["step"].to_pylist() == list(range(15, 20))
+    assert "the engine was reset, or reset itself" in recording.outcome
