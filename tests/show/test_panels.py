@@ -13,6 +13,7 @@ from carom.recording.read.recorded_scene import header_of_recording, recorded_cu
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
 from carom.scene.schema import Scene
+from carom.show import panels
 from carom.show.panels import decades
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
@@ -62,6 +63,14 @@ def test_impacts_are_in_view_where_impacts_are_and_contacts_where_contacts_last(
 ) -> None:
     assert tabs_in_view(asked(ball, Request()))[-1] == "Impulse of impacts (N s)"
     assert tabs_in_view(asked(resting, Request()))[-1] == "Contacts"
+
+
+def test_a_plot_of_very_many_impacts_is_a_tab_behind_others(ball: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(panels, "MOST_POINTS", 1)
+    shown = asked(ball, Request())
+    assert tabs_in_view(shown)[-1] != "Impulse of impacts (N s)"
+    names = [str(view.name) for view in views_of(shown.supplement.layout.root_container)]
+    assert "Impulse of impacts (N s)" in names
 
 
 def test_the_force_of_a_contact_at_rest_is_the_weight_and_an_impact_has_none(

@@ -13,6 +13,7 @@ from carom.errors import RecordingError
 from carom.recording.edit.clip import clip
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import CameraFit, CameraMotion, View
+from carom.recording.layout.canvas import Area, Canvas, LensView, views_of
 from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
@@ -210,13 +211,56 @@ def test_a_time_that_is_asked_for_is_shown_and_the_impact_before_it_stays_where_
     assert asked(glancing, Request(at=0.3), only="close-up").time < 0.27, "a close-up alone is of the impact"
 
 
-def test_no_label_of_the_close_up_covers_another() -> None:
+@pytest.mark.parametrize("narrow", [True, False])
+@pytest.mark.parametrize("area", [Area(360.0, 480.0), Area(800.0, 500.0)])
+def test_no_label_of_the_close_up_covers_another_or_leaves_the_view(area: Area, narrow: bool) -> None:
+    texts = ["normal, 5 m/s", "92 N s", "spin 0 rad/s before, 3 rad/s after", "spin 0 rad/s before, 4 rad/s after"]
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        bodies = random.uniform(-1.0, 1.0, (2, 3))
+        eye = CameraFit(np.full(2, 0.5), bodies).view(area.aspect, narrow=narrow)
+        placed = close_up._apart(random.uniform(-1.5, 1.5, (4, 3)), texts, eye, area)
+        points = eye.on_screen(placed) * area.height / 2
+        wide = np.array([close_up._LETTER_WIDTH * (len(text) + 2) for text in texts])
+        tall = close_up._LABEL_HEIGHT
+        assert np.all(np.abs(points[:, 0]) + wide / 2 <= area.width / 2 + 1e-6)
+        assert np.all(points[:, 1] <= area.height / 2 + 1e-6) and np.all(
+            points[:, 1] - close_up._BELOW >= -area.height / 2 - 1e-6
+        )
+        across, up = np.abs(points[:, None] - points).transpose(2, 0, 1)
+        covers = (across < (wide[:, None] + wide) / 2 - 1e-6) & (up < tall - 1e-6) & ~np.eye(4, dtype=bool)
+        assert not covers.any()
+
+
+def test_a_label_that_is_free_and_inside_stays_where_it_is() -> None:
     eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
-    near = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [0.1, 0.0, -0.2], [8.0, 0.0, 0.0]])
-    apart = close_up._apart(near, ["normal, 5 m/s", "92 N s", "3 rad/s", "4 rad/s"], eye)
-    np.testing.assert_array_equal(apart[[0, 3]], near[[0, 3]])
-    np.testing.assert_array_equal(apart[:, :2], near[:, :2])
-    assert np.diff(np.sort(apart[:3, 2])).min() >= 0.999 * close_up._LABEL_HEIGHT * eye.height()
+    near = np.array([[0.0, 0.0, 0.0], [0.1, 0.0, 0.1], [3.0, 0.0, 0.0]])
+    placed = close_up._apart(near, ["normal, 5 m/s", "92 N s", "4 rad/s"], eye, Area(800.0, 500.0))
+    np.testing.assert_allclose(placed[[0, 2]], near[[0, 2]], atol=1e-12)
+
+
+def test_both_balls_of_a_close_up_look_equal_and_the_arrows_of_impulses_end_inside(bounce: Recording) -> None:
+    canvas = Canvas(800, 500, framed=False, rendered=True)
+    shown = asked(bounce, Request(), canvas, "close-up")
+    (lens,) = (each.lens for each in views_of(shown.supplement.layout.root_container) if isinstance(each, LensView))
+    rows = list(shown.supplement.rows)
+    balls = np.array(values_of(close_up.BODIES, "centers", within_a_step(close_up.BODIES, rows))[0])
+    apparent = lens.view.radius_on_screen(balls, header_of_recording(bounce).radius)
+    assert apparent.max() <= 1.05 * apparent.min() and lens.view.holds(balls, np.zeros(2), 1.6).all()
+    drawn = within_a_step(close_up.IMPULSE, rows)
+    vectors, origins = (np.array(values_of(close_up.IMPULSE, name, drawn)[0]) for name in ("vectors", "origins"))
+    assert np.all(np.abs(lens.view.on_screen(origins + vectors)) <= [1.6, 1.0])
+
+
+def test_arrows_of_torques_and_impulses_end_inside_the_view_of_the_graph(bounce: Recording) -> None:
+    for canvas in (Canvas(rendered=True), Canvas(800, 500, framed=False, rendered=True)):
+        shown = asked(bounce, Request(), canvas, "graph")
+        (lens,) = (each.lens for each in views_of(shown.supplement.layout.root_container) if isinstance(each, LensView))
+        for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION, paths.FORCE_NORMAL, paths.FORCE_FRICTION):
+            drawn = within_a_step(path, list(shown.supplement.rows))
+            vectors, origins = (np.array(values_of(path, name, drawn)[0]) for name in ("vectors", "origins"))
+            assert len(vectors) > 0
+            assert np.all(np.abs(lens.view.on_screen(origins + vectors)) <= [canvas.area().aspect, 1.0]), path
 
 
 def test_the_close_up_follows_its_bodies_through_all_frames(bounce: Recording) -> None:

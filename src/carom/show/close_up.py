@@ -20,7 +20,7 @@ from carom.physics.frame import Frame
 from carom.physics.vector import minimum_images
 from carom.recording.layout.bodies_view import faint_bodies
 from carom.recording.layout.camera import CameraFit, View
-from carom.recording.layout.canvas import spatial_view, surroundings
+from carom.recording.layout.canvas import Area, spatial_view, surroundings
 from carom.recording.layout.drawing import line_radii, single
 from carom.recording.read.body_lookup import names_of
 from carom.recording.read.frame_rows import DrawnPaths, drawn_paths
@@ -49,7 +49,8 @@ _IMPULSE = 1.6  # length of an impulse's arrow, in radii of its body
 _ROOM = 1.35  # half size of the view around each body, in its radii
 _THICK, _THIN = 0.07, 0.04  # radii of arrows, in radii of the smaller body
 _REACH = 3.0  # distance of an eye that follows points, over half the diagonal of the box around them (Rerun 0.41)
-_LABEL_HEIGHT, _LETTER_WIDTH = 0.055, 0.016  # over the height of a view of 450 pixels
+_LABEL_HEIGHT, _LETTER_WIDTH = 25.0, 7.2  # points, with the margin of the label
+_BELOW = 32.0  # points, from the place of a label to its lower edge
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
 _TOUCHING = 1e-9  # of a radius; a gap that is rounding
 _UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
@@ -102,7 +103,7 @@ class CloseUp:
     box: FloatArray | None  # (3,) m, of a periodic domain: the second body is drawn as the image nearest to the first
     eye: View
     colours: BodyColours  # of the bodies, as in the other views
-    theme: str
+    area: Area
 
     def view(self, header: Header, recoloured: bool = False) -> rrb.Spatial3DView:
         """Return a view of the two bodies as solids, with all others as thin wires."""
@@ -110,7 +111,7 @@ class CloseUp:
         return spatial_view(
             *(f"Close-up: {self.names}", self.eye, contents, faint_bodies(header, recoloured)),
             follows=FOLLOWED,
-            theme=self.theme,
+            theme=self.area.theme,
         )
 
     def statics(self, header: Header) -> Iterable[Static]:
@@ -126,9 +127,9 @@ class CloseUp:
                 line_radii=rr.Radius.ui_points(1.0),
             ),
         )
-        ink = palette.INKS[self.theme]
-        impulse, spin = palette.legible([palette.ARROWS[paths.FORCE_NORMAL], palette.SPIN], self.theme).tolist()
-        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.GROUNDS[self.theme])
+        ink = palette.INKS[self.area.theme]
+        impulse, spin = palette.legible([palette.ARROWS[paths.FORCE_NORMAL], palette.SPIN], self.area.theme).tolist()
+        yield FOLLOWED, rr.Points3D.from_fields(radii=_UNSEEN * small, colors=palette.GROUNDS[self.area.theme])
         yield EDGE, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(3.0), colors=palette.VERMILION)
         yield NORMAL, rr.Arrows3D.from_fields(radii=line_radii(_THIN, small), colors=ink)
         yield IMPULSE, rr.Arrows3D.from_fields(radii=line_radii(_THICK, small), colors=impulse)
@@ -204,7 +205,7 @@ class CloseUp:
                 columns = rr.Arrows3D.columns(vectors=single(arrows.vectors), origins=single(arrows.origins))
                 yield from self._once(arrows.path, columns, len(arrows.vectors))
         texts = [text for arrows in labelled for text in arrows.labels]
-        places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye))
+        places = single(_apart(np.concatenate([arrows.places() for arrows in labelled]), texts, self.eye, self.area))
         yield from self._once(LABELS, rr.Points3D.columns(positions=places, labels=texts), len(texts))
 
     def _normal(self, contact: Contact, small: float, units: UnitSystem) -> _Arrows:
@@ -215,10 +216,10 @@ class CloseUp:
     def _impulses(self, impulse: FloatArray, header: Header) -> _Arrows:
         """Return the impulse on each body from its centre; if one is many times larger, only on the smaller."""
         size = float(np.linalg.norm(impulse))
-        radius = header.radius[list(self.bodies)]
-        drawn = (radius <= _MOST_UNLIKE * radius.min()) & (size > 0.0)
-        signs = np.array([-1.0, 1.0])[: len(radius)]
-        vectors = (_IMPULSE * radius * signs)[drawn, None] * impulse / (size or 1.0)
+        reach = _impulse_radii(header.radius[list(self.bodies)])
+        drawn = (reach > 0.0) & (size > 0.0)
+        signs = np.array([-1.0, 1.0])[: len(reach)]
+        vectors = (reach * signs)[drawn, None] * impulse / (size or 1.0)
         labels = [header.units.text(size, dimension.IMPULSE, ".3g")] if drawn.any() else []
         if labels and self.contact is not None and self.contact.force is not None:
             labels = [f"{header.units.text(self.contact.force, dimension.FORCE, '.3g')}, {labels[0]} in the step"]
@@ -265,9 +266,8 @@ def close_up(
     header: Header,
     step: ShownStep,
     pair: Pair,
-    aspect: float,
+    area: Area,
     colours: BodyColours,
-    theme: str,
     instant: ShownStep | None = None,
     *,
     pauses_within: bool = False,
@@ -276,12 +276,10 @@ def close_up(
 
     Parameters
     ----------
-    aspect
-        Width over height of the view.
+    area
+        Of the view.
     colours
         Of the bodies of the pair.
-    theme
-        "dark" or "light".
     instant
         The time of an impact of the pair within the step. A pair that still touches at the end of the step is shown
         there.
@@ -311,7 +309,11 @@ def close_up(
         found = drawn_paths(recording, places)
         own = np.searchsorted(frames[STEP].to_numpy(), found.steps)
         times = frames["time"].to_numpy()[np.minimum(own, frames.num_rows - 1)]
-    seen = position if pauses_within else at_end
+    seen, ends = position if pauses_within else at_end, None
+    if contact is not None and np.any(contact.impulse):
+        reach = _impulse_radii(header.radius[places])
+        arrows = reach[reach > 0.0, None] * contact.impulse / np.linalg.norm(contact.impulse)
+        ends = np.concatenate([seen[reach > 0.0] - arrows, seen[reach > 0.0] + arrows])
     return CloseUp(
         names=names,
         bodies=tuple(places),
@@ -326,10 +328,15 @@ def close_up(
         times=times,
         origin=recording.origin,
         box=header.box,
-        eye=_fit(header.radius[places], seen, contact).view(aspect),
+        eye=_fit(header.radius[places], seen, contact).view(area.aspect, narrow=area.rendered, tips=ends),
         colours=colours,
-        theme=theme,
+        area=area,
     )
+
+
+def _impulse_radii(radius: FloatArray) -> FloatArray:
+    """Return the lengths (b,) m of the arrows of impulses; 0 for a body that is too large to be shown whole."""
+    return np.asarray(_IMPULSE * radius * (radius <= _MOST_UNLIKE * radius.min()))
 
 
 def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool:
@@ -338,17 +345,23 @@ def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool
     return float(np.linalg.norm(other - position[0])) <= (1.0 + _TOUCHING) * float(radius.sum())
 
 
-def _apart(places: FloatArray, texts: list[str], eye: View) -> FloatArray:
-    """Move labels down on the screen where they would cover an earlier one; positions are (k, 3) m."""
-    axes, height = eye.axes(), eye.height()
-    tall = _LABEL_HEIGHT * height
-    moved = places.copy()
+def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> FloatArray:
+    """Move labels, (k, 3) m, into the view, and up or down where they would cover one before them."""
+    point = 2.0 / area.height  # half heights of the view
+    onto = eye.on_screen(places)
+    moved, drawn = onto.copy(), list[tuple[float, float, float]]()  # half the width, and the place
     for k, text in enumerate(texts):
-        for other in list(range(k)) * k:  # a moved label may cover another one
-            across, up = axes @ (moved[k] - moved[other])
-            if abs(across) < _LETTER_WIDTH * height * (len(text) + len(texts[other])) / 2 and abs(up) < tall:
-                moved[k] -= (tall + up) * axes[1]
-    return moved
+        wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
+        side = max(0.0, area.aspect - wide)
+        x, y = np.clip(onto[k], [-side, low - 1.0], [side, 1.0]).tolist()  # a label is centred below its place
+        near = [up for other, across, up in drawn if abs(x - across) < wide + other]
+        lines = (y + sign * n * tall for n in range(3 * len(texts)) for sign in (-1.0, 1.0))
+        free = (at for at in lines if low - 1.0 <= at <= 1.0 and all(abs(at - up) >= tall for up in near))
+        y = next(free, y)
+        drawn.append((wide, x, y))
+        moved[k] = x, y
+    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # of half the height, at each depth
+    return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))
 
 
 def _fit(radius: FloatArray, position: FloatArray, contact: Contact | None) -> CameraFit:

@@ -18,27 +18,30 @@ from carom.recording.write.rows import Index, Rows
 from carom.show.supplement import Static
 
 MOST_BANDS = 100
+MOST_POINTS = 1000  # of impacts; the software driver takes seconds for a picture of some more
 _BANDS = (palette.ORANGE, palette.YELLOW)  # in turns
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:
-    """Return a band for each impact, which lasts until the next, with colours; nothing if there are too many.
+    """Return the outline of impulses, a band for each impact, which lasts until the next, and the bands' colours.
 
-    The outline of their impulses is returned with them.
+    If there are too many impacts there are no bands, and if there are far too many no outline.
     """
     entries = [entry for entry in recording.store.entries if entry.entity_path == paths.IMPACTS]
-    if not 0 < sum(entry.rows for entry in entries if not entry.is_static) <= MOST_BANDS:
+    if not 0 < sum(entry.rows for entry in entries if not entry.is_static) <= MOST_POINTS:
         return {}, [], []
     numbers, _ = impacts_by_number(recording)
     impacts = recording.impacts()
     if impacts.num_rows != len(numbers):
         return {}, [], []
-    names = [f"impact {number}" for number in numbers.tolist()]
     index = Index(impacts[STEP].to_numpy(), impacts["time"].to_numpy())
+    outline = {paths.IMPACTS: CurveOutline.of(index.times, impacts["normal_impulse"].to_numpy())}
+    if len(numbers) > MOST_BANDS:
+        return outline, [], []
+    names = [f"impact {number}" for number in numbers.tolist()]
     colours = np.array([_BANDS[k % len(_BANDS)] for k in range(len(names))], dtype=np.uint32)
     rows = Rows(paths.IMPACTS, index, list(rr.StateChange.columns(state=names)), sum(map(len, names)))
-    outline = CurveOutline.of(index.times, impacts["normal_impulse"].to_numpy())
-    return {paths.IMPACTS: outline}, [rows], [(paths.IMPACTS, rr.StateConfiguration(values=names, colors=colours))]
+    return outline, [rows], [(paths.IMPACTS, rr.StateConfiguration(values=names, colors=colours))]
 
 
 def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curves, list[Rows], list[Static]]:

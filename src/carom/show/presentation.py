@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import RecordingError, SceneError
+from carom.physics.frame import Frame
 from carom.recording.layout.blueprint import ALL, CLOSE_UP, PLOT, WINDOW, blueprint, bodies_area, close_up_area
 from carom.recording.layout.bodies_view import FIELD
-from carom.recording.layout.camera import CameraMotion
+from carom.recording.layout.camera import FEW, CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
 from carom.recording.read.moment import tolerance
@@ -38,6 +39,7 @@ from carom.show.supplement import Supplement
 
 _ONCE = (paths.EVENTS, paths.FINGERPRINT, paths.MOMENTUM, paths.IMPACTS)  # not sent for repeated steps
 
+_ARROWS = (paths.TORQUE, paths.ANGULAR_ACCELERATION, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
 _OF_STEP = (paths.TORQUE, paths.ANGULAR_ACCELERATION)  # sent for an instant within a step, as at its end
 
 
@@ -157,14 +159,14 @@ def presentation(
         fixed, own = colours.fixed, colours.of(places)
     trails = trail_colours(recording, header, by, canvas.theme)
     staging = Staging.of(recording, header, step.position, trails, until, motion)
-    aspect = close_up_area(header, canvas, only).aspect
     clock = TimeScale(float(recording.info["time_scale"]))
     instant = None if chosen is None else at_impact(step, chosen, header, recording.origin, moment, clock)
     within_step = instant is not None and (at_own_time or abs(instant.time - moment) <= tolerance(moment))
     paused = instant if instant is not None and within_step else step
     close = None
     if chosen is not None:
-        close = close_up(recording, header, step, chosen, aspect, own, canvas.theme, instant, pauses_within=within_step)
+        close_area = close_up_area(header, canvas, only)
+        close = close_up(recording, header, step, chosen, close_area, own, instant, pauses_within=within_step)
     references = {name: float(value) for name, value in recording.arrow_references.items()}
     repeated, references = _steps(recording, header, step, references)
     rows = [*repeated, *(close.rows(header) if close else [])]
@@ -201,6 +203,8 @@ def presentation(
         *(close, staging.trails is not None, recoloured, plots, words, named, shows_field),
         struck=bool(strip),
         decades=logarithms,
+        moment=canvas.rendered,
+        tips=_arrow_tips(header, recording.origin, paused.frame, references),
         span=clock.nanoseconds(whole_span(recording)) if canvas.rendered else None,
     )
     layout = blueprint(header, staging.camera, curves, canvas, only, added)
@@ -274,6 +278,21 @@ def _instant(
         if rows.path in _OF_STEP
     ]
     return found, dict(encoder.arrow_references)
+
+
+def _arrow_tips(
+    header: Header, origin: FloatArray, frame: Frame | None, references: Mapping[str, float]
+) -> FloatArray | None:
+    """Return the ends (k, 3) m of the arrows of a step of few bodies; None if it is not known."""
+    if frame is None or header.bodies > FEW:
+        return None
+    found = [np.zeros((0, 3))]
+    for rows in BatchEncoder(header, origin, references, everything=True).rows([frame]):
+        if rows.path in _ARROWS:
+            drawn = [column.as_arrow_array().flatten().flatten() for column in list(rows.columns)[:2]]
+            found.append(np.add(*drawn, dtype=np.float64).reshape(-1, 3))
+    tips = np.concatenate(found)
+    return np.asarray(tips[np.isfinite(tips).all(axis=1)])
 
 
 def _states_after(recording: Recording, step: int) -> Iterator[Rows]:

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from carom.recording.layout import camera
 from carom.recording.layout.camera import CameraFit, CameraMotion, View, corners_of, turned
+from carom.recording.schema.header import Header
+from carom.scene.start import HalfSpaces
 from scripted_run import ScriptedRun
 
 FloatArray = NDArray[np.float64]
@@ -128,6 +130,7 @@ def test_a_run_that_ended_in_nan_can_still_be_framed(scripted: ScriptedRun) -> N
 def test_a_part_of_very_many_bodies_frames_them_all(monkeypatch: pytest.MonkeyPatch) -> None:
     position = np.random.default_rng(5).normal(size=(20_000, 3))
     radius = np.full(20_000, 1e-3)
+    monkeypatch.setattr(camera, "_NEARBY", 1.0)  # else only one of the two may show those that are a little outside
     position[7777], radius[7777] = [9.0, 0.0, 0.0], 1.0  # a planet that no equal sample would meet
     whole = CameraFit(radius, position).view()
     monkeypatch.setattr(camera, "_MOST", 1000)
@@ -197,3 +200,56 @@ def test_a_ball_that_falls_and_bounces_moves_in_a_picture_that_stands_still() ->
     camera.look(moments)
     view = camera.view(narrow=True)
     assert np.ptp(view.on_screen(moments[:, 0])[:, 1]) > 1.2, "the ball crosses more than half of the picture"
+
+
+DOWNHILL, OUT, ACROSS = np.array([0.8, 0.0, -0.6]), np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0])
+
+
+def on_a_slope(scripted: ScriptedRun, *normals: FloatArray) -> Header:
+    """A scene with planes through the origin, in a field along -z."""
+    planes = HalfSpaces([""] * len(normals), np.array(normals), np.zeros(len(normals)))
+    return replace(scripted.header, planes=planes, forces=frozenset({"uniform-field"}), scene_toml="")
+
+
+def rolled(along: FloatArray, bodies: int) -> FloatArray:
+    """Positions at 11 moments of bodies that begin side by side and roll over a slope, (11, n, 3) m."""
+    begin = RADIUS * OUT + 3.0 * np.linspace(-1.0, 1.0, bodies)[:, None] * ACROSS
+    paths: FloatArray = begin + np.linspace(0.0, 1.0, 11)[:, None, None] ** 2 * along
+    return paths
+
+
+def test_a_slope_is_seen_edge_on_with_gravity_down_and_the_motion_across_the_picture(scripted: ScriptedRun) -> None:
+    for header in (on_a_slope(scripted, OUT), on_a_slope(scripted, OUT, np.array([0.0, 0.0, 1.0]))):
+        moments = rolled(4.0 * DOWNHILL, header.bodies)
+        camera = CameraFit.of_scene(header, np.zeros(3), moments[0])
+        camera.look(moments)
+        view = camera.view(narrow=True)
+        assert abs(view.to_eye @ OUT) < 1e-12, "the slope is a line"
+        assert view.axes()[1] == pytest.approx([0.0, 0.0, 1.0]), "gravity is down"
+        assert np.ptp(view.on_screen(moments[:, 0])[:, 0]) > 1.0, "the path crosses more than half of the height"
+
+
+def test_a_slope_over_which_bodies_move_sideways_or_a_funnel_is_seen_from_above(scripted: ScriptedRun) -> None:
+    funnel = [OUT, np.array([-0.6, 0.0, 0.8]), np.array([0.0, 0.6, 0.8])]
+    for header, along in ((on_a_slope(scripted, OUT), 4.0 * ACROSS), (on_a_slope(scripted, *funnel), 4.0 * DOWNHILL)):
+        moments = rolled(along, header.bodies)
+        camera = CameraFit.of_scene(header, np.zeros(3), moments[0])
+        camera.look(moments)
+        assert np.sin(np.radians(14.9)) < camera.view().to_eye[2]
+
+
+def test_many_bodies_of_a_pile_are_all_inside() -> None:
+    position = np.random.default_rng(4).uniform(-1.0, 1.0, size=(500, 3))
+    radius = np.full(500, 0.05)
+    view = CameraFit(radius, position).view(1.6, narrow=True)
+    assert view.outside == 0 and view.holds(position, radius, 1.6).all()
+
+
+def test_a_picture_of_one_moment_is_filled_by_it_though_bodies_came_from_far_away(scripted: ScriptedRun) -> None:
+    position = next(scripted.frames(1)).position
+    radius = scripted.header.radius
+    camera = CameraFit(radius, position, motion=CameraMotion.STILL)
+    camera.look(position + np.array([100.0, 0.0, 0.0]))
+    view = camera.view(narrow=True, trails=False, moment=True)
+    places = view.on_screen(position)
+    assert np.ptp(places, axis=0).max() > 1.5 and np.abs(places.mean(axis=0)).max() < 0.3

@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 import carom
 from carom.arrays import FloatArray
 from carom.recording.edit.clip import clip
-from carom.recording.read.recorded_impacts import states_by_number
+from carom.recording.read.recorded_impacts import impacts_by_number, states_by_number
 from carom.recording.read.recording import Recording
 from carom.runs.replay import replay
+from carom.scene.schema import Scene
 from small_scenes import scene_of
 
 SINGLE = 2e-7  # relative, of rounding to float32
@@ -83,6 +84,18 @@ def test_spins_before_and_after_an_impact_obey_coulomb(bounces: Recording) -> No
     change = 2.5 * FRICTION * (1.0 + RESTITUTION) * SPEED / RADIUS  # mu J r / I: it slides throughout
     assert before[0] == pytest.approx([0.0, SPIN, 0.0], rel=SINGLE, abs=1e-12)
     assert after[0] == pytest.approx([0.0, SPIN - change, 0.0], rel=1e-6, abs=1e-9)
+
+
+def test_in_a_crowded_scene_the_largest_impacts_between_two_frames_have_frames(tmp_path: Path) -> None:
+    scene = Scene.load("elastic-gas", ["group.0.count=300", "time.duration=1", "record.every=1"])
+    recording = carom.run(scene, tmp_path / "gas.rrd")
+    numbers, impacts = impacts_by_number(recording)[0], recording.impacts()
+    with_frame, times, _ = column(recording, "world/bodies", "Ellipsoids3D:centers")
+    assert 3 <= len(with_frame) < len(numbers) / 3, "a few of many"
+    has = np.isin(numbers, with_frame)
+    impulse = np.asarray(impacts["normal_impulse"])
+    assert impulse[has].min() >= impulse[~has].max()
+    assert times == pytest.approx(np.asarray(impacts["time"])[has], abs=1e-9)
 
 
 def test_frames_at_impacts_are_no_rows_of_the_tables(bounces: Recording) -> None:

@@ -98,7 +98,7 @@ def _all(header: Header, camera: CameraFit, curves: Curves | None, canvas: Canva
     areas = _areas(canvas, shares)
     views: list[rrb.View] = [bodies_view(header, camera, areas[0], added)]
     if has_graph(header):
-        views.append(graph_view(header, camera, areas[1], added.recoloured))
+        views.append(graph_view(header, camera, areas[1], added))
     if added.close:
         views.append(added.close.view(header, added.recoloured))
     if added.legend:
@@ -130,7 +130,7 @@ def _single(
         case "bodies":
             return bodies_view(header, camera, canvas.area(), added)
         case "graph" if has_graph(header):
-            return graph_view(header, camera, canvas.area(), added.recoloured)
+            return graph_view(header, camera, canvas.area(), added)
         case "graph":
             raise RecordingError(
                 "there is no collision graph, since bodies neither touch nor have torques; use the view of bodies"

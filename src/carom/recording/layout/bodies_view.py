@@ -145,11 +145,11 @@ def has_graph(header: Header) -> bool:
     return header.collides or header.has_torque
 
 
-def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool = False) -> rrb.Spatial3DView:
+def graph_view(header: Header, camera: CameraFit, area: Area, added: Additions = NONE) -> rrb.Spatial3DView:
     """Return the view; edges are drawn by their impulses if these are recorded."""
     # how far (m) arrows of medium length extend from the bodies
     room = arrow_length(header, paths.ANGULAR_ACCELERATION) / 4 if header.has_torque else 0.0
-    view = camera.view(area.aspect, room, narrow=area.rendered, trails=False)
+    view = camera.view(area.aspect, room, narrow=area.rendered, trails=False, tips=added.tips, moment=added.moment)
     return spatial_view(
         _name(header),
         view,
@@ -160,7 +160,7 @@ def graph_view(header: Header, camera: CameraFit, area: Area, recoloured: bool =
             *force_arrows(header),
             *([paths.TORQUE, paths.ANGULAR_ACCELERATION] if header.has_torque else []),
         ],
-        faint_bodies(header, recoloured) | edges_by_impulse(header, area.theme),
+        faint_bodies(header, added.recoloured) | edges_by_impulse(header, area.theme),
         theme=area.theme,
     )
 

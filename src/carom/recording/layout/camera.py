@@ -7,7 +7,8 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
 
 Each border therefore requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together
 determine the smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the
-horizon is level and the ground is seen from above.
+horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a textbook, unless bodies move along
+the line of sight.
 """
 
 from __future__ import annotations
@@ -37,6 +38,7 @@ _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: eq
 FEW = 40  # bodies up to which all motion is inside the view, and has trails
 _FEW_NEAR = 5  # bodies up to which none is too far away to be shown
 _ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
+_NEARBY = 1.6  # largest distance, over that without the escaping bodies, at which these are inside, too
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
 _FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
 _LOOSE = 1.7  # largest distance over that which just contains the first moment, whose bodies then fill 53 %
@@ -50,6 +52,8 @@ _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # to
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
 _STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
+_SLOPE = float(np.sin(np.radians(3.0)))  # of the angle to a floor and to a wall, from which on a plane is a slope
+_ALONG = 0.1  # largest share of the motion along the line of sight to a slope that is seen edge-on
 _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
@@ -111,6 +115,18 @@ class View:
         return inside
 
 
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """The picture that a view is fitted to; see `CameraFit.view`."""
+
+    aspect: float
+    room: float
+    narrow: bool
+    has_paths: bool
+    tips: FloatArray
+    moment: bool
+
+
 class CameraFit:
     """Fits the camera to the bodies at a first moment, and at other moments unless it would move too far away.
 
@@ -126,6 +142,8 @@ class CameraFit:
         (3,) unit vector towards the eye; by default it is determined by the principal axes of the motion.
     up
         (3,) unit vector against gravity.
+    edge_on
+        (3,) horizontal unit vector along which slopes are seen edge-on; None without a slope.
     motion
         How the camera moves. None: it follows bodies that move away together, unless they are few and all of their
         motion fits into the picture.
@@ -139,17 +157,20 @@ class CameraFit:
         to_eye: FloatArray | None = None,
         up: FloatArray = _UP,
         motion: CameraMotion | None = None,
+        edge_on: FloatArray | None = None,
     ) -> None:
         self._shown = _shown(radius)
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first)
+        self._begin, self._edge_on = first, edge_on
         self._radius, self._count = radius, len(radius)
         self._first, self._first_radius = first[near], radius[near]
         self._corners = np.zeros((0, 3)) if corners is None else corners
         self._to_eye, self.up, self.motion = to_eye, up, motion
         self._centre = _middle(first[None], near[None], radius)[0]  # (3,) m
         self._spheres = np.zeros((0, 7))  # centre, radius, and the middle of all bodies at the same moment
-        self._moments = np.zeros((2, 4, 4))  # Σ x xᵀ with x = (position, 1): of all positions, and about their middles
+        # Σ x xᵀ with x = (position, 1): of all positions, about their middles, and about each body's first position
+        self._moments = np.zeros((3, 4, 4))
         self._drift = 0.0
         self._loose = _LOOSE
         self._take(first[None])
@@ -171,7 +192,9 @@ class CameraFit:
         grounded = header.planes is not None or header.walls is not None or header.box is not None
         if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
             motion = CameraMotion.STILL
-        return cls(header.radius, first, corners_of(header, origin), up=_against_gravity(header), motion=motion)
+        up = _against_gravity(header)
+        edge_on = _edge_on(header, up)
+        return cls(header.radius, first, corners_of(header, origin), up=up, motion=motion, edge_on=edge_on)
 
     @property
     def is_few(self) -> bool:
@@ -196,8 +219,9 @@ class CameraFit:
             return
         near = np.array([_near(moment) for moment in moments])
         middle = _middle(moments, near, self._radius)
-        for k, middles in enumerate((self._centre, middle[:, None])):
-            x = np.concatenate([moments - middles, np.ones((*near.shape, 1))], axis=2)[near]
+        begin = np.where(np.isfinite(self._begin), self._begin, self._centre)
+        for k, about in enumerate((self._centre, middle[:, None], begin)):
+            x = np.concatenate([moments - about, np.ones((*near.shape, 1))], axis=2)[near]
             self._moments[k] += x.T @ x
         if not inside:
             return
@@ -217,7 +241,16 @@ class CameraFit:
         """Keep all motion inside the view, even if the bodies of the first moment become small."""
         self._loose = _LOOSE_PATHS
 
-    def view(self, aspect: float = ASPECT, room: float = 0.0, *, narrow: bool = False, trails: bool = True) -> View:
+    def view(
+        self,
+        aspect: float = ASPECT,
+        room: float = 0.0,
+        *,
+        narrow: bool = False,
+        trails: bool = True,
+        tips: FloatArray | None = None,
+        moment: bool = False,
+    ) -> View:
         """Return a view of the first moment and, unless bodies would be too small, of all others.
 
         Parameters
@@ -230,31 +263,38 @@ class CameraFit:
             Whether the eye has a narrow field of view and is far away, so that equal spheres have equal sizes.
         trails
             Whether the view may show the paths of few bodies, which should all be inside.
+        tips
+            (k, 3) m, ends of arrows of the first moment; those of few bodies are inside.
+        moment
+            Whether the picture shows the first moment alone.
         """
         has_paths = trails and self.is_few
+        ends = tips if tips is not None and self.is_few else np.zeros((0, 3))
+        frame = _Frame(aspect, room, narrow, has_paths, ends, moment and not has_paths)
         if self.motion is not None:
-            return self._view(aspect, room, self.motion, narrow=narrow, has_paths=has_paths)
-        view = self._view(aspect, room, CameraMotion.STILL, narrow=narrow, has_paths=has_paths)
+            return self._view(frame, self.motion)
+        view = self._view(frame, CameraMotion.STILL)
         if self._drift > self._extent / 2 and not (has_paths and view.whole):
-            view = self._view(aspect, room, CameraMotion.FOLLOW, narrow=narrow, has_paths=has_paths)
+            view = self._view(frame, CameraMotion.FOLLOW)
         return view
 
-    def _view(self, aspect: float, room: float, motion: CameraMotion, *, narrow: bool, has_paths: bool) -> View:
+    def _view(self, frame: _Frame, motion: CameraMotion) -> View:
         to_eye = self._to_eye
+        if to_eye is None and self._edge_on is not None:
+            moved = self._moments[2, :3, :3]
+            if not self._edge_on @ moved @ self._edge_on > _ALONG * np.trace(moved):
+                to_eye = self._edge_on
         if to_eye is None:
             to_eye = _direction(self._moments[int(motion is CameraMotion.FOLLOW)], self.up)
-        view = self._fitted(to_eye, aspect, room, _NARROW_SLOPE if narrow else SLOPE, motion, has_paths=has_paths)
+        view = self._fitted(frame, to_eye, _NARROW_SLOPE if frame.narrow else SLOPE, motion)
         depth = float(np.ptp(self._around(motion)[0] @ to_eye)) if len(self._spheres) else 0.0
-        if narrow and view.distance < _DEPTHS * depth:
-            slope = _NARROW_SLOPE * view.distance / (_DEPTHS * depth)
-            view = self._fitted(to_eye, aspect, room, slope, motion, has_paths=has_paths)
+        if frame.narrow and view.distance < _DEPTHS * depth:
+            view = self._fitted(frame, to_eye, _NARROW_SLOPE * view.distance / (_DEPTHS * depth), motion)
         return view
 
-    def _fitted(
-        self, to_eye: FloatArray, aspect: float, room: float, slope: float, motion: CameraMotion, *, has_paths: bool
-    ) -> View:
+    def _fitted(self, frame: _Frame, to_eye: FloatArray, slope: float, motion: CameraMotion) -> View:
         axes = screen(to_eye, self.up)
-        slopes = _FILLED * slope * np.array([aspect, 1.0])
+        slopes = _FILLED * slope * np.array([frame.aspect, 1.0])
 
         def borders(position: FloatArray, radius: FloatArray, *, all_inside: bool = True) -> FloatArray:
             """Return the values that the right and left, upper and lower borders require, (2, 2) m."""
@@ -266,20 +306,24 @@ class CameraFit:
                 found[k] = [np.max(end, initial=-np.inf) if all_inside else _largest(end, radius) for end in ends]
             return found
 
-        now = borders(self._first, self._first_radius, all_inside=self.is_few)
+        inner = now = borders(self._first, self._first_radius, all_inside=self.is_few)
+        if not self.is_few:
+            every = borders(self._first, self._first_radius)
+            now = every if _distance(every, slopes) <= _NEARBY * _distance(inner, slopes) else inner
+        inner, now = (np.maximum(each, borders(frame.tips, np.zeros(len(frame.tips)))) for each in (inner, now))
         if not np.isfinite(now).all():
             return View(np.zeros(3), 4.0 * float(self._radius.max()), CameraMotion.STILL, to_eye, self.up, slope)
-        others, radii = self._around(motion)
+        others, radii = (self._first, self._first_radius) if frame.moment else self._around(motion)
         later = np.maximum(now, borders(others, radii))
         if len(self._corners):
             low, high = (others - radii[:, None]).min(axis=0), (others + radii[:, None]).max(axis=0)
             margin = _BESIDE * float(np.max(high - low))
             corners = np.clip(self._corners, low - margin, high + margin)
             later = np.maximum(later, borders(corners, np.zeros(len(corners))))
-        if room > 0.0:
-            later = np.maximum(later, borders(self._first, self._first_radius + room, all_inside=self.is_few))
-        allowed = self._loose * _distance(now, slopes)
-        if has_paths:
+        if frame.room > 0.0:
+            later = np.maximum(later, borders(self._first, self._first_radius + frame.room, all_inside=self.is_few))
+        allowed = self._loose * _distance(inner, slopes)
+        if frame.has_paths:
             allowed = max(allowed, _SMALL * float(np.median(self._radius)) / (2.0 * slope))
         whole = _distance(later, slopes)
         distance = min(whole, allowed)
@@ -290,7 +334,7 @@ class CameraFit:
         if motion is CameraMotion.ORBIT:  # about a vertical axis
             target = self._centre + up / float(axes[1] @ self.up) * self.up
         view = View(target, distance, motion, to_eye, self.up, slope, whole <= allowed)
-        inside = np.count_nonzero(view.holds(self._first, self._first_radius, aspect))
+        inside = np.count_nonzero(view.holds(self._first, self._first_radius, frame.aspect))
         return replace(view, outside=self._count - int(inside))
 
     def _around(self, motion: CameraMotion) -> tuple[FloatArray, FloatArray]:
@@ -375,6 +419,19 @@ def _against_gravity(header: Header) -> FloatArray:
     acceleration = np.asarray(gravity.get("uniform", -_UP), dtype=np.float64)
     size = float(np.linalg.norm(acceleration))
     return -acceleration / size if 0.0 < size < np.inf else _UP
+
+
+def _edge_on(header: Header, up: FloatArray) -> FloatArray | None:
+    """Return the horizontal direction (3,) in which all slopes of a scene are seen edge-on; None without any."""
+    if header.planes is None or UNIFORM_FIELD.name not in header.forces:
+        return None
+    level = np.cross(up, header.planes.normal)
+    slopes = (np.linalg.norm(level, axis=1) > _SLOPE) & (np.abs(header.planes.normal @ up) > _SLOPE)
+    if not slopes.any():
+        return None
+    lines = level[slopes] / np.linalg.norm(level[slopes], axis=1)[:, None]
+    chosen = lines[0] if lines[0] @ (_USUAL @ _upright(up)) >= 0.0 else -lines[0]
+    return chosen if np.linalg.norm(np.cross(lines, chosen), axis=1).max() <= _SLOPE else None
 
 
 def _distance(borders: FloatArray, slopes: FloatArray) -> float:

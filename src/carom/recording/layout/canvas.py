@@ -14,7 +14,7 @@ from rerun.blueprint.api import VisualizerLike
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 from rerun.encodings import EntityPathLike
 
-from carom.arrays import IntArray
+from carom.arrays import FloatArray, IntArray
 from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
@@ -78,6 +78,8 @@ class Additions:
     field: bool = False  # whether an arrow and axes show a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
+    moment: bool = False  # whether a picture shows one moment, so that the others need not be inside of it
+    tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
 

@@ -236,8 +236,9 @@ def plot_views(
     for column in all_plots(recorded(header)):
         shown = [plot for plot in column if shown_series(header, plot, curves)]
         if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
-            # impacts if there are impacts, otherwise contacts, which last; contacts as long as nothing is known
-            shown.insert(0 if curves is not None else 1, IMPULSES)
+            # impacts where impacts are, else contacts, which last; as long as nothing is known, and where a plot of all
+            # impacts would slow the viewer down, contacts
+            shown.insert(0 if curves is not None and paths.IMPACTS in curves else 1, IMPULSES)
         if shown:
             columns.append(shown)
     area = replace(row, width=row.width / max(1, len(columns)))
