@@ -25,7 +25,7 @@ from carom.errors import SceneError
 from carom.scene.data.formats import DataTable, Raw, numbers_of, texts_of
 from carom.scene.data.mapping import ELEMENTS, column_factor, elements_in, printable, unit_in
 from carom.scene.portable_math import cosine_and_sine, cube_root
-from carom.scene.schema.body import Orbit
+from carom.scene.schema.body import KeplerianOrbits
 from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension
 from carom.scene.units.system import UnitSystem
 
@@ -47,7 +47,7 @@ class OrbitTable(DataTable):
         The message names the missing elements, or the first row that is not an orbit.
     """
 
-    def __init__(self, table: DataTable, orbit: Orbit, constant: float, units: UnitSystem) -> None:
+    def __init__(self, table: DataTable, orbit: KeplerianOrbits, constant: float, units: UnitSystem) -> None:
         self.called, self.units, self.hidden = table.called, table.units, table.hidden
         self._table, self._units, self._epoch = table, units, orbit.epoch
         self._mu = constant * orbit.central_mass

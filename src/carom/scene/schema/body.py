@@ -109,7 +109,7 @@ class _OrNames:
         return {"anyOf": [handler(core), {"type": "array", "items": {"type": "string", "minLength": 1}}]}
 
 
-class Orbit(Section):
+class KeplerianOrbits(Section):
     """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp, in degrees."""
 
     central_mass: Annotated[Positive, MASS] = Field(description="kg, mass at rest at the origin; more than 0")
@@ -149,7 +149,7 @@ class BodyData(Matter):
     missing: Missing | None = Field(
         None, description="{ radius, mass, density, leave_out }, for rows of the file that lack a value"
     )
-    orbit: Orbit | None = Field(
+    orbit: KeplerianOrbits | None = Field(
         None, description="{ central_mass, epoch }, for a file with orbital elements instead of positions"
     )
     radius: Annotated[Positive, LENGTH] | None = Field(
