@@ -87,7 +87,7 @@ def test_statistics_are_printed_as_json_and_as_rows(folder: Path) -> None:
         (("--body", "1", "--body", "1"), "a body has no contact with itself"),
         (("--json", "--csv"), "give only one of --json, --csv and -o"),
         (("--from", "1"), "add --impacts"),
-        (("--impacts", "-o", "s.png"), 'the format ".png" is unknown; known endings: .parquet, .csv'),
+        (("--impacts", "-o", "s.png"), 'the format ".png" is unknown; known suffixes: .parquet, .csv'),
         (("--statistics", "--at", "1"), "with --statistics, use --from and --to"),
         (("--statistics", "--impacts"), "give only one of --impacts and --statistics"),
         (("--statistics", "--body", "1"), "--statistics are those of all bodies; leave --body out"),

@@ -35,8 +35,8 @@ SLOPE = float(np.tan(np.radians(55.0 / 2)))  # of the picture's upper border: Re
 _NARROW_SLOPE = float(np.tan(np.radians(1.0)))
 _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: equal spheres then differ by at most 4 %
 
-FEW = 40  # bodies up to which all motion is inside the view, and has trails
-_FEW_NEAR = 5  # bodies up to which none is too far away to be shown
+FEW = 40  # bodies; with at most as many, all motion is inside the view and has trails
+_FEW_NEAR = 5  # bodies; with at most as many, none is too far away to be shown
 _ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
 _NEARBY = 1.6  # largest distance, over that without the escaping bodies, at which these are inside, too
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
