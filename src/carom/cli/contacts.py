@@ -103,10 +103,10 @@ def contacts(
     with opened(file) as path:
         recording = Recording.open(path)
         recording.refuse_overlay()
-        if (impacts or statistics) and recording.engine and recording.records_contacts:
+        if impacts and recording.engine and recording.records_contacts:
             raise RecordingError(
                 f"{recording.path} was recorded from {recording.engine}: its frames have the forces of contacts, but "
-                f"it has no impacts; leave --{'impacts' if impacts else 'statistics'} out, and select a frame with --at"
+                "it has no impacts; leave --impacts out, and select a frame with --at"
             )
         at, start, end = (simulated_or_none(time, recording.units) for time in (at, start, end))
         if statistics:

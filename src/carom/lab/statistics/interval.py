@@ -38,6 +38,10 @@ MOST_VELOCITIES = 2_000_000  # in memory
 MOST_CONTACTS = 2_000_000  # bodies of these frames
 
 
+class NothingThereError(RecordingError):
+    """An interval without impacts, or without lasting contacts."""
+
+
 class ContactColumns(NamedTuple):
     """The lasting contacts that carry an impulse, in the steps of some frames."""
 
@@ -144,6 +148,8 @@ class Interval:
     @cached_property
     def _impact_table(self) -> pa.Table:
         self.require_contacts()
+        if self.recording.engine:
+            raise RecordingError(f"impacts are not in a recording of {self.recording.engine}")
         if self.duration == 0.0:
             raise RecordingError("impacts are counted between frames, and the interval has only one")
         return self.recording.impacts(self.time[0], self.time[-1], replay=self.replay, watch=self.watch)
@@ -161,7 +167,7 @@ class Interval:
         step = table[STEP].to_numpy()
         table = table.filter(pa.array((step > self.step[0]) & (step <= self.step[-1])))
         if table.num_rows == 0:
-            raise RecordingError(f"there are no impacts from {self.text}")
+            raise NothingThereError(f"there are no impacts from {self.text}")
         point, normal = (
             np.stack([table[name].to_numpy() for name in names], axis=1)
             for names in (("x", "y", "z"), ("nx", "ny", "nz"))
@@ -189,8 +195,10 @@ class Interval:
             If there are none.
         """
         self.require_contacts()
+        if self.recording.engine and not self.recording.records_contacts:
+            raise RecordingError(f"forces of contacts are not in this recording of {self.recording.engine}")
         if not len(self._contacts.i):
-            raise RecordingError(f"there are no lasting contacts from {self.text}")
+            raise NothingThereError(f"there are no lasting contacts from {self.text}")
         return self._contacts
 
     @cached_property
@@ -211,8 +219,22 @@ class Interval:
         impulse, force, friction = (table[name].to_numpy() for name in names)
         frame, i, j = (table[name].to_numpy() for name in ("frame", "i", "j"))
         steps = self.recording.steps("dt")
-        elapsed = float(steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])].sum())
-        return ContactColumns(len(rows), elapsed, frame, i, j, normal, impulse, force, friction)
+        dt = steps["dt"].to_numpy()[np.isin(steps[STEP].to_numpy(), self.step[rows])]
+        held = np.ones(len(rows)) if self.scene is None or self.scene.drag is None else self._held_fraction(dt)
+        force, friction = force / held[frame], friction / held[frame]
+        return ContactColumns(len(rows), float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
+
+    def _held_fraction(self, dt: FloatArray) -> FloatArray:
+        """Return the impulse that holds a constant force F in a step under drag, over F dt.
+
+        It is (h φ₂ + k₂)/h of docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
+        """
+        assert self.scene is not None and self.scene.drag is not None
+        z = dt / self.scene.drag.relaxation_time
+        decay = np.exp(-z)
+        phi1 = -np.expm1(-z) / z
+        phi2 = (1 - phi1) / z
+        return np.asarray(phi2 + phi1 - decay * phi2 / phi1)
 
     def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
         """Return the name of each group of bodies, and a mask of its members among all bodies or some.

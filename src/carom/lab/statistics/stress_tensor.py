@@ -15,7 +15,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray
 from carom.errors import RecordingError
 from carom.extend import ENERGY, Dimension
-from carom.lab.statistics.interval import Interval
+from carom.lab.statistics.interval import Interval, NothingThereError
 from carom.lab.statistics.statistic import MeasuredValue, Statistic
 from carom.lab.statistics.velocity_distribution import peculiar
 
@@ -24,45 +24,49 @@ PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")
 
 def measure(interval: Interval) -> Statistic:
     """Measure the mean stress over the volume of the box, or times the volume without a box."""
-    moving = interval.moving
-    weighted = peculiar(interval.velocities[:, moving], interval.recording.bodies.mass[moving])
+    moving, recording = interval.moving, interval.recording
+    weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
     kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)
-    impacts, spread, lasting = np.zeros((3, 3)), 0.0, np.zeros((3, 3))
-    notes = []
-    try:
-        met = interval.impacts
-        arm = arms(interval, met.i, met.j)
-        impacts = np.einsum("k,ka,kb->ab", arm * met.impulse, met.normal, met.normal) / interval.duration
-        spread = sqrt(float(np.sum((arm * met.impulse) ** 2))) / (3 * interval.duration)
-    except RecordingError as error:
-        notes.append(f"without impacts: {error}")
+    impacts, spread, lasting, notes = np.zeros((3, 3)), 0.0, np.zeros((3, 3)), list[str]()
     try:
         held = interval.contacts
         virial = arms(interval, held.i, held.j) * held.impulse
         lasting = np.einsum("k,ka,kb->ab", virial, held.normal, held.normal) / held.elapsed
+    except NothingThereError:
+        pass
     except RecordingError as error:
-        notes.append(f"without lasting contacts: {error}")
+        notes.append(f"only the kinetic part: {error}")
+    try:
+        if not recording.engine:  # the forces of another engine's contacts include impacts
+            met = interval.impacts
+            virial = arms(interval, met.i, met.j) * met.impulse
+            impacts = np.einsum("k,ka,kb->ab", virial, met.normal, met.normal) / interval.duration
+            spread = sqrt(float(np.sum(virial * virial))) / (3 * interval.duration)
+    except NothingThereError:
+        pass
+    except RecordingError as error:
+        notes = notes or [f"without impacts: {error}"]
+    complete = not notes
+    if recording.info["has_friction"]:
+        notes.append("without friction, of which recordings have only the magnitude; it does not change the pressure")
     volume, dimension = interval.volume, PRESSURE
     if volume is None:
         volume, dimension = 1.0, ENERGY
-    total = (kinetic + impacts + lasting) / volume
-    ratio = float(np.trace(total) * volume / np.trace(kinetic)) if kinetic.any() else np.inf
-    values: dict[str, MeasuredValue] = {
-        "pressure": MeasuredValue(
-            "pressure, a third of the trace", float(np.trace(total)) / 3, dimension, spread / volume
-        ),
-        "kinetic_pressure": MeasuredValue("… of moving bodies", float(np.trace(kinetic)) / 3 / volume, dimension),
-        "impact_pressure": MeasuredValue(
-            "… of impacts", float(np.trace(impacts)) / 3 / volume, dimension, spread / volume
-        ),
-        "contact_pressure": MeasuredValue("… of lasting contacts", float(np.trace(lasting)) / 3 / volume, dimension),
-        **({} if lasting.any() else {"compressibility": MeasuredValue("pressure / kinetic pressure", ratio)}),
-        "stress": MeasuredValue("stress", total, dimension),
-    }
-    if interval.recording.info["has_friction"]:
-        notes.append("without friction, of which recordings have only the magnitude; it does not change the pressure")
-    if interval.volume is None:
         notes.append("there is no box, so the stress is not divided by a volume")
+
+    def pressure(label: str, part: FloatArray, error: float | None = None) -> MeasuredValue:
+        return MeasuredValue(label, float(np.trace(part)) / 3 / volume, dimension, error and error / volume)
+
+    values = {"kinetic_pressure": pressure("pressure of moving bodies, a third of the trace", kinetic)}
+    if complete:
+        total = kinetic + impacts + lasting
+        values["impact_pressure"] = pressure("… of impacts", impacts, spread)
+        values["contact_pressure"] = pressure("… of lasting contacts", lasting)
+        values["pressure"] = pressure("… in all", total, spread)
+        if kinetic.any() and not lasting.any():
+            ratio = float(np.trace(total) / np.trace(kinetic))
+            values["compressibility"] = MeasuredValue("… in all / of moving bodies", ratio)
+        values["stress"] = MeasuredValue("stress", total / volume, dimension)
     return Statistic(values, note="; ".join(notes))
 
 
