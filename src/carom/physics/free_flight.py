@@ -60,7 +60,7 @@ class PlanRecord(Protocol):
 PLAN = dtype_of(PlanRecord)
 
 
-class _Laws(NamedTuple):
+class FlightLaws(NamedTuple):
     """The forces and rules of the steps."""
 
     plan: RecordArray[PlanRecord]  # (1,)
@@ -70,7 +70,7 @@ class _Laws(NamedTuple):
     forces: Parameters  # of installed packages
 
 
-class _Clock(NamedTuple):
+class FlightClock(NamedTuple):
     """Where the steps start and end."""
 
     time: float  # s
@@ -81,7 +81,7 @@ class _Clock(NamedTuple):
     impact_energy: float  # J, the energy of recent impacts
 
 
-class _Moved(NamedTuple):
+class MovedState(NamedTuple):
     """The state that the steps update."""
 
     position: FloatArray  # (n, 3) m
@@ -91,7 +91,7 @@ class _Moved(NamedTuple):
     angular_velocity: FloatArray  # (n, 3) rad/s; no rows where nothing rotates
 
 
-class _Kept(NamedTuple):
+class KeptState(NamedTuple):
     """The constants of the steps."""
 
     radius: FloatArray  # (n,) m
@@ -104,7 +104,7 @@ class _Kept(NamedTuple):
     offset: FloatArray  # (p,) m
 
 
-class _Buffers(NamedTuple):
+class FlightBuffers(NamedTuple):
     """Memory."""
 
     limits: RecordArray[LimitsRecord]  # for the limits of the step, see `Timestep.buffer`
@@ -132,6 +132,11 @@ class FreeFlight:
         The world to advance.
     timestep
         Chooses the steps.
+
+    Attributes
+    ----------
+    arguments
+        Of the kernel, but the clock.
     """
 
     def __init__(self, world: World, timestep: Timestep) -> None:
@@ -149,17 +154,17 @@ class FreeFlight:
         plan["touches"] = world.contact is not None
         plan["field"] = np.sqrt((forces.uniform**2).sum())
         turning = bodies.orientation, bodies.angular_velocity
-        self._arguments = (
-            _Laws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others),
-            _Moved(bodies.position, bodies.velocity, bodies.acceleration, *turning),
-            _Kept(
+        self.arguments = (
+            FlightLaws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others),
+            MovedState(bodies.position, bodies.velocity, bodies.acceleration, *turning),
+            KeptState(
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NO_SUPPORT, timestep.field),
                 *(world.box, planes.normal, planes.offset),
             ),
-            _Buffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
+            FlightBuffers(timestep.buffer(bodies), np.empty(len(bodies)), np.empty((3, len(bodies), 3))),
         )
-        clock = _Clock(0.0, 0.0, 0.0, 0, 0.0, 0.0)
-        self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self._arguments)
+        clock = FlightClock(0.0, 0.0, 0.0, 0, 0.0, 0.0)
+        self._fly: Callable[..., tuple[Any, ...]] = entry_of(_fly, clock, *self.arguments)
 
     def take(self, time: float, end: float, until: float, most: int, impact_energy: float = 0.0) -> Flight:
         """Take steps until a time or a number of steps is reached, the run ends, or something may touch.
@@ -174,8 +179,8 @@ class FreeFlight:
             J, the energy of recent impacts.
         """
         timestep = self._timestep
-        clock = _Clock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy)
-        steps, before, time, dt, limit, timestep.previous, impact_energy = self._fly(clock, *self._arguments)
+        clock = FlightClock(time, end, until, min(most, MOST_STEPS), timestep.previous, impact_energy)
+        steps, before, time, dt, limit, timestep.previous, impact_energy = self._fly(clock, *self.arguments)
         return Flight(steps, before, time, dt, LIMIT_NAMES[limit], impact_energy)
 
 
@@ -189,7 +194,7 @@ def can_fly(world: World) -> bool:
 
 @borrowing
 def _fly(
-    clock: _Clock, laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers
+    clock: FlightClock, laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers
 ) -> tuple[int, float, float, float, int, float, float]:
     """Take steps; return their number, the times before and after the last, its length and limit, and the averages."""
     time, end, until, most, average, impact_energy = clock
@@ -199,12 +204,12 @@ def _fly(
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap at the last test, and how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
-        length, why, following = _choose(laws, moved, kept, buffers, average, end - time)
+        length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
         after = end if why == END else time + length
         if not after > time:
             break
         if P.touches:
-            _copy(position, velocity, acceleration, saved[0], saved[1], saved[2])
+            copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
         is_free = True
         for s in range(len(substeps)):
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
@@ -224,11 +229,11 @@ def _fly(
             if is_periodic(box):
                 wrap_rows(0, n, position, box)
             if P.accelerates and (s < last or P.ends_with_forces):
-                _accelerate(laws, moved, kept, buffers)
+                sum_accelerations(laws, moved, kept, buffers)
             if P.accelerates and last_kick != 0.0:
                 advance(0, n, velocity, acceleration, last_kick)
         if not is_free:
-            _copy(saved[0], saved[1], saved[2], position, velocity, acceleration)
+            copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
             break
         for i in range(len(orientation)):
             rotate_one(i, orientation, angular_velocity, length)
@@ -240,8 +245,8 @@ def _fly(
 
 
 @inline
-def _choose(
-    laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers, average: float, remaining: float
+def choose_step(
+    laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers, average: float, remaining: float
 ) -> tuple[float, int, float]:
     """Choose a step, given the time left; return its length, its limit, and the new average. All times in s."""
     P, R = laws.plan[0], laws.rule[0]
@@ -254,7 +259,7 @@ def _choose(
 
 
 @inline
-def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers) -> None:
+def sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buffers: FlightBuffers) -> None:
     """Write the accelerations at the present positions."""
     P, acceleration, n = laws.plan[0], moved.acceleration, len(moved.position)
     if P.attracts:
@@ -271,7 +276,9 @@ def _accelerate(laws: _Laws, moved: _Moved, kept: _Kept, buffers: _Buffers) -> N
 
 
 @unowned
-def _copy(x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray) -> None:
+def copy_state(
+    x: FloatArray, v: FloatArray, a: FloatArray, to_x: FloatArray, to_v: FloatArray, to_a: FloatArray
+) -> None:
     """Copy positions, velocities and accelerations, (n, 3) each."""
     for i in range(len(x)):
         for k in range(3):
@@ -290,7 +297,7 @@ def _fastest(velocity: FloatArray, acceleration: FloatArray) -> tuple[float, flo
 
 
 @unowned
-def _smallest_gap(x: FloatArray, v: FloatArray, kept: _Kept, dt: float, skin: float) -> tuple[float, float]:
+def _smallest_gap(x: FloatArray, v: FloatArray, kept: KeptState, dt: float, skin: float) -> tuple[float, float]:
     """Return the smallest gap, or 0 if one may close to the skin in a drift of dt s, and the rounding of a drift.
 
     All are in m.

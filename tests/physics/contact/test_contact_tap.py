@@ -217,7 +217,7 @@ def test_a_run_that_does_not_ask_has_no_rows_and_no_room_for_them() -> None:
     assert all(frame.impacts is None and frame.contact_rows is None for frame in frames)
     contact = space._contact
     assert contact is not None and contact.tap is None
-    assert len(frames[-1].contacts) > 0 and len(contact._solver.recorded) == 0
+    assert len(frames[-1].contacts) > 0 and len(contact.solver.recorded) == 0
 
 
 def test_a_scene_without_contacts_has_empty_tables() -> None:

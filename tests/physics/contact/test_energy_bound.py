@@ -35,7 +35,7 @@ def test_the_ledger_holds_impulses_as_they_were_scaled_back(threads: int, monkey
     monkeypatch.setattr("carom.physics.contact.solver.contact_solver.SHARED_FROM", 0)
     space = falling(threads)
     assert space._contact is not None
-    settings, steps, scaled = space._contact._solver._settings, 60, 0
+    settings, steps, scaled = space._contact.solver._settings, 60, 0
     for step in range(steps):
         space.compute_dynamics(step + 1)
         scaled += int(settings["scaled_back"][0])

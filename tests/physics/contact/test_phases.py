@@ -28,7 +28,7 @@ def fail(piece: int, end: int, system: ConstraintSystem) -> None:
 
 def solver_of(space: Space) -> ContactSolver:
     assert space._contact is not None
-    return space._contact._solver
+    return space._contact.solver
 
 
 def test_each_phase_has_a_place_of_its_own_for_its_address() -> None:
@@ -41,7 +41,7 @@ def test_an_exception_in_a_phase_reaches_whoever_takes_the_step(threads: int, mo
     monkeypatch.setattr(contact_solver, "SHARED_FROM", 0)
     space = Space(Scene.from_dict(PILE), threads=threads)
     solver = solver_of(space)
-    solver._code.addresses[PREPARE] = code_for(fail, solver._system)
+    solver.code.addresses[PREPARE] = code_for(fail, solver._system)
     with pytest.raises(ValueError, match="in piece"):
         for step in range(1000):
             space.compute_dynamics(step + 1)
@@ -59,7 +59,7 @@ def test_another_space_does_not_ask_numba_for_the_phases_again(monkeypatch: pyte
 
 def test_code_for_systems_of_another_kind_is_not_called() -> None:
     solver = solver_of(Space(Scene.from_dict(PILE), threads=1))
-    solver._code.kind += 1
+    solver.code.kind += 1
     with pytest.raises(TypeError, match="systems of another kind"):
         solver.resolve_impacts(0.0, 1, False)
 

@@ -77,6 +77,17 @@ class ContactPipeline:
         Threads that share the work.
     records
         Whether `tap` collects the impulses of each contact.
+
+    Attributes
+    ----------
+    settings
+        The scene's section.
+    solver, event_drift
+        Resolve contacts, and impacts at their own times.
+    contacts
+        Those of the step.
+    most_sweeps
+        Limit of the iterations.
     """
 
     def __init__(
@@ -93,28 +104,28 @@ class ContactPipeline:
         records: bool = False,
     ) -> None:
         sleep = load("model", "sleep") if contact.sleep else None
-        self._settings = contact
+        self.settings = contact
         self._bodies = bodies
         self._field = field
         self._team = team
         self._needs = requirements
         self._lasts = contact.solver == "lasting" and requirements.resting.modelled
         self._near = NearPairs(contact, bodies, planes, box, field, self._lasts, team)
-        self._most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
+        self.most_sweeps = contact.sweeps if isinstance(contact.sweeps, int) else MOST_SWEEPS[contact.sweeps]
         self._pushes = contact.stabilisation == "split"
         self._guard = PlaneGuard(bodies, planes, team) if len(planes) else None
         self._was_crossed = False  # whether a body was put back in front of a plane in this step
         self.warned: set[str] = set()  # texts of the limits reported so far
         friction = requirements.friction.modelled
-        self._solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
+        self.solver = ContactSolver(bodies, planes, materials, box, friction, team, records, contact.sweeps)
         self._torques = Torques(bodies, team)
-        self._contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
-        self._snapshots = SnapshotSource(self._solver, bodies.ends.inverse_mass)
-        self._event_drift: EventDrivenDrift | None = None
+        self.contacts = OrderedContacts.of(empty_graph().pairs, bodies, contact.colouring)  # the contacts of the step
+        self._snapshots = SnapshotSource(self.solver, bodies.ends.inverse_mass)
+        self.event_drift: EventDrivenDrift | None = None
         if requirements.impact_time.modelled:
             event_driven = load("model", "time-of-impact")
             drift = (friction, self._near.has_statics, requirements.resting.modelled)
-            self._event_drift = event_driven(
+            self.event_drift = event_driven(
                 bodies, planes, materials, box, field, bending, *drift, self._near.search, team
             )
         self.tap = ContactTap(bodies, materials, box, friction) if records else None
@@ -149,8 +160,8 @@ class ContactPipeline:
         if not self._lasts:
             return None
         hold, sleepers = self._impulses, self._sleepers
-        pairs, rest_speed = self._contacts.pairs, self._solver.rest_speeds_by_pair()
-        impulse = hold.impulse_of(self._solver.contacts)
+        pairs, rest_speed = self.contacts.pairs, self.solver.rest_speeds_by_pair()
+        impulse = hold.impulse_of(self.solver.contacts)
         if sleepers is None:
             return ContactCheckpoint(pairs, rest_speed, self._dt, hold.pairs, impulse, hold.kick)
         awake, held = sleepers.have_awake_end(pairs), sleepers.have_awake_end(hold.pairs)
@@ -182,7 +193,7 @@ class ContactPipeline:
     def _recall_contacts(self, memory: ContactCheckpoint) -> None:
         """Restore the contacts that are not asleep."""
         self._order_contacts(memory.pairs, memory.dt)
-        self._solver.rest_speed[self._solver.order.place] = memory.rest_speed
+        self.solver.rest_speed[self.solver.order.place] = memory.rest_speed
         self._presses = bool(memory.rest_speed.max(initial=0.0) > 0.0)
         self._impulses = ImpulseCache.of(memory.held_pairs, memory.impulse, memory.kick)
 
@@ -216,33 +227,33 @@ class ContactPipeline:
             self._fell_asleep, self._slept = False, self._sleepers.contacts
         if self._guard:
             self._guard.remember()
-        if self._event_drift is not None and self._lasts:  # mark the bodies that contacts pressed in the last step
-            pressed = self._solver.pressed
+        if self.event_drift is not None and self._lasts:  # mark the bodies that contacts pressed in the last step
+            pressed = self.solver.pressed
             pressed[:] = False
             if self._sleepers:
                 pressed[: len(self._bodies)] = self._sleepers.asleep
-            self._solver.mark_pressed(self._impulses)
+            self.solver.mark_pressed(self._impulses)
         if self._is_at_rest():
             if self.tap:  # a step begins; these entries belong to the previous step, which is booked
-                self._solver.ledger[:] = 0.0
+                self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
-            self.ledger_apart = self._solver.audited
+            self.ledger_apart = self.solver.audited
             if self.tap:
-                self.tap.add_hold(self._contacts.pairs, self._solver)
+                self.tap.add_hold(self.contacts.pairs, self.solver)
 
     def drift(self, kick: float, dt: float, damping: float = 0.0, strength: float = 1.0) -> None:
         """Move all bodies for dt after a kick, both in s, and resolve impacts at their own times.
 
         Drag slows bodies down at the rate ``damping`` in 1/s; see `DampedPath`.
         """
-        assert self._event_drift is not None, "the scene asks for times of impact"
+        assert self.event_drift is not None, "the scene asks for times of impact"
         if self._sleepers and self._sleepers.all:
             self.impacts = NO_IMPACTS
             return
         held = self._impulses if self._is_at_rest() else ImpulseCache.empty()
         asleep = self._sleepers.asleep if self._sleepers else None
-        self.impacts = self._event_drift.drift(
-            kick, dt, *self._near.margins(dt), held, self._solver.pressed, asleep, damping, strength
+        self.impacts = self.event_drift.drift(
+            kick, dt, *self._near.margins(dt), held, self.solver.pressed, asleep, damping, strength
         )
         if self.tap:
             self.tap.add_drift(self.impacts)
@@ -250,7 +261,7 @@ class ContactPipeline:
     @property
     def is_quiet(self) -> bool:
         """Whether nothing touched in the last step, and nothing is held at the start of the next one."""
-        touches = len(self._contacts) or self.statistics.contacts or len(self._impulses.pairs)
+        touches = len(self.contacts) or self.statistics.contacts or len(self._impulses.pairs)
         return not (touches or self._is_at_rest() or (self._sleepers and self._sleepers.any))
 
     @property
@@ -260,13 +271,13 @@ class ContactPipeline:
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
-        assert self._event_drift is not None, "the integrator ends its steps at impacts"
-        return self._event_drift.step_by_impacts(span)
+        assert self.event_drift is not None, "the integrator ends its steps at impacts"
+        return self.event_drift.step_by_impacts(span)
 
     def add_quiet_steps(self) -> None:
         """Account for steps without contacts that followed a quiet step."""
         self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
-        self._snapshots.set_quiet(self._contacts)
+        self._snapshots.set_quiet(self.contacts)
 
     def begin_batch(self) -> None:
         """Begin steps that end at impacts, before the bodies move."""
@@ -279,8 +290,8 @@ class ContactPipeline:
 
         Without a pair, only the kernels are loaded.
         """
-        assert self._event_drift is not None, "the integrator ends its steps at impacts"
-        self.impacts = self.impacts.followed_by(self._event_drift.resolve_meeting(pair, dt))
+        assert self.event_drift is not None, "the integrator ends its steps at impacts"
+        self.impacts = self.impacts.followed_by(self.event_drift.resolve_meeting(pair, dt))
 
     def end_batch(self, dt: float, profile: Profile) -> None:
         """Collect the effects of the impacts at the end of the last step, of dt s."""
@@ -305,12 +316,12 @@ class ContactPipeline:
                 self._slept = sleepers.contacts
                 pairs = sleepers.awake(pairs)
         profile.mark("search")
-        if len(pairs) == 0 and len(self._contacts) == 0:
+        if len(pairs) == 0 and len(self.contacts) == 0:
             return
         self._order_contacts(pairs, dt)
         profile.mark("colouring")
         if self._pushes and len(pairs):
-            self._solver.correct_positions(self._most_sweeps)
+            self.solver.correct_positions(self.most_sweeps)
             if self._guard:
                 self._guard.stop()
         profile.mark("stabilisation")
@@ -327,12 +338,12 @@ class ContactPipeline:
         """
         if self._guard and self._guard.has_stopped:
             self.ledger_apart = np.concatenate((self.ledger_apart, self._guard.work()))
-        if len(self._contacts):
+        if len(self.contacts):
             self._resolve(dt, kick, profile)
         else:
             self._impulses = ImpulseCache.empty()
-        self._snapshots.set_step(self._contacts, self._slept, self.impacts, dt)
-        self.statistics = self._solver.statistics() if len(self._contacts) else NO_CONTACTS
+        self._snapshots.set_step(self.contacts, self._slept, self.impacts, dt)
+        self.statistics = self.solver.statistics() if len(self.contacts) else NO_CONTACTS
         if self._slept:
             self.statistics = self.statistics.plus(self._slept.statistics)
         if len(self.impacts) and self.counts_impacts:
@@ -351,7 +362,7 @@ class ContactPipeline:
     def fall_asleep(self, dt: float) -> None:
         """Put islands that have been slow for long enough to sleep, after a step of dt s."""
         assert self._sleepers is not None, "the scene has contact.sleep"
-        lost = self._sleepers.fall_asleep(self._contacts.pairs, self._impulses, dt)
+        lost = self._sleepers.fall_asleep(self.contacts.pairs, self._impulses, dt)
         self._fell_asleep = len(lost) > 0
         self._lost = np.concatenate((self._lost, lost))
         if len(self._lost):
@@ -364,29 +375,29 @@ class ContactPipeline:
     def rows(self, buffer: Buffer | None = None) -> Records:
         """Return the contact table of the last step, (m,) `CONTACT_ROW`; see `ContactTap.rows`."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.rows(self._contacts.pairs, self._solver, buffer, self._slept)
+        return self.tap.rows(self.contacts.pairs, self.solver, buffer, self._slept)
 
     def impulses(self) -> Iterator[Impulses]:
         """Yield the impulses of the last step in the order in which they acted, if contacts are recorded."""
         assert self.tap is not None, "contacts are recorded"
-        return self.tap.impulses(self._solver)
+        return self.tap.impulses(self.solver)
 
     def work(self) -> FloatArray:
         """Return the ledger of the last step's contacts and of bodies stopped at planes, (k, 3) J."""
         assert self.tap is not None, "contacts are recorded"
-        work = np.concatenate((self.tap.work(self._solver), self._lost))
+        work = np.concatenate((self.tap.work(self.solver), self._lost))
         return np.concatenate((work, self._guard.work())) if self._guard and self._guard.has_stopped else work
 
     def limits_reached(self) -> list[tuple[str, str]]:
         """Return the limits of the method first reached in this step: level, `WARN` or `INFO`, and text."""
         reached = limits_of(
-            self._settings,
-            serial_stage=self._contacts.overflows,
+            self.settings,
+            serial_stage=self.contacts.overflows,
             too_few_sweeps=self._too_few_sweeps,
-            exhausted=self._event_drift is not None and self._event_drift.is_exhausted,
+            exhausted=self.event_drift is not None and self.event_drift.is_exhausted,
             crossed=self._was_crossed,
             deepest=self.statistics.deepest,
-            at_impacts=self._event_drift is not None,
+            at_impacts=self.event_drift is not None,
         )
         if not reached:
             return reached
@@ -396,38 +407,38 @@ class ContactPipeline:
 
     def _count_impacts(self) -> None:
         """Add the impacts during the drift to the statistics of the step."""
-        records = (self._contacts, self._solver.contacts, self._solver.states)
+        records = (self.contacts, self.solver.contacts, self.solver.states)
         self.statistics = self.statistics.with_impacts(self.impacts, *records, self._bodies.ends.inverse_mass)
 
     def _order_contacts(self, pairs: IntArray, dt: float) -> None:
         """Begin the contacts of a step of dt s: order them, lay out their records, and find their rest speeds."""
         # a pile at rest keeps its contacts, and therefore their order
-        if not np.array_equal(pairs, self._contacts.pairs):
-            self._contacts = OrderedContacts.of(pairs, self._bodies, self._settings.colouring)
-        self._solver.lay(self._contacts.order, self._impulses.contacts, self._near.rounding)
-        self._presses = self._needs.resting.modelled and self._solver.find_rest_speeds(self._field, dt)
+        if not np.array_equal(pairs, self.contacts.pairs):
+            self.contacts = OrderedContacts.of(pairs, self._bodies, self.settings.colouring)
+        self.solver.lay(self.contacts.order, self._impulses.contacts, self._near.rounding)
+        self._presses = self._needs.resting.modelled and self.solver.find_rest_speeds(self._field, dt)
         self._dt = dt  # s
         self.sweeps = 0
         self._too_few_sweeps = False
 
     def _resolve(self, dt: float, kick: float, profile: Profile) -> None:
-        contact, solver = self._settings, self._solver
+        contact, solver = self.settings, self.solver
         solver.update_geometry()
         if self._pushes:
             solver.audit_corrections()
         bias_rate = BAUMGARTE / dt if contact.stabilisation == "baumgarte" else 0.0
         lasting = self._is_at_rest()
-        self.sweeps = solver.resolve_impacts(bias_rate, self._most_sweeps, impacts_only=lasting)
+        self.sweeps = solver.resolve_impacts(bias_rate, self.most_sweeps, impacts_only=lasting)
         if self.tap:
-            self.tap.add_impacts(self._contacts.pairs, solver)
+            self.tap.add_impacts(self.contacts.pairs, solver)
         profile.mark("response")
-        if lasting and (solver.any_rests or self.sweeps == self._most_sweeps):
+        if lasting and (solver.any_rests or self.sweeps == self.most_sweeps):
             held = self._hold_contacts(dt, kick, 0.0, bias_rate, kick)
             self.sweeps = max(self.sweeps, held)
             profile.mark("resting")
         else:
             self._impulses = ImpulseCache.empty()
-        if self.sweeps >= self._most_sweeps and still_closing(contact) not in self.warned:
+        if self.sweeps >= self.most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
 
@@ -439,12 +450,12 @@ class ContactPipeline:
         self, dt: float, kick: float, drift: float, bias_rate: float, booked: float, against: FloatArray | None = None
     ) -> int:
         """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
-        solver, pairs = self._solver, self._contacts.pairs
+        solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick, so the next one starts from the impulses of the first kick
             self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
-        return solver.hold(dt, booked, drift, bias_rate, self._most_sweeps, against)
+        return solver.hold(dt, booked, drift, bias_rate, self.most_sweeps, against)
 
     @property
     def snapshot(self) -> ContactSnapshot:
@@ -459,11 +470,11 @@ class ContactPipeline:
         """Run every kernel without contacts, so that the first contact does not wait for a compiler."""
         self.forget()
         if self._pushes:
-            self._solver.correct_positions(1)
+            self.solver.correct_positions(1)
         self._resolve(1.0, 1.0, Profile())
-        self._solver.is_closing(1.0)
-        self._solver.statistics()
-        if self._event_drift:
+        self.solver.is_closing(1.0)
+        self.solver.statistics()
+        if self.event_drift:
             self._count_impacts()
         if self._lasts:
             for drift in (1.0, 0.0):

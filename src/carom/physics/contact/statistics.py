@@ -65,7 +65,7 @@ class ContactStatistics(NamedTuple):
         """Return the statistics of contacts; for the arrays see `ConstraintSystem`."""
         blocks = np.empty(-(-len(pairs) // CONTACTS_PER_BLOCK), BLOCK_COUNTS)
         counted = (pairs, contacts, states, ends.inverse_mass, ends.radius, blocks)
-        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _count, *counted)
+        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, count_block, *counted)
         totals = blocks
         if len(blocks) != 1:
             totals = np.empty(1, BLOCK_COUNTS)
@@ -131,7 +131,7 @@ NO_CONTACTS = ContactStatistics(np.zeros((0, 3)), 0, 0, 0.0, 0.0, (0, 0), 0.0, (
 
 
 @long_kernel
-def _count(
+def count_block(
     lo: int,
     hi: int,
     pairs: IntArray,

@@ -101,6 +101,11 @@ class EventDrivenDrift:
         Whether impulses change spins, whether something is fixed, and whether a force presses contacts together.
     search, team
         The broad phase, and the threads that share the work.
+
+    Attributes
+    ----------
+    trajectories
+        The bodies and planes of a drift.
     """
 
     def __init__(
@@ -119,12 +124,12 @@ class EventDrivenDrift:
     ) -> None:
         n, ends = len(bodies), bodies.ends
         spin = slice(None) if friction else slice(0)
-        self._bodies, self._field, self._anchored, self._forces = bodies, field, anchored, forces
+        self._bodies, self.field, self.anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
-        self._bending = bending
+        self.bending = bending
         self._log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
-        self._trajectories = Trajectories(
+        self.trajectories = Trajectories(
             body=np.zeros(n, dtype=TRAJECTORY),
             drift=np.zeros(1, dtype=DRIFT),
             x=bodies.position,
@@ -145,15 +150,15 @@ class EventDrivenDrift:
             everyone=Neighbours(zeros, np.full(n, n), np.arange(n)),
             strays=Neighbours(zeros, np.zeros(n, dtype=np.int64), np.empty(n, dtype=np.int64)),
         )
-        drift = self._trajectories.drift
+        drift = self.trajectories.drift
         drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
-        drift["field_x"], drift["field_y"], drift["field_z"] = self._bending
-        self._kernels = _Kernels.of(self._trajectories, self._log)
+        drift["field_x"], drift["field_y"], drift["field_z"] = self.bending
+        self._kernels = _Kernels.of(self.trajectories, self._log)
         self._compile()
 
     def _compile(self) -> None:
         """Run every kernel without impacts, so that the first impact does not wait for a compiler."""
-        T, nobody = self._trajectories, np.empty((0, 2), dtype=np.int64)
+        T, nobody = self.trajectories, np.empty((0, 2), dtype=np.int64)
         self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
         if self._forces:
@@ -163,7 +168,7 @@ class EventDrivenDrift:
     @property
     def is_exhausted(self) -> bool:
         """Whether a body reached the largest number of impacts in the last drift."""
-        return bool(self._trajectories.drift["exhausted"][0])
+        return bool(self.trajectories.drift["exhausted"][0])
 
     def drift(
         self,
@@ -193,17 +198,17 @@ class EventDrivenDrift:
         damping, strength
             1/s, rate at which drag slows bodies down, and a factor of the accelerations; see `DampedPath`.
         """
-        T, bodies, n = self._trajectories, self._bodies, len(self._bodies)
+        T, bodies, n = self.trajectories, self._bodies, len(self._bodies)
         if damping > 0.0:
-            field = strength * self._bending
+            field = strength * self.bending
             T.drift["field_x"], T.drift["field_y"], T.drift["field_z"] = field
             T = T if strength == 1.0 else T._replace(a=strength * T.a)
         T.drift["exhausted"] = 0
-        largest = write_search_radii(bodies.velocity, bodies.mass, bodies.radius, self._anchored, dt, T.body, T.drift)
+        largest = write_search_radii(bodies.velocity, bodies.mass, bodies.radius, self.anchored, dt, T.body, T.drift)
         pairs = self._neighbours(largest, scale, skin)
         impacts = NO_IMPACTS
         if len(pairs) or len(T.offset):
-            bends = bool(self._bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
+            bends = bool(self.bending.any()) and (damping > 0.0 or kick == 0.5 * dt)  # velocities are the mean
             self._kernels.begin(T, dt, kick, damping, bends, pressed)
             self._straighten(held, asleep)
             if self._forces:
@@ -224,7 +229,7 @@ class EventDrivenDrift:
 
         Without a pair, only the kernels are loaded.
         """
-        T, bodies = self._trajectories, self._bodies
+        T, bodies = self.trajectories, self._bodies
         T.rest_speed[:] = 0.0
         drift = T.drift
         drift["dt"] = drift["kick"] = drift["clock"] = dt
@@ -236,20 +241,20 @@ class EventDrivenDrift:
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
-        T, bodies = self._trajectories, self._bodies
+        T, bodies = self.trajectories, self._bodies
         moving = (bodies.position, bodies.velocity, bodies.acceleration, bodies.radius)
         return step_by_impacts(*moving, T.surface, T.offset, span)
 
     def _straighten(self, held: ImpulseCache, asleep: BoolArray | None) -> None:
         """Make the paths of held bodies and sleepers straight, and mark held bodies as not free."""
-        body = self._trajectories.body
+        body = self.trajectories.body
         straighten(held.pairs, held.place, held.contacts, body)
         if asleep is not None:
             body["is_straight"][asleep] = True
 
     def _write_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the rest speed of each body."""
-        T = self._trajectories
+        T = self.trajectories
         island_rest_speeds(
             pairs,
             T.x,
@@ -259,14 +264,14 @@ class EventDrivenDrift:
             skin,
             self._bodies.ends.acceleration,
             T.inverse_mass,
-            self._field,
+            self.field,
             dt,
             T.rest_speed,
         )
 
     def _neighbours(self, largest: float, scale: float, skin: float) -> IntArray:
         """Return the pairs whose search radii overlap. If the largest, in body radii, is small, all bodies get it."""
-        T, radius = self._trajectories, self._bodies.radius
+        T, radius = self.trajectories, self._bodies.radius
         if largest <= WIDEST - 1.0:
             T.body["search_radius"] = largest * radius
             return self._search.pairs(T.x, scale * (1.0 + largest), skin)

@@ -78,6 +78,11 @@ class ContactSolver:
         Whether to keep the impulses of impacts, in `recorded`.
     sweeps
         `contact.sweeps` of the scene: whether small changes end the iterations, and what follows them.
+
+    Attributes
+    ----------
+    code
+        Of the phases.
     """
 
     def __init__(
@@ -107,7 +112,7 @@ class ContactSolver:
         self._settings["refines"], self._settings["as_needed"] = sweeps in REFINED, sweeps in AS_NEEDED
         alternates = bool((materials.rows["kinetic_friction"] < materials.rows["static_friction"]).any())
         self._settings["keeps_iterating"] = sweeps == "auto" or alternates
-        self._code = PhaseCode(friction)
+        self.code = PhaseCode(friction)
         self._run: Callable[..., int] | None = None  # `work`, compiled for this solver's systems
 
     def lay(self, order: SolveOrder, keep: RecordArray[ContactRecord] | None = None, rounding: float = 0.0) -> None:
@@ -131,6 +136,19 @@ class ContactSolver:
         self.found_normals = self._normals.take(len(order.pairs))
         begun = *self._geometry(), rounding, self.found_normals
         self._team.divide(len(order.pairs), MIN_PER_TASK, begin_contacts, *begun)
+
+    @property
+    def system(self) -> ConstraintSystem:
+        """The contacts of the step with all that the phases need; the next step may use other memory."""
+        return self._system
+
+    @property
+    def counts(self) -> IntArray:
+        """(n + p,) contacts of each body and plane."""
+        if self._counts is None:
+            self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
+            count_contacts(self._system.pairs, self._counts)
+        return self._counts
 
     @property
     def contacts(self) -> RecordArray[ContactRecord]:
@@ -201,7 +219,7 @@ class ContactSolver:
 
     def compile_phases(self) -> None:
         """Compile the phases of `hold` without running them."""
-        self._code.compile_ahead(RESTING, self._system)
+        self.code.compile_ahead(RESTING, self._system)
 
     def update_geometry(self) -> None:
         """Update the geometry of the contacts to the present positions."""
@@ -215,12 +233,9 @@ class ContactSolver:
 
     def correct_positions(self, max_iterations: int) -> None:
         """Correct the overlaps of resting contacts."""
-        system = self._system
-        if self._counts is None:
-            self._counts = np.empty(len(self._bodies.ends.inverse_mass), dtype=np.int64)
-            count_contacts(system.pairs, self._counts)
+        system, counts = self._system, self.counts
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
-        team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, self._counts, system.states)
+        team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
         moving = bodies.position, ends.velocity
         gathered = *moving, ends.radius, ends.inverse_mass, system.pushed, system.pushed_in
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
@@ -327,8 +342,8 @@ class ContactSolver:
 
     def _work(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Run a job, with the team if there are many contacts; return the number of iterations."""
-        self._code.require(job, system)
-        asked = job, self._code.addresses, self._code.kind, system, max_iterations
+        self.code.require(job, system)
+        asked = job, self.code.addresses, self.code.kind, system, max_iterations
         run = self._run = self._run or entry_of(work, ALONE, *asked)
         if len(system.pairs) < SHARED_FROM:
             return run(ALONE, *asked)

@@ -82,6 +82,11 @@ class PhaseCode:
         self._spins = spins
         self._ready: set[int] = set()
 
+    @property
+    def is_complete(self) -> bool:
+        """Whether the phases of all jobs are compiled."""
+        return len(self._ready) == len(PHASES)
+
     def require(self, job: int, system: ConstraintSystem) -> None:
         """Compile or load the phases of a job, unless they are ready."""
         if job not in self._ready:

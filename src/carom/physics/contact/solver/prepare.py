@@ -228,7 +228,7 @@ class ImpulseCache:
             impulses_of(contacts)[:] = 0.0
             angular_impulses_of(contacts)[:] = 0.0
         elif place is self.place:  # the contacts are the same, and so is their order
-            team.divide(len(pairs), MIN_PER_TASK, _carry_each, self.contacts, kick / self.kick, contacts)
+            team.divide(len(pairs), MIN_PER_TASK, carry_each, self.contacts, kick / self.kick, contacts)
         else:
             before = (self.pairs, self.place, self.contacts, kick / self.kick)
             team.divide(len(pairs), MIN_PER_TASK, _carry, *before, pairs, place, contacts)
@@ -262,7 +262,7 @@ def _gather_impulses(place: IntArray, contacts: RecordArray[ContactRecord], impu
 
 
 @long_kernel
-def _carry_each(
+def carry_each(
     lo: int, hi: int, old_contacts: RecordArray[ContactRecord], ratio: float, contacts: RecordArray[ContactRecord]
 ) -> None:
     """Transfer the impulses of the contacts [lo, hi) in the order of their records: no search, half the time."""
