@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from carom import registry
 from carom.errors import PhysicsError
+from carom.physics.contact.events import steady_steps
+from carom.physics.contact.events.steady_steps import PATIENCE
 from carom.physics.frame import Frame
+from carom.physics.jit.decorators import WORTH_COMPILING, compiling_all
 from carom.physics.schedule import Schedule, every
 from carom.physics.space import Space
 from carom.scene.schema import Scene
@@ -87,7 +91,8 @@ def assert_same_run(scene: Scene, least: float = 5.0) -> Space:
         return advance(*asked)
 
     setattr(together._stepper, "advance", counted)  # noqa: B010 - mypy knows no methods that are replaced
-    frames = [bits(frame) for frame in together.run(schedule=every(interval))]
+    with compiling_all():
+        frames = [bits(frame) for frame in together.run(schedule=every(interval))]
     assert frames == [bits(frame) for frame in alone.run(schedule=every(interval))]
     assert together.extremes == alone.extremes
     assert calls * least < together.step, "many steps in a call"
@@ -205,3 +210,93 @@ def test_a_scene_with_a_fast_small_body_meets_all_that_single_steps_meet() -> No
     scene = billiards()
     fast = scene.body[0].model_copy(update={"velocity": (190.0, 41.0, 13.0), "radius": 0.01, "mass": 1e-3})
     assert_same_run(scene.model_copy(update={"body": (fast, *scene.body[1:])}), least=1.0)
+
+
+def in_contact(bodies: list[dict[str, Any]], floor: bool = True, **sections: dict[str, Any]) -> Scene:
+    """Lay spheres of 1 m on a floor, or let them attract each other where there is none."""
+    field, constant = ([0.0, 0.0, -9.81], 0.0) if floor else ([0.0, 0.0, 0.0], 1e-3)
+    document: dict[str, Any] = {
+        "time": {"duration": 1.0} | ({} if "time" in sections else {"fixed_dt": 1e-3}),
+        "gravity": {"constant": constant, "uniform": field},
+        "contact": {"restitution": 0.3, "static_friction": 0.6, "kinetic_friction": 0.4},
+        "record": {"every": 0.21, "check_every": 100},
+    }
+    merged = {key: part | sections.get(key, {}) for key, part in document.items()}
+    spheres = [{"mass": 1.0 + k, "radius": 0.5} | body for k, body in enumerate(bodies)]
+    return Scene.from_dict({**merged, "plane": [{"point": [0.0, 0.0, 0.0]}] if floor else [], "body": spheres})
+
+
+ON_A_FLOOR: dict[str, list[dict[str, Any]]] = {
+    "at rest": [{"position": [0.0, 0.0, 0.5]}],
+    "slides, then rolls": [{"position": [0.0, 0.0, 0.5], "velocity": [2.0, 0.5, 0.0]}],
+    "rolls": [{"position": [0.0, 0.0, 0.5], "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.0, 2.0, 0.0]}],
+    "rolls against another": [
+        {"position": [0.0, 0.0, 0.5], "velocity": [1.0, 0.0, 0.0], "angular_velocity": [0.0, 2.0, 0.0]},
+        {"position": [1.5, 0.0, 0.5]},
+    ],
+    "is hit from above": [{"position": [0.0, 0.0, 0.5]}, {"position": [0.1, 0.0, 3.0]}],
+    "a pile": [
+        *({"position": [x, y, 0.5]} for x, y in ((0.0, 0.0), (1.0, 0.0), (0.5, 0.75**0.5))),
+        {"position": [0.5, 12.0**-0.5, 0.5 + (2.0 / 3.0) ** 0.5]},
+    ],
+}
+
+
+@pytest.mark.parametrize("motion", ON_A_FLOOR)
+def test_steps_with_lasting_contacts_are_those_of_single_steps(motion: str) -> None:
+    assert_same_run(in_contact(ON_A_FLOOR[motion]), least=2.0 if motion == "is hit from above" else 10.0)
+
+
+def test_steps_of_two_balls_that_touch_at_rest_beside_a_third_are_those_of_single_steps() -> None:
+    touching = [{"position": [x, y, 0.0]} for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 5.0))]
+    assert_same_run(in_contact(touching, floor=False), least=20.0)
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        {"time": {"max_dt": 0.01, "target_dx": 1e-4, "smoothing": 0.3}},
+        {"contact": {"kinetic_friction": 0.0, "static_friction": 0.0}},
+        {"contact": {"sweeps": 3}},
+    ],
+    ids=str,
+)
+def test_steps_with_lasting_contacts_have_the_bits_of_single_steps_with_other_settings(
+    sections: dict[str, dict[str, Any]],
+) -> None:
+    assert_same_run(in_contact(ON_A_FLOOR["slides, then rolls"], floor=True, **sections), least=3.0)
+
+
+def test_a_run_that_is_continued_among_lasting_contacts_has_the_same_bits() -> None:
+    scene = in_contact(ON_A_FLOOR["a pile"])
+    whole = list(Space(scene, threads=1).run(schedule=every(0.21)))
+    resumed = Space(scene, threads=1)
+    resumed.restore(whole[2].checkpoint)
+    with compiling_all():
+        frames = [bits(frame) for frame in resumed.run(schedule=every(0.21))]
+    assert frames[1:] == [bits(frame) for frame in whole[3:]]
+
+
+def test_a_short_run_does_not_wait_for_the_kernel_that_a_long_one_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, asked = in_contact(ON_A_FLOOR["at rest"]), list[float]()
+
+    def decide(function: object, calls: float, *arguments: object) -> None:
+        asked.append(calls)
+
+    monkeypatch.setattr(steady_steps, "entry_if_worthwhile", decide)
+    space = Space(scene, threads=1)
+    for _ in space.run(schedule=every(0.21)):
+        pass
+    assert len(asked) == space.step // PATIENCE
+    left = [space.step - k * PATIENCE for k in range(1, len(asked) + 1)]
+    assert all(0.4 * most < calls < most for calls, most in zip(asked, left, strict=True)), "at least every other step"
+    assert max(asked) < WORTH_COMPILING
+
+
+def test_without_the_kernel_for_lasting_contacts_a_scene_takes_single_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = in_contact(ON_A_FLOOR["at rest"])
+    whole = [bits(frame) for frame in Space(scene, threads=1).run(schedule=every(0.5))]
+    rows = {name: row for name, row in registry.HOUSE["model"].items() if name != "steady-steps"}
+    monkeypatch.setattr(registry, "HOUSE", {**registry.HOUSE, "model": rows})
+    with compiling_all():
+        assert [bits(frame) for frame in Space(scene, threads=1).run(schedule=every(0.5))] == whole

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +21,10 @@ from carom.physics.schedule import Goal, looks_before
 from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
+from carom.registry import load, names
+
+if TYPE_CHECKING:
+    from carom.physics.contact.events.steady_steps import SteadySteps
 
 WARM_UP_STEPS = 3
 
@@ -47,6 +52,9 @@ class KickDriftStepper:
         self._damping = world.forces.damping
         self._exchanges: list[Exchange] = []  # of the bodies with a medium, in this step
         self._flight = FreeFlight(world, timestep) if asked is None and can_fly(world) else None
+        self._steady: SteadySteps | None = None  # of few bodies in contact
+        if self._flight and world.contact and world.contact.event_drift and "steady-steps" in names("model"):
+            self._steady = load("model", "steady-steps")(world, books, timestep, self._flight)
 
     @property
     def checkpoint(self) -> None:
@@ -98,8 +106,11 @@ class KickDriftStepper:
     def advance(self, goal: Goal) -> bool:
         """Take a step, or many if nothing touches; return whether a frame is due."""
         contact, clock, flight = self._world.contact, self._world.clock, self._flight
-        if flight is None or not (contact is None or contact.is_quiet) or looks_before(goal.schedule):
+        if flight is None or looks_before(goal.schedule):
             return self._advance_once(goal)
+        if contact and not contact.is_quiet:
+            is_done = self._steady is not None and self._steady.advance(goal)
+            return False if is_done else self._advance_once(goal)
         most, until = goal.most, np.inf
         if most > 1:
             steps, until = goal.quiet(clock)

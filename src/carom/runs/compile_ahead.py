@@ -29,6 +29,7 @@ from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.run_monitor import refuse_infinities
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
 from carom.physics.frame import FrameStore
+from carom.physics.jit.decorators import compiling_all
 from carom.physics.jit.team import SOLO, load_helpers
 from carom.physics.placement import place
 from carom.physics.space import Space
@@ -36,6 +37,7 @@ from carom.physics.time_step import Timestep
 from carom.recording.schema import palette
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.impact_plan import ImpactPlan
+from carom.runs.warmup import SCENES
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
 from carom.scene.start import half_spaces
@@ -71,6 +73,9 @@ def compile_ahead() -> None:
     solver.statistics()
     solver.compile_phases()
     FrameStore(1, bodies).keep()
+    with compiling_all():  # what only long runs need, once nothing else is left to compile
+        for _ in Space(Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]}), threads=1).run():
+            pass
 
 
 def _compile_encoding() -> None:

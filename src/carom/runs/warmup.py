@@ -12,7 +12,7 @@ import numpy as np
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO
 from carom.physics.contact.islands import number_sets
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK
-from carom.physics.jit.decorators import Compilations, cache_folder
+from carom.physics.jit.decorators import Compilations, cache_folder, compiling_all
 from carom.physics.jit.team import load_helpers, sharing_all
 from carom.private_folder import temporary_folder
 from carom.registry import ExtensionError
@@ -110,6 +110,13 @@ SCENES: dict[str, dict[str, Any]] = {
         "contact": {"enabled": False, "allow_overlap": True},
         "time": {"duration": 8.0, "max_dt": 1.0, "integrator": "wisdom-holman"},
     },
+    "a ball that rolls on": {
+        "body": [{"position": [0.0, 0.0, 0.0], "velocity": [1.0, 0.0, 0.0], "mass": 1.0}],
+        "plane": [{"point": [0.0, 0.0, -1.0]}],
+        "gravity": {"constant": 0.0, "uniform": [0.0, 0.0, -1.0]},
+        "time": {"duration": 0.2, "max_dt": 0.02},
+        "record": {"every": 0.2},
+    },
     "a pile in a wind, and falling bodies": {
         "body": [*_PAIR, {"position": [0.0, 0.0, 2.2], "velocity": [0.0, 0.0, -5.0], "mass": 1.0}],
         "plane": [{"point": [0.0, 0.0, -1.0]}],
@@ -133,7 +140,7 @@ class Warmth:
 def warm_up() -> Warmth:
     """Run the scenes, which compiles all kernels that are not in the cache."""
     began = time.perf_counter()
-    with Compilations() as compilations, temporary_folder() as folder, sharing_all():
+    with Compilations() as compilations, temporary_folder() as folder, sharing_all(), compiling_all():
         for name, document in SCENES.items():
             with contextlib.suppress(ExtensionError):  # a part that has been removed
                 run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
-from carom.physics.contact.constraints import MIN_PER_TASK, ContactStateRecord, ends_of
+from carom.physics.contact.constraints import MIN_PER_TASK, ConstraintSystem, ContactStateRecord, ends_of
 from carom.physics.contact.geometry import are_near
-from carom.physics.jit.decorators import inline, inner, kernel, long_kernel
+from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes
@@ -89,6 +89,22 @@ class Islands:
         islands = (pairs, inverse_mass, parent, largest, joined)
         team.divide(len(pairs), MIN_PER_TASK, _write_speeds, *islands, dt, states, flags)
         return bool(flags[PRESSES])
+
+
+@unowned
+def write_rest_speeds(
+    system: ConstraintSystem, field: FloatArray, dt: float, parent: IntArray, largest: FloatArray, flags: BoolArray
+) -> bool:
+    """Write the rest speed of each contact as `Islands` does; the last three are (n + p,), (n + p,) and (2,)."""
+    pairs, active, inverse_mass = system.pairs, system.active, system.inverse_mass
+    flags[UNEQUAL] = flags[PRESSES] = False
+    _stand_alone(0, len(active), active, system.acceleration, inverse_mass, field, parent, largest, flags)
+    joined = flags[UNEQUAL]
+    if joined:
+        _join(0, len(pairs), pairs, inverse_mass, parent)
+        _spread_largest(0, len(active), active, parent, largest.view(np.int64))
+    _write_speeds(0, len(pairs), pairs, inverse_mass, parent, largest, joined, dt, system.states, flags)
+    return bool(flags[PRESSES])
 
 
 @long_kernel

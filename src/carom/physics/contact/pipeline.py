@@ -279,6 +279,27 @@ class ContactPipeline:
         self.ledger_apart, self.impacts, self.statistics = NO_ENTRIES, NO_IMPACTS, NO_CONTACTS
         self._snapshots.set_quiet(self.contacts)
 
+    @property
+    def is_steady(self) -> bool:
+        """Whether the contacts of the last step are held as the next one begins, and nothing else happened in it."""
+        held, statistics, stopped = self._impulses, self.statistics, self._guard is not None and self._guard.has_stopped
+        are_held = held.contacts is self.solver.contacts and held.place is self.contacts.order.place and held.kick > 0.0
+        happened = stopped or len(self.impacts) or statistics.impacts or self.contacts.overflows
+        return self._is_at_rest() and are_held and statistics.contacts > 0 and not happened
+
+    @property
+    def last_kick(self) -> float:
+        """Length in s of the kick in which the contacts were last held; 0 if none were."""
+        return self._impulses.kick
+
+    def add_steady_steps(self, kick: float, dt: float, sweeps: int) -> None:
+        """Account for steps with the same contacts; the kick and the length of the last one in s."""
+        self._impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
+        self._dt, self.sweeps = dt, sweeps
+        self.ledger_apart, self.impacts = NO_ENTRIES, NO_IMPACTS
+        self._snapshots.set_step(self.contacts, None, NO_IMPACTS, dt)
+        self.statistics = self.solver.statistics()
+
     def begin_batch(self) -> None:
         """Begin steps that end at impacts, before the bodies move."""
         if self._needs.torque.modelled:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, Records
 from carom.errors import PhysicsError
 from carom.event import Event
 from carom.physics.bodies import Bodies
@@ -19,7 +19,7 @@ from carom.physics.checkpoint import Books, Checkpoint
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
-from carom.physics.diagnostics.extremes import NOTHING, Extremes
+from carom.physics.diagnostics.extremes import NOTHING, Extreme, Extremes
 from carom.physics.diagnostics.impulse_audit import ImpulseAudit
 from carom.physics.diagnostics.ledger import Ledger
 from carom.physics.diagnostics.momentum import Momentum, MomentumAccount, MomentumBaseline, TotalMotion
@@ -283,6 +283,33 @@ class Bookkeeper:
         if clock.time > self.kept_until:
             self.log(end_of_promise(self._world.scene, clock.step, clock.time))
             self.kept_until = np.inf
+
+    def steady_totals(self) -> dict[str, float]:
+        """Return the totals that steps with the same contacts change, by the fields of `STEADY_TOTALS`."""
+        ledger, extremes = self.audit.ledger, self.extremes
+        assert extremes.contacts and extremes.overlap, "a step with contacts has been booked"
+        return {
+            "restitution": ledger.restitution,
+            "friction": ledger.friction,
+            "stabilisation": ledger.stabilisation,
+            "impact_energy": self.activity.impact_energy,
+            "deepest": extremes.overlap.value,
+            "most": extremes.contacts.value,
+        }
+
+    def book_steady_steps(self, totals: Records) -> None:
+        """Book steps with the same contacts, given their totals."""
+        audit, extremes, activity = self.audit, self.extremes, self.activity
+        T = totals[0]
+        restitution, friction, stabilisation = (float(T[term]) for term in ("restitution", "friction", "stabilisation"))
+        audit.ledger = Ledger(restitution, friction, stabilisation, audit.ledger.forces)
+        if T["deepest_step"]:
+            ends = int(T["deepest_i"]), int(T["deepest_j"])
+            extremes.overlap = Extreme(float(T["deepest"]), int(T["deepest_step"]), float(T["deepest_time"]), ends)
+        if T["most_step"]:
+            extremes.contacts = Extreme(float(T["most"]), int(T["most_step"]), float(T["most_time"]))
+        extremes.total_contacts += int(T["contacts"])
+        activity.impact_energy = float(T["impact_energy"])
 
     def book_exchanges(self, entry: str, exchanges: Iterable[Exchange]) -> None:
         """Book energy and momentum exchanged with a medium in an entry of the ledger."""

@@ -127,6 +127,10 @@ class KernelCache:
             return None
         return compiler.CompileResult._rebuild(target_context, *content)
 
+    def has(self, sig: Any, target_context: Any) -> bool:
+        """Return whether there is a valid file for a signature."""
+        return self._read(_types(sig, target_context.codegen())) is not None
+
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store the code for a signature; if that fails, it is compiled again next time."""
         types = _types(sig, data.codegen)

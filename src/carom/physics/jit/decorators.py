@@ -13,7 +13,8 @@ version under its types.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -21,13 +22,18 @@ import numba
 import numpy as np
 import xxhash
 
-from carom.physics.jit.cache import cache_of, folder_of, sources_of
+from carom.physics.jit.cache import KernelCache, cache_of, folder_of, sources_of
 from carom.physics.jit.inside import PLAIN, compiler, event, extending, types
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not depend on it
 _entries: dict[tuple[Callable[..., Any], Any], Callable[..., Any]] = {}
+_compiles_all = False
+
+# calls of some kernels that each save 0.17 ms, by which `entry_if_worthwhile` decides
+WORTH_COMPILING = 100_000  # 17 s, where compilation takes 5 s, or 13 s on a busy machine
+WORTH_LOADING = 5_000  # 0.9 s
 
 
 def kernel(function: Function) -> Function:
@@ -146,6 +152,46 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
         kernel: Any = function
         _entries[asked] = kernel.overloads[tuple(kind_of(argument) for argument in arguments)].entry_point
     return _entries[asked]
+
+
+def entry_if_worthwhile(function: Callable[..., Any], calls: float, *arguments: Any) -> Callable[..., Any] | None:
+    """Return `entry_of` a kernel that long runs are faster with; None if its compilation takes longer than it saves.
+
+    The decision depends on numbers of calls, never on a clock, and must not change bits.
+
+    Parameters
+    ----------
+    calls
+        How often the kernel will take the place of others.
+    """
+    if not _compiles_all and calls < (WORTH_LOADING if is_compiled(function, *arguments) else WORTH_COMPILING):
+        return None
+    return entry_of(function, *arguments)
+
+
+@contextmanager
+def compiling_all() -> Iterator[None]:
+    """Compile or load even kernels that are not worthwhile."""
+    global _compiles_all  # noqa: PLW0603 - of this process, like the kernels
+    before, _compiles_all = _compiles_all, True
+    try:
+        yield
+    finally:
+        _compiles_all = before
+
+
+def compiles_all() -> bool:
+    """Return whether even kernels that are not worthwhile are compiled."""
+    return _compiles_all
+
+
+def is_compiled(function: Callable[..., Any], *arguments: Any) -> bool:
+    """Return whether a kernel is compiled for the types of these arguments, in this process or in the cache."""
+    kind_of: Any = numba.typeof
+    compiled: Any = function
+    kinds = tuple(kind_of(argument) for argument in arguments)
+    kept = compiled._cache
+    return kinds in compiled.overloads or (isinstance(kept, KernelCache) and kept.has(kinds, compiled.targetctx))
 
 
 def layout_of(argument: Any) -> Any:

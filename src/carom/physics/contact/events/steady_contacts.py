@@ -1,0 +1,384 @@
+"""The contacts of a step in one kernel, as long as they are those of the step before.
+
+`ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
+themselves. The functions here call the same kernels in the same order, so the bits are the same, without Python between
+them. Where a step has something that Python must see, they return false: other pairs than before, an impact, a body
+behind a plane, a deep overlap, a contact that still closes, a number that is not finite. `steady_steps` then undoes the
+step.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.physics.aligned import aligned_empty
+from carom.physics.bodies import Bodies
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem
+from carom.physics.contact.events.drift import WIDEST
+from carom.physics.contact.events.event_loop import predict
+from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
+from carom.physics.contact.geometry import are_near, height_above, update_geometry
+from carom.physics.contact.islands import excess_square, island_rest_speeds, write_rest_speeds
+from carom.physics.contact.near_pairs import LARGEST_SKIN
+from carom.physics.contact.near_pairs import ROUNDING as MOST_ROUNDED
+from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.contact.solver.body_state import gather, scatter
+from carom.physics.contact.solver.impacts import CONVERGED, check_closing
+from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING
+from carom.physics.contact.solver.phases import work
+from carom.physics.contact.solver.positions import (
+    audit_corrections,
+    find_push_fractions,
+    gather_positions,
+    scatter_positions,
+)
+from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
+from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, count_block
+from carom.physics.jit.decorators import inline, unowned
+from carom.physics.jit.team import ALONE
+from carom.physics.vector import between, sizes, vector
+
+MOST_CONTACTS = CONTACTS_PER_BLOCK  # more are counted in several blocks
+
+
+class SteadyRules(NamedTuple):
+    """How contacts are resolved."""
+
+    board: IntArray  # empty, and this and the next two as in `phases.work`
+    addresses: IntArray
+    kind: int
+    most_sweeps: int
+    pushes: bool  # whether overlaps are corrected
+    bends: bool  # whether a uniform field bends the paths of bodies
+    anchored: bool  # whether something is fixed
+    deepest: float  # of the smaller radius, overlap of which a run warns
+    field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
+
+
+class SteadyBuffers(NamedTuple):
+    """Memory: what a step begins with, and workspaces."""
+
+    contacts: IntArray  # words of `CONTACT` records as the step begins
+    states: IntArray  # words of `CONTACT_STATE` records likewise
+    recorded: IntArray  # words of `RECORDED` records likewise
+    normals: FloatArray  # (m, 3) likewise
+    spins: FloatArray  # (n, 3) rad/s likewise; no rows where nothing spins
+    orientations: FloatArray  # (n, 4) likewise
+    held: Records  # (m,) CONTACT as the positions change
+    held_words: IntArray  # the same as words
+    parent: IntArray  # (n + p,)
+    largest: FloatArray  # (n + p,)
+    flags: BoolArray  # (2,)
+    counts: Records  # (1,) BLOCK_COUNTS
+    near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift
+    later: Neighbours  # the same as the neighbours of each body
+
+
+class SteadyContacts(NamedTuple):
+    """The contacts of a step, which those of the next ones have to match."""
+
+    system: ConstraintSystem
+    trajectories: Trajectories
+    rules: SteadyRules
+    buffers: SteadyBuffers
+    pairs: IntArray  # (m, 2), sorted
+    place: IntArray  # (m,) of each one's record
+    counts: IntArray  # (n + p,) contacts of each body and plane
+    normals: FloatArray  # (m, 3) as found
+    contact_words: IntArray  # the records as words
+    state_words: IntArray
+    recorded_words: IntArray
+    mass: FloatArray  # (n,) kg
+    inertia: FloatArray  # (n,) kg m²
+    torque: FloatArray  # (n, 3) N m; no rows where none are modelled
+    angular_acceleration: FloatArray  # (n, 3) rad/s², likewise
+
+    @classmethod
+    def of(cls, contact: ContactPipeline, bodies: Bodies) -> SteadyContacts:
+        """Gather the contacts of the last step, and memory for the next ones."""
+        solver, settings, event_drift = contact.solver, contact.settings, contact.event_drift
+        assert event_drift is not None, "see `make` of `steady_steps`"
+        system, normals, n = solver.system, solver.found_normals, len(bodies)
+        ends, most = len(system.inverse_mass), n * (n - 1) // 2
+        held, numbers = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
+        contacts, states, recorded = (each.view(np.int64) for each in (system.contacts, system.states, system.recorded))
+        rules = SteadyRules(
+            board=ALONE,
+            addresses=solver.code.addresses,
+            kind=solver.code.kind,
+            most_sweeps=contact.most_sweeps,
+            pushes=settings.stabilisation == "split",
+            bends=bool(event_drift.bending.any()),
+            anchored=event_drift.anchored,
+            deepest=np.inf if settings.allow_overlap else DEEP_OVERLAP,
+            field=event_drift.field,
+        )
+        buffers = SteadyBuffers(
+            contacts=np.empty_like(contacts),
+            states=np.empty_like(states),
+            recorded=np.empty_like(recorded),
+            normals=np.empty_like(normals),
+            spins=np.empty_like(bodies.angular_velocity),
+            orientations=np.empty_like(bodies.orientation),
+            held=held,
+            held_words=held.view(np.int64),
+            parent=np.empty(ends, dtype=np.int64),
+            largest=np.empty(ends),
+            flags=np.empty(2, dtype=np.bool_),
+            counts=np.empty(1, BLOCK_COUNTS),
+            near=np.empty((most, 2), dtype=np.int64),
+            later=Neighbours(numbers, numbers.copy(), np.empty(most, dtype=np.int64)),
+        )
+        placed = contact.contacts.pairs, contact.contacts.order.place, solver.counts, normals
+        moments = bodies.mass, bodies.inertia, bodies.torque, bodies.angular_acceleration
+        return cls(system, event_drift.trajectories, rules, buffers, *placed, contacts, states, recorded, *moments)
+
+
+@inline
+def remember_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
+    """Keep what `undo_contacts` restores."""
+    B = contacts.buffers
+    copy_words(contacts.contact_words, B.contacts)
+    copy_words(contacts.state_words, B.states)
+    copy_words(contacts.recorded_words, B.recorded)
+    copy_rows(contacts.normals, B.normals)
+    copy_rows(orientation, B.orientations)
+    copy_rows(spin, B.spins)
+
+
+@inline
+def undo_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
+    """Restore records, orientations and spins as they were when the step began."""
+    B = contacts.buffers
+    copy_words(B.contacts, contacts.contact_words)
+    copy_words(B.states, contacts.state_words)
+    copy_words(B.recorded, contacts.recorded_words)
+    copy_rows(B.normals, contacts.normals)
+    copy_rows(B.orientations, orientation)
+    copy_rows(B.spins, spin)
+
+
+@unowned
+def copy_words(words: IntArray, to: IntArray) -> None:
+    """Copy words; NumPy's way would look for overlaps."""
+    for k in range(len(words)):
+        to[k] = words[k]
+
+
+@unowned
+def copy_rows(rows: FloatArray, to: FloatArray) -> None:
+    """Copy rows of numbers."""
+    for i in range(len(rows)):
+        for k in range(rows.shape[1]):
+            to[i, k] = rows[i, k]
+
+
+@inline
+def write_support(contacts: SteadyContacts, kick: float, borne: FloatArray) -> None:
+    """Write the part of each acceleration that contacts bore in the last kick, of so many seconds."""
+    system, inverse_mass = contacts.system, contacts.system.inverse_mass
+    for i in range(len(borne)):
+        borne[i] = 0.0
+    if len(borne) > 0:
+        for c in range(len(contacts.pairs)):
+            impulse = system.contacts[contacts.place[c]].normal_impulse
+            for end in range(2):
+                i = contacts.pairs[c, end]
+                borne[i] += impulse * inverse_mass[i] / kick
+
+
+@unowned
+def hold_steady(contacts: SteadyContacts, kick: float, last_kick: float, last_dt: float, drift: float) -> None:
+    """Hold the contacts after the first kick of a step; see `ContactPipeline.hold`. All times are in s.
+
+    Parameters
+    ----------
+    kick, last_kick
+        This kick and the one before.
+    last_dt, drift
+        The step before and the drift to come.
+    """
+    system, place, m = contacts.system, contacts.place, len(contacts.pairs)
+    for i in range(len(system.pressed)):
+        system.pressed[i] = False
+    mark_pressed(0, m, contacts.pairs, place, system.contacts, system.inverse_mass, system.pressed)
+    carry_each(0, m, system.contacts, kick / last_kick, system.contacts)
+    _hold(contacts, last_dt, kick, drift)
+
+
+@unowned
+def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
+    """Predict the impacts of a drift of dt after a kick, both in s; return whether there are none."""
+    T, rules, system = contacts.trajectories, contacts.rules, contacts.system
+    n, later, near = len(T.x), contacts.buffers.later, contacts.buffers.near
+    scale, skin, _ = _margins(T.x, T.radius, system.acceleration, rules.field, dt)
+    farthest = write_search_radii(T.v[:n], contacts.mass, T.radius[:n], rules.anchored, dt, T.body, T.drift)
+    is_wide, widened = farthest > WIDEST - 1.0, scale
+    if not is_wide:
+        widened = scale * (1.0 + farthest)
+        for i in range(n):
+            T.body[i].search_radius = farthest * T.radius[i]
+    m, size = 0, sizes(T.box)
+    for i in range(n):
+        later.first[i] = m
+        for j in range(i + 1, n):
+            dx, dy, dz = between(T.x, i, j)
+            radii = T.radius[i] + T.radius[j]
+            if is_wide:
+                radii = (T.radius[i] + T.body[i].search_radius) + (T.radius[j] + T.body[j].search_radius)
+            if are_near(dx, dy, dz, radii, size, widened, skin):
+                near[m, 0], near[m, 1], later.bodies[m] = i, j, j
+                m += 1
+        later.last[i] = m
+    begin(T, dt, kick, 0.0, rules.bends and kick == 0.5 * dt, system.pressed)
+    straighten(contacts.pairs, contacts.place, system.contacts, T.body)
+    moving = system.acceleration, T.inverse_mass, rules.field, dt
+    island_rest_speeds(near[:m], T.x, T.radius, T.box, scale, skin, *moving, T.rest_speed)
+    predict(0, n, later, T)
+    first = np.inf
+    for i in range(n):
+        first = min(first, T.body[i].impact_time)
+    return first == np.inf
+
+
+@unowned
+def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float) -> bool:
+    """Begin the contacts at the positions after a drift, and correct their overlaps; see `ContactPipeline.find`.
+
+    Parameters
+    ----------
+    x, radius
+        (n, 3) and (n,) m.
+    dt
+        s, the step.
+    """
+    system, rules, buffers, m = contacts.system, contacts.rules, contacts.buffers, len(contacts.pairs)
+    scale, skin, rounding = _margins(x, radius, system.acceleration, rules.field, dt)
+    if _is_behind(system.surface, system.offset, x) or not _are_same(contacts, x, radius, scale, skin):
+        return False
+    settings = system.settings[0]
+    settings.islands_known = False
+    copy_words(contacts.contact_words, buffers.held_words)
+    for k in range(len(contacts.recorded_words)):
+        contacts.recorded_words[k] = 0
+    shapes = x, radius, system.box, system.surface, system.offset, system.contacts, system.states
+    begin_contacts(0, m, system.pairs, *shapes, rounding, contacts.normals)
+    if not write_rest_speeds(system, rules.field, dt, buffers.parent, buffers.largest, buffers.flags):
+        return False
+    if rules.pushes:
+        b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
+        find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
+        gather_positions(0, b, system.active, x, v, radius, system.inverse_mass, pushed, pushed_in)
+        work(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)
+        scatter_positions(0, b, system.active, pushed, pushed_in, x, v)
+    return not _is_behind(system.surface, system.offset, x)
+
+
+@unowned
+def resolve_steady(
+    contacts: SteadyContacts, x: FloatArray, radius: FloatArray, first_kick: float, kick: float, dt: float
+) -> tuple[bool, int]:
+    """Resolve the contacts after the last kick; see `ContactPipeline.resolve`.
+
+    Parameters
+    ----------
+    x, radius
+        (n, 3) and (n,) m.
+    first_kick, kick, dt
+        s, both kicks and the step.
+
+    Returns
+    -------
+    is_steady, sweeps
+        Whether nothing happened that Python must see, and the iterations.
+    """
+    system, rules, m = contacts.system, contacts.rules, len(contacts.pairs)
+    shapes = x, radius, system.box, system.surface, system.offset, system.contacts, system.states
+    update_geometry(0, m, system.pairs, *shapes)
+    if rules.pushes:
+        audit_corrections(0, m, system.pairs, system.acceleration, system.inverse_mass, system.states)
+    settings = system.settings[0]
+    settings.bias_rate, settings.impacts_only = 0.0, True
+    sweeps = _lead(system, rules, contacts.trajectories.inverse_inertia, IMPACTS)
+    if not (settings.any_rests or sweeps == rules.most_sweeps):
+        return False, sweeps
+    carry_each(0, m, contacts.buffers.held, kick / first_kick, system.contacts)
+    sweeps = max(sweeps, _hold(contacts, dt, kick, 0.0))
+    if sweeps >= rules.most_sweeps:
+        closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
+        closing[0] = False
+        check_closing(0, m, system.pairs, system.contacts, system.states, system.velocity, negligible, dt, closing)
+        if closing[0]:
+            return False, sweeps
+    for c in range(m):
+        if system.states[c].approach_speed > system.states[c].rest_speed:
+            return False, sweeps
+    counts, ends = contacts.buffers.counts, (system.inverse_mass, contacts.trajectories.radius)
+    count_block(0, 1, system.pairs, system.contacts, system.states, *ends, counts)
+    return counts[0].contacts > 0.0 and counts[0].deepest <= rules.deepest, sweeps
+
+
+@inline
+def _hold(contacts: SteadyContacts, dt: float, share: float, drift: float) -> int:
+    settings = contacts.system.settings[0]
+    settings.dt, settings.booked, settings.drift, settings.bias_rate = dt, share, drift, 0.0
+    return _lead(contacts.system, contacts.rules, contacts.trajectories.inverse_inertia, RESTING)
+
+
+@unowned
+def _lead(system: ConstraintSystem, rules: SteadyRules, inverse_inertia: FloatArray, job: int) -> int:
+    """Run a job on the velocities of the active bodies; return the number of iterations."""
+    b = len(system.active)
+    gather(0, b, system.active, system.velocity, system.spin, system.inverse_mass, inverse_inertia, system.bodies)
+    iterations = work(rules.board, job, rules.addresses, rules.kind, system, rules.most_sweeps)
+    scatter(0, b, system.active, system.bodies, system.velocity, system.spin)
+    return iterations
+
+
+@unowned
+def _margins(
+    x: FloatArray, radius: FloatArray, acceleration: FloatArray, field: FloatArray, dt: float
+) -> tuple[float, float, float]:
+    """Return scale, skin and rounding in m of a step of dt s; see `NearPairs.margins`."""
+    square, coordinate, smallest = 0.0, 0.0, np.inf
+    for i in range(len(x)):
+        square = max(square, excess_square(acceleration, field, i))
+        smallest = min(smallest, radius[i])
+        for k in range(3):
+            coordinate = max(coordinate, abs(x[i, k]))
+    rounding = MOST_ROUNDED * np.spacing(coordinate)
+    return 1.0 + TOUCHING, rounding + min(np.sqrt(square) * dt * dt, LARGEST_SKIN * smallest), rounding
+
+
+@unowned
+def _is_behind(normal: FloatArray, offset: FloatArray, x: FloatArray) -> bool:
+    """Return whether a centre is behind a plane."""
+    for p in range(len(offset)):
+        for i in range(len(x)):
+            px, py, pz = vector(x, i)
+            if height_above(normal, offset, p, px, py, pz) < 0.0:
+                return True
+    return False
+
+
+@inline
+def _are_same(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, scale: float, skin: float) -> bool:
+    """Return whether the near pairs are those of the step before."""
+    system, pairs, n, m = contacts.system, contacts.pairs, len(x), len(contacts.pairs)
+    c, size, inverse_mass = 0, sizes(system.box), system.inverse_mass
+    for i in range(n):
+        for j in range(i + 1, n + len(system.offset)):
+            if j < n:
+                dx, dy, dz = between(x, i, j)
+                near = are_near(dx, dy, dz, radius[i] + radius[j], size, scale, skin)
+            else:
+                px, py, pz = vector(x, i)
+                near = height_above(system.surface, system.offset, j - n, px, py, pz) <= radius[i] * scale + skin
+            if near and inverse_mass[i] + inverse_mass[j] > 0.0:
+                if c == m or pairs[c, 0] != i or pairs[c, 1] != j:
+                    return False
+                c += 1
+    return c == m

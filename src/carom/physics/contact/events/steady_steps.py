@@ -1,0 +1,258 @@
+"""Many steps of few bodies in one kernel, as long as the same contacts last: at rest, sliding or rolling.
+
+A step of two balls in contact takes a few microseconds in a kernel, and nearly two hundred where Python calls a kernel
+for each of its parts. `KickDriftStepper` therefore hands over the steps before the next frame or check, as it does
+where nothing touches (`carom.physics.free_flight`). The step that ends at the frame or check is its own, since Python
+looks at its contacts. The kernels are those of single steps, and so are the bits.
+
+What a step adds to the books is summed here in the same order: the ledger, the numbers of contacts, the deepest
+overlap. A step of which Python must see more is undone and left to `KickDriftStepper`; `steady_contacts` says which
+these are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from carom.arrays import FloatArray, Records
+from carom.physics.contact.events.steady_contacts import (
+    MOST_CONTACTS,
+    SteadyContacts,
+    drift_steady,
+    find_steady,
+    hold_steady,
+    remember_contacts,
+    resolve_steady,
+    undo_contacts,
+    write_support,
+)
+from carom.physics.contact.graph import OrderedContacts
+from carom.physics.contact.law import has_torque
+from carom.physics.diagnostics.bookkeeper import Bookkeeper
+from carom.physics.diagnostics.run_monitor import remembered
+from carom.physics.free_flight import (
+    MOST_STEPS,
+    FlightBuffers,
+    FlightClock,
+    FlightLaws,
+    FreeFlight,
+    KeptState,
+    MovedState,
+    choose_step,
+    copy_state,
+    sum_accelerations,
+)
+from carom.physics.integrators.kick_drift import advance
+from carom.physics.jit.decorators import borrowing, compiles_all, entry_if_worthwhile, inline
+from carom.physics.jit.inside import PLAIN
+from carom.physics.rotation import rotate_one
+from carom.physics.schedule import Goal
+from carom.physics.step_rule import END, FIXED, LIMIT_NAMES
+from carom.physics.time_step import Timestep
+from carom.physics.world import World
+from carom.plan.auto import integrator
+
+PATIENCE = 256  # single steps before the kernel is loaded, compiled if need be, or left alone for as many steps again
+
+STEADY_TOTALS = np.dtype(
+    [
+        ("restitution", np.float64),  # J, this and the next two as in `Ledger`
+        ("friction", np.float64),
+        ("stabilisation", np.float64),
+        ("impact_energy", np.float64),  # J, see `Activity`; before the last step
+        ("deepest", np.float64),  # overlap / smaller radius, the largest of the run
+        ("deepest_i", np.int64),
+        ("deepest_j", np.int64),
+        ("deepest_step", np.int64),  # 0 if it was before these steps
+        ("deepest_time", np.float64),  # s
+        ("most", np.int64),  # contacts in a step, the largest of the run
+        ("most_step", np.int64),  # 0 likewise
+        ("most_time", np.float64),  # s
+        ("contacts", np.int64),  # sum over these steps
+        ("last_kick", np.float64),  # s
+        ("last_dt", np.float64),  # s
+        ("sweeps", np.int64),  # of the last step
+    ]
+)
+
+
+class SteadySteps:
+    """Takes steps of a world in which the same contacts last.
+
+    Parameters
+    ----------
+    world, books
+        The world to advance, and its books.
+    timestep
+        Chooses the steps.
+    flight
+        Has the laws and the state.
+    """
+
+    def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> None:
+        assert world.contact is not None, "see `make`"
+        self._world, self._books, self._timestep, self._contact = world, books, timestep, world.contact
+        laws, moved, kept, buffers = flight.arguments
+        kept = kept._replace(borne=np.empty(len(world.bodies.ends.radius) if timestep.spares_held else 0))
+        self._arguments = laws, moved, kept, buffers
+        self._totals = np.zeros(1, STEADY_TOTALS)
+        self._last: OrderedContacts | None = None  # the contacts of the step that was last looked at
+        self._go_on: Callable[..., tuple[Any, ...]] | None = None  # once it is worthwhile
+        self._first: float = np.inf  # number of the step that was looked at first
+        self._waited = 0  # single steps that the kernel could have taken
+        self._next_decision = PATIENCE  # the number of them at which to ask again whether the kernel is worthwhile
+
+    def advance(self, goal: Goal) -> bool:
+        """Do the steps before the next frame or check, if the same contacts last; return whether there were any."""
+        world, books, contact, clock = self._world, self._books, self._contact, self._world.clock
+        lasts, self._last = contact.contacts is self._last, contact.contacts
+        self._first = min(self._first, clock.step)
+        if not (lasts and contact.is_steady and (self._go_on or self._is_patient())):
+            return False
+        every, (steps, until) = world.scene.record.check_every, goal.quiet(clock)
+        most = int(min(goal.most, steps, every - clock.step % every, MOST_STEPS + 1)) - 1
+        if most < 1 or len(contact.contacts) > MOST_CONTACTS or not contact.solver.code.is_complete:
+            return False
+        contacts, totals = SteadyContacts.of(contact, world.bodies), self._totals
+        for name, value in books.steady_totals().items():
+            totals[name] = value
+        totals["deepest_step"] = totals["most_step"] = totals["contacts"] = 0
+        totals["last_kick"], totals["last_dt"] = contact.last_kick, clock.dt
+        until, timestep = min(until, books.kept_until), self._timestep
+        asked = FlightClock(clock.time, goal.end, until, most, timestep.previous, 0.0), clock.step
+        if self._go_on is None:
+            share = self._waited / (clock.step - self._first + 1) * most / (most + 1)
+            coming = (goal.end - clock.time) / clock.dt * share
+            self._next_decision = self._waited + PATIENCE
+            self._go_on = entry_if_worthwhile(_go_on, coming, *asked, *self._arguments, contacts, totals)
+        if self._go_on is None:
+            return False
+        taken, before, time, dt, limit, timestep.previous = self._go_on(*asked, *self._arguments, contacts, totals)
+        if taken == 0:
+            return False
+        clock.advance(taken, before, time, dt, LIMIT_NAMES[limit])
+        contact.add_steady_steps(float(totals["last_kick"][0]), dt, int(totals["sweeps"][0]))
+        books.book_steady_steps(totals)
+        books.activity.add_step(contact.statistics.contacts, 0.0)
+        world.profile.mark("resting")
+        return True
+
+    def _is_patient(self) -> bool:
+        """Count a single step in place of the kernel; return whether there were enough for a decision."""
+        self._waited += 1
+        return self._waited >= self._next_decision or compiles_all()
+
+
+def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> SteadySteps | None:
+    """Return what takes steps with lasting contacts; None if the kernel does not know all that such a step has."""
+    contact, substeps = world.contact, integrator(world.scene).substeps
+    if PLAIN or contact is None or contact.event_drift is None or contact.sleeps or len(substeps) > 1:
+        return None
+    system, settings, is_held_twice = contact.solver.system, contact.settings, min(substeps[0]) > 0.0
+    is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise
+    is_known = is_known and not (has_torque(system.materials.dtype) or system.box.any())
+    return SteadySteps(world, books, timestep, flight) if is_held_twice and is_known else None
+
+
+@borrowing
+def _go_on(
+    clock: FlightClock,
+    step: int,
+    laws: FlightLaws,
+    moved: MovedState,
+    kept: KeptState,
+    buffers: FlightBuffers,
+    contacts: SteadyContacts,
+    totals: Records,
+) -> tuple[int, float, float, float, int, float]:
+    """Take steps; return their number, the time before and after the last one, its length and limit, the average."""
+    time, end, until, most, average, _ = clock
+    position, velocity, acceleration, orientation, spin = moved
+    T, saved, n = totals[0], buffers.saved, len(position)
+    first, whole, last = laws.substeps[0, 0], laws.substeps[0, 1], laws.substeps[0, 2]
+    before, dt, limit, steps = time, 0.0, FIXED, 0
+    while steps < most:
+        write_support(contacts, T.last_kick, kept.borne)
+        length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
+        after = time + length
+        first_kick, last_kick = first * length, last * length
+        if why == END or not time < after < until or not min(first_kick, last_kick) > 0.0:
+            break
+        copy_state(position, velocity, acceleration, saved[0], saved[1], saved[2])
+        remember_contacts(contacts, orientation, spin)
+        for i in range(len(orientation)):
+            rotate_one(i, orientation, spin, length)
+        advance(0, n, velocity, acceleration, first_kick)
+        hold_steady(contacts, first_kick, T.last_kick, T.last_dt, length)
+        restitution, friction, stabilisation = 0.0, 0.0, 0.0
+        for piece in range(len(contacts.system.piece_results)):
+            found = contacts.system.piece_results[piece]
+            restitution += found.restitution_loss
+            friction += found.friction_loss
+            stabilisation += found.stabilisation_gain
+        is_steady, sweeps = _are_finite(position, velocity), 0
+        if is_steady:
+            is_steady = drift_steady(contacts, first_kick, whole * length)
+        if is_steady:
+            advance(0, n, position, velocity, whole * length)
+            is_steady = _are_finite(position, velocity)
+        if is_steady:
+            is_steady = find_steady(contacts, position, kept.radius, length)
+        if is_steady:
+            sum_accelerations(laws, moved, kept, buffers)
+            advance(0, n, velocity, acceleration, last_kick)
+            is_steady, sweeps = resolve_steady(contacts, position, kept.radius, first_kick, last_kick, length)
+        if not is_steady:
+            copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
+            undo_contacts(contacts, orientation, spin)
+            break
+        _write_torques(contacts, spin, length)
+        before, time, dt, limit, average = time, after, length, why, following
+        if steps > 0:
+            T.impact_energy = remembered(T.impact_energy, 0.0)
+        steps += 1
+        T.restitution += restitution
+        T.friction += friction
+        T.stabilisation += stabilisation
+        T.last_kick, T.last_dt, T.sweeps = last_kick, length, sweeps
+        _book(contacts, totals, step + steps, time)
+    return steps, before, time, dt, limit, average
+
+
+@inline
+def _are_finite(position: FloatArray, velocity: FloatArray) -> bool:
+    rest = 0.0
+    for i in range(len(position)):
+        for k in range(3):
+            x, v = position[i, k], velocity[i, k]
+            rest += (x - x) + (v - v)  # 0, or not a number
+    return rest == 0.0
+
+
+@inline
+def _write_torques(contacts: SteadyContacts, spin: FloatArray, dt: float) -> None:
+    """Write torques and angular accelerations of a step, as `Torques` does."""
+    before = contacts.buffers.spins
+    for i in range(len(contacts.torque)):
+        for k in range(3):
+            contacts.torque[i, k] = contacts.inertia[i] * (spin[i, k] - before[i, k]) / dt
+            contacts.angular_acceleration[i, k] = contacts.torque[i, k] / contacts.inertia[i]
+
+
+@inline
+def _book(contacts: SteadyContacts, totals: Records, step: int, time: float) -> None:
+    """Add what the contacts of a step add to the books."""
+    T, counts = totals[0], contacts.buffers.counts[0]
+    T.restitution += counts.restitution_loss
+    T.friction += counts.friction_loss
+    T.stabilisation += counts.stabilisation_gain
+    touching = int(counts.contacts)
+    T.contacts += touching
+    if touching > T.most:
+        T.most, T.most_step, T.most_time = touching, step, time
+    if not counts.deepest <= T.deepest:
+        T.deepest, T.deepest_step, T.deepest_time = counts.deepest, step, time
+        T.deepest_i, T.deepest_j = int(counts.deepest_i), int(counts.deepest_j)
