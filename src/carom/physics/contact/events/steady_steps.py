@@ -56,6 +56,7 @@ from carom.physics.world import World
 from carom.plan.auto import integrator
 
 PATIENCE = 256  # single steps before the kernel is loaded, compiled if need be, or left alone for as many steps again
+LONGEST_PAUSE = 16  # single steps between two calls where each call finds that Python must see the step
 
 STEADY_TOTALS = np.dtype(
     [
@@ -102,6 +103,7 @@ class SteadySteps:
         self._last: OrderedContacts | None = None  # the contacts of the step that was last looked at
         self._go_on: Callable[..., tuple[Any, ...]] | None = None  # once it is worthwhile
         self._first: float = np.inf  # number of the step that was looked at first
+        self._pause, self._next_pause = 0, 1  # single steps before the next call; after another one in vain
         self._waited = 0  # single steps that the kernel could have taken
         self._next_decision = PATIENCE  # the number of them at which to ask again whether the kernel is worthwhile
 
@@ -111,6 +113,9 @@ class SteadySteps:
         lasts, self._last = contact.contacts is self._last, contact.contacts
         self._first = min(self._first, clock.step)
         if not (lasts and contact.is_steady and (self._go_on or self._is_patient())):
+            return False
+        if self._pause > 0:
+            self._pause -= 1
             return False
         every, (steps, until) = world.scene.record.check_every, goal.quiet(clock)
         most = int(min(goal.most, steps, every - clock.step % every, MOST_STEPS + 1)) - 1
@@ -131,7 +136,9 @@ class SteadySteps:
         if self._go_on is None:
             return False
         taken, before, time, dt, limit, timestep.previous = self._go_on(*asked, *self._arguments, contacts, totals)
+        self._next_pause = 1 if taken else min(2 * self._next_pause, LONGEST_PAUSE)
         if taken == 0:
+            self._pause = self._next_pause
             return False
         clock.advance(taken, before, time, dt, LIMIT_NAMES[limit])
         contact.add_steady_steps(float(totals["last_kick"][0]), dt, int(totals["sweeps"][0]))
