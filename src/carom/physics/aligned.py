@@ -60,6 +60,11 @@ def raw(records: RecordArray[object]) -> Records:
     return array.view(np.dtype((np.void, array.dtype.itemsize)))
 
 
+def words(records: RecordArray[object]) -> IntArray:
+    """Return contiguous records as words of eight bytes, a view."""
+    return raw(records).view(np.int64)
+
+
 def joined(parts: Iterable[RecordArray[object]], kind: np.dtype[np.void]) -> Records:
     """Return parts of contiguous records, joined in their order."""
     found: Records = np.concatenate([raw(np.empty(0, kind)), *map(raw, parts)]).view(kind)

@@ -13,10 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from carom.arrays import BoolArray, FloatArray, IntArray, Records
-from carom.physics.aligned import aligned_empty
+from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
+from carom.physics.aligned import aligned_empty, words
 from carom.physics.bodies import Bodies
-from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem
+from carom.physics.contact.constraints import CONTACTS_PER_BLOCK, ConstraintSystem, ContactRecord
 from carom.physics.contact.events.drift import WIDEST
 from carom.physics.contact.events.event_loop import predict
 from carom.physics.contact.events.trajectories import Neighbours, Trajectories, begin, straighten, write_search_radii
@@ -36,7 +36,7 @@ from carom.physics.contact.solver.positions import (
     scatter_positions,
 )
 from carom.physics.contact.solver.prepare import TOUCHING, begin_contacts, carry_each, mark_pressed
-from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, count_block
+from carom.physics.contact.statistics import BLOCK_COUNTS, DEEP_OVERLAP, BlockCountsRecord, count_block
 from carom.physics.jit.decorators import inline, unowned
 from carom.physics.jit.team import ALONE
 from carom.physics.vector import between, sizes, vector
@@ -67,12 +67,12 @@ class SteadyBuffers(NamedTuple):
     normals: FloatArray  # (m, 3) likewise
     spins: FloatArray  # (n, 3) rad/s likewise; no rows where nothing spins
     orientations: FloatArray  # (n, 4) likewise
-    held: Records  # (m,) CONTACT as the positions change
+    held: RecordArray[ContactRecord]  # (m,) as the positions change
     held_words: IntArray  # the same as words
     parent: IntArray  # (n + p,)
     largest: FloatArray  # (n + p,)
     flags: BoolArray  # (2,)
-    counts: Records  # (1,) BLOCK_COUNTS
+    counts: RecordArray[BlockCountsRecord]  # (1,)
     near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift
     later: Neighbours  # the same as the neighbours of each body
 
@@ -104,7 +104,7 @@ class SteadyContacts(NamedTuple):
         system, normals, n = solver.system, solver.found_normals, len(bodies)
         ends, most = len(system.inverse_mass), n * (n - 1) // 2
         held, numbers = aligned_empty(len(normals), system.contacts.dtype), np.empty(n, dtype=np.int64)
-        contacts, states, recorded = (each.view(np.int64) for each in (system.contacts, system.states, system.recorded))
+        contacts, states, recorded = (words(each) for each in (system.contacts, system.states, system.recorded))
         rules = SteadyRules(
             board=ALONE,
             addresses=solver.code.addresses,
@@ -124,7 +124,7 @@ class SteadyContacts(NamedTuple):
             spins=np.empty_like(bodies.angular_velocity),
             orientations=np.empty_like(bodies.orientation),
             held=held,
-            held_words=held.view(np.int64),
+            held_words=words(held),
             parent=np.empty(ends, dtype=np.int64),
             largest=np.empty(ends),
             flags=np.empty(2, dtype=np.bool_),

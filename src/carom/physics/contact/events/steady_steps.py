@@ -13,11 +13,11 @@ these are.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from carom.arrays import FloatArray, Records
+from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.contact.events.steady_contacts import (
     MOST_CONTACTS,
     SteadyContacts,
@@ -58,26 +58,29 @@ from carom.plan.auto import integrator
 PATIENCE = 256  # single steps before the kernel is loaded, compiled if need be, or left alone for as many steps again
 LONGEST_PAUSE = 16  # single steps between two calls where each call finds that Python must see the step
 
-STEADY_TOTALS = np.dtype(
-    [
-        ("restitution", np.float64),  # J, this and the next two as in `Ledger`
-        ("friction", np.float64),
-        ("stabilisation", np.float64),
-        ("impact_energy", np.float64),  # J, see `Activity`; before the last step
-        ("deepest", np.float64),  # overlap / smaller radius, the largest of the run
-        ("deepest_i", np.int64),
-        ("deepest_j", np.int64),
-        ("deepest_step", np.int64),  # 0 if it was before these steps
-        ("deepest_time", np.float64),  # s
-        ("most", np.int64),  # contacts in a step, the largest of the run
-        ("most_step", np.int64),  # 0 likewise
-        ("most_time", np.float64),  # s
-        ("contacts", np.int64),  # sum over these steps
-        ("last_kick", np.float64),  # s
-        ("last_dt", np.float64),  # s
-        ("sweeps", np.int64),  # of the last step
-    ]
-)
+
+class SteadyTotalsRecord(Protocol):
+    """What steps add to the books."""
+
+    restitution: float  # J, this and the next two as in `Ledger`
+    friction: float
+    stabilisation: float
+    impact_energy: float  # J, see `Activity`; before the last step
+    deepest: float  # overlap / smaller radius, the largest of the run
+    deepest_i: int
+    deepest_j: int
+    deepest_step: int  # 0 if it was before these steps
+    deepest_time: float  # s
+    most: int  # contacts in a step, the largest of the run
+    most_step: int  # 0 if it was before these steps
+    most_time: float  # s
+    contacts: int  # sum over these steps
+    last_kick: float  # s
+    last_dt: float  # s
+    sweeps: int  # of the last step
+
+
+STEADY_TOTALS = dtype_of(SteadyTotalsRecord)
 
 
 class SteadySteps:
@@ -173,7 +176,7 @@ def _go_on(
     kept: KeptState,
     buffers: FlightBuffers,
     contacts: SteadyContacts,
-    totals: Records,
+    totals: RecordArray[SteadyTotalsRecord],
 ) -> tuple[int, float, float, float, int, float]:
     """Take steps; return their number, the time before and after the last one, its length and limit, the average."""
     time, end, until, most, average, _ = clock
@@ -250,7 +253,7 @@ def _write_torques(contacts: SteadyContacts, spin: FloatArray, dt: float) -> Non
 
 
 @inline
-def _book(contacts: SteadyContacts, totals: Records, step: int, time: float) -> None:
+def _book(contacts: SteadyContacts, totals: RecordArray[SteadyTotalsRecord], step: int, time: float) -> None:
     """Add what the contacts of a step add to the books."""
     T, counts = totals[0], contacts.buffers.counts[0]
     T.restitution += counts.restitution_loss
