@@ -254,6 +254,13 @@ def test_contact_laws_can_be_removed(without: Callable[..., Carom]) -> None:
     assert run("explain", "two-spheres").returncode == 0
 
 
+def test_shapes_of_walls_can_be_removed(without: Callable[..., Carom]) -> None:
+    run = without("walls")
+    assert run("explain", "two-spheres").returncode == 0
+    said = refusal(run("explain", "two-spheres", "--set", "wall=[{cylinder={radius=5}}]"))
+    assert "cylinder" in said
+
+
 def test_scenes_run_and_replay_without_the_optional_physics(bare: Carom) -> None:
     ended = bare("run", "two-spheres", *SHORT, *LATE, "-o", "run.rrd")
     assert ended.returncode == 0, ended.stderr

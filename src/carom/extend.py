@@ -155,6 +155,7 @@ if TYPE_CHECKING:
     from carom.scene.start import HalfSpaces as HalfSpaces
     from carom.scene.start import InitialBodies as InitialBodies
     from carom.scene.start import half_spaces as half_spaces
+    from carom.scene.start import names_of_solids as names_of_solids
     from carom.scene.toml_text import toml_for as toml_for
     from carom.scene.toml_text import toml_text as toml_text
     from carom.scene.units.dimension import ACCELERATION as ACCELERATION
@@ -178,6 +179,11 @@ if TYPE_CHECKING:
     from carom.scene.units.unit import Physical as Physical
     from carom.scene.units.unit import nearest_float as nearest_float
     from carom.scene.units.unit import physical as physical
+    from carom.scene.wall_shapes import Mesh as Mesh
+    from carom.scene.wall_shapes import WallShape as WallShape
+    from carom.scene.wall_shapes import across as across
+    from carom.scene.wall_shapes import mesh_of_revolution as mesh_of_revolution
+    from carom.scene.wall_shapes import unit_vector as unit_vector
     from carom.scene.wording import Names as Names
     from carom.scene.wording import bodies_called as bodies_called
     from carom.scene.wording import command as command
@@ -211,6 +217,9 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.contact_laws": "ContactLaw",
         "carom.scene.schema.quantity": "Friction",
     },
+    "Shapes of walls": {
+        "carom.scene.wall_shapes": "WallShape Mesh across mesh_of_revolution unit_vector",
+    },
     "Integrators": {
         "carom.scene.integrators": "Integrator Substep",
     },
@@ -226,7 +235,7 @@ SECTIONS = {  # purpose → module → names
     },
     "Engines": {
         "carom.recording.source.source": "SPHERE setup_of engine_package named_version",
-        "carom.scene.start": "InitialBodies HalfSpaces half_spaces",
+        "carom.scene.start": "InitialBodies HalfSpaces half_spaces names_of_solids",
         "carom.scene.schema": "Coefficients",
         "carom.scene.matter": "pair_coefficients",
         "carom.physics.placement": "place",

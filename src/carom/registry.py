@@ -25,6 +25,7 @@ PREFIX = "carom."  # of the groups of entry points
 KINDS = {  # kind → its name in messages
     "forces": "force",
     "contact_laws": "contact law",
+    "walls": "shape of a wall",
     "integrators": "integrator",
     "gravity_methods": "gravity method",
     "series": "recorded series",
@@ -57,6 +58,9 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind → name �
         "power_law": "carom.laws.power_law:LAW",
         "restitution_table": "carom.laws.restitution_table:LAW",
         "walton": "carom.laws.walton:LAW",
+    },
+    "walls": {
+        "cylinder": "carom.walls.cylinder:WALL",
     },
     "placements": {  # arrangements of groups, and the region shape with its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",

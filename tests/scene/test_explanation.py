@@ -11,7 +11,7 @@ from carom.scene.load import scene_from_text
 ONE_BODY = "[[body]]\nradius = 1.0\n"
 
 
-RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "material.0.restitution" or "pair.0.restitution"?'
+RESTITUTIONS = '"contact.restitution", "plane.0.restitution", "wall.0.restitution" or "material.0.restitution"?'
 
 
 @pytest.mark.parametrize(

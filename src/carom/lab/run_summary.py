@@ -17,7 +17,7 @@ import numpy as np
 from carom import Frame, Space
 from carom.errors import ExperimentError, PhysicsError
 from carom.event import Event
-from carom.extend import Names, Verdict, closing_summary, half_spaces, judge, nearest, versions
+from carom.extend import Names, Verdict, closing_summary, judge, names_of_solids, nearest, versions
 
 LONGEST = 1000  # characters
 _EXAMPLE = "expected a condition such as energy.max_error > 1e-3"
@@ -207,7 +207,7 @@ class Touches:
     """
 
     def __init__(self, space: Space) -> None:
-        self._names = Names(list(space.names), list(half_spaces(space.scene).name))
+        self._names = Names(list(space.names), names_of_solids(space.scene))
         self._radius = space.state.radius
         self._since: dict[Pair, tuple[int, float]] = {}  # first step of a steady overlap, and the overlap
         self.pairs: set[Pair] = set()

@@ -189,7 +189,13 @@ def can_fly(world: World) -> bool:
     is_audited = world.scene.expect.contact_audit is not None  # the audit needs each kick
     loses_turns = world.is_periodic and world.contact is None  # a single step refuses too many crossings
     known = world.forces.laws is not None
-    return len(world.bodies) <= MAX_IN_ONE_BLOCK and known and not is_audited and not loses_turns
+    return (
+        len(world.bodies) <= MAX_IN_ONE_BLOCK
+        and known
+        and not world.planes.curves
+        and not is_audited
+        and not loses_turns
+    )
 
 
 @borrowing

@@ -11,13 +11,14 @@ from carom.errors import PhysicsError
 from carom.physics.bodies import Bodies
 from carom.physics.contact.law import materials_of
 from carom.physics.contact.pipeline import ContactPipeline
+from carom.physics.contact.solids import solids_of
 from carom.physics.diagnostics.run_monitor import Profile, remedies_of
 from carom.physics.forces.force import TotalForce
 from carom.physics.jit.team import Team
 from carom.plan.features import Requirements, require
 from carom.scene.matter import pair_coefficients
 from carom.scene.schema import Scene
-from carom.scene.start import HalfSpaces, InitialBodies, half_spaces
+from carom.scene.start import HalfSpaces, InitialBodies
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import Names
@@ -103,7 +104,7 @@ class World:
     @classmethod
     def at_start(cls, scene: Scene, start: InitialBodies, team: Team, records_contacts: bool) -> World:
         """Build the world of a scene before its first step."""
-        needs, planes, profile = require(scene), half_spaces(scene), Profile()
+        needs, planes, profile = require(scene), solids_of(scene), Profile()
         bodies = Bodies.at_start(
             start,
             spins=needs.spin.modelled,

@@ -187,7 +187,7 @@ def _meets_seldom(scene: Scene) -> bool:
     """
     if not (contact_parts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
         return False
-    alone = scene.domain.boundary == "open" and not scene.plane and not pulls.pushing(scene)
+    alone = scene.domain.boundary == "open" and not (scene.plane or scene.wall) and not pulls.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
     drifts = contact_parts.moves_relatively(scene)  # bodies that start at rest fall towards each other
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)

@@ -67,6 +67,7 @@ def refuse_impossible(scene: Scene) -> None:
         _refuse_times_of_impact(scene)
         _refuse_forces_of_mid_step(scene)
         _refuse_damping(scene)
+        _refuse_walls(scene)
         _refuse_further_forces(scene)
         _refuse_what_no_error_controls(scene)
         _refuse_what_is_no_hierarchy(scene)
@@ -183,6 +184,16 @@ def _refuse_damping(scene: Scene) -> None:
         raise SceneError(
             f'time.integrator = "{chosen.name}" with [{force.name}]: the {force.name} needs one drift between two '
             'equal kicks; use "leapfrog" or "auto"',
+            INTEGRATOR,
+        )
+
+
+def _refuse_walls(scene: Scene) -> None:
+    """Refuse walls with integrators that choose their own steps, which only know planes."""
+    chosen = integrator(scene)
+    if scene.wall and chosen.controls_error:
+        raise SceneError(
+            f'time.integrator = "{chosen.name}" does not support a [[wall]]; set time.integrator = "leapfrog"',
             INTEGRATOR,
         )
 

@@ -7,7 +7,7 @@ from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.matter import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part
 from carom.scene.schema import Scene
-from carom.scene.wording import counted
+from carom.scene.wording import counted, in_series
 
 
 def contact(scene: Scene) -> Part:
@@ -15,13 +15,14 @@ def contact(scene: Scene) -> Part:
     name = "contact"
     if not scene.contact.enabled:
         return Part(name, False, "contact.enabled = false")
-    solids = len(scene.plane) + 2 * len(scene.domain.walled)
-    if scene.count == 1 and solids == 0:
+    walls = len(scene.wall) + 2 * len(scene.domain.walled)
+    solids = [counted(count, noun) for count, noun in ((len(scene.plane), "plane"), (walls, "wall")) if count]
+    if scene.count == 1 and not solids:
         return Part(name, False, "a single body has nothing to touch")
     if not differing(scene) and not moves_relatively(scene):
         return Part(name, False, "all bodies move in the same way and no force attracts them: distances never change")
     if solids:
-        return Part(name, True, f"{counted(scene.count, 'body')} and {counted(solids, 'plane')} may collide")
+        return Part(name, True, f"{in_series([counted(scene.count, 'body'), *solids])} may collide")
     return Part(name, True, f"{scene.count} bodies may collide")
 
 

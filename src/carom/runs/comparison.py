@@ -173,7 +173,7 @@ class StaticCheck:
                 continue
             others = dict(recorded.get(path, {}))
             for name, value in components.items():
-                if path == paths.PLANES and name in _SHAPES and reach is None:
+                if path in (paths.PLANES, paths.SHAPES) and name in _SHAPES and reach is None:
                     others.pop(name, None)
                     self._skip(path, name, "depends on the initial positions of all bodies of the run")
                 elif name not in others:

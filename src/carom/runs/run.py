@@ -356,6 +356,7 @@ def header_of(space: Space) -> Header:
         box=space.box,
         walls=np.array(scene.domain.size) if scene.domain.walled else None,
         planes=planes_of(scene) if scene.plane else None,
+        shapes=scene.wall or None,
         colour_by=scene.record.colour_by,
         extensions=extensions_of(scene),
         data=scene.data,

@@ -31,7 +31,6 @@ OTHER_WORDS = {
     "balls": "body",
     "particle": "body",
     "particles": "group",
-    "wall": "plane",
     "walls": "domain.boundary",
     "floor": "plane",
     "ground": "plane",
@@ -84,14 +83,14 @@ def _meant(keys: list[str]) -> str:
 def _places(model: type[BaseModel], above: str = "") -> dict[str, list[str]]:
     """Return the dotted paths of all keys of a model and of nested models, by key; 0 stands for any index.
 
-    Coefficients of contact laws are omitted: few scenes choose a law.
+    The keys of contact laws and of shapes of walls are omitted: few scenes choose one.
     """
     places: dict[str, list[str]] = {}
-    laws = registry.names("contact_laws")
+    extensions = {*registry.names("contact_laws"), *registry.names("walls")}
     for key, field in model.model_fields.items():
         places.setdefault(key, []).append(f"{above}{key}")
         inner = model_in(field.annotation)
-        if inner is not None and key not in laws:
+        if inner is not None and key not in extensions:
             several = "0." if typing.get_origin(field.annotation) is tuple else ""
             for below, paths in _places(inner, f"{above}{key}.{several}").items():
                 places.setdefault(below, []).extend(paths)

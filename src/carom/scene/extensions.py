@@ -22,6 +22,7 @@ def extensions_of(scene: Scene) -> dict[str, str]:
 def _used(scene: Scene) -> Iterator[tuple[str, str]]:
     yield from (("forces", name) for name in scene.forces.given)
     yield from (("contact_laws", name) for name in scene.contact.laws)
+    yield from (("walls", wall.shape) for wall in scene.wall)
     yield from (("series", name) for name in scene.record.series)
     if scene.time.integrator in registry.installed("integrators"):
         yield "integrators", scene.time.integrator

@@ -22,6 +22,7 @@ from carom.scene.schema import Scene
 from carom.scene.schema.scene import know_installed_parts
 from carom.scene.toml_text import value_text
 from carom.scene.units.dimension import Dimension
+from carom.scene.wall_shapes import shape_called
 
 FILE = "scene.schema.json"  # beside the bundled scenes, whose first lines refer to it
 MARK = "#:schema"  # beginning of the first line of a scene that names its schema
@@ -72,7 +73,7 @@ check scenes. Write the schema with `carom scenes --schema > scene.schema.json`,
 
 def page() -> str:
     """Return the page."""
-    return "\n".join([INTRODUCTION, _table(Scene, "At the top"), *_sections(Scene, ""), *_contact_laws()])
+    return "\n".join([INTRODUCTION, _table(Scene, "At the top"), *_sections(Scene, ""), *_contact_laws(), *_walls()])
 
 
 def _contact_laws() -> Iterator[str]:
@@ -82,6 +83,13 @@ def _contact_laws() -> Iterator[str]:
         if section is not None:
             where = "Also allowed in a material, a pair and a plane."
             yield _table(section, f"`contact.{name}`", f"{inspect.getdoc(section)} {where}")
+
+
+def _walls() -> Iterator[str]:
+    """Return a part for each shape of walls of carom."""
+    for name in registry.HOUSE["walls"]:
+        section = shape_called(name).section
+        yield _table(section, f"`wall.{name}`", inspect.getdoc(section) or "")
 
 
 def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
@@ -96,8 +104,9 @@ def _sections(model: type[BaseModel], above: str) -> Iterator[str]:
 
 
 def _keys(model: type[BaseModel]) -> list[tuple[str, FieldInfo]]:
-    """Return the keys of a section without those of contact laws, which are added to models once a scene is read."""
-    return [(key, info) for key, info in model.model_fields.items() if key not in registry.names("contact_laws")]
+    """Return the keys of a section without those of extensions, which are added to models once a scene is read."""
+    later = {*registry.names("contact_laws"), *registry.names("walls")}
+    return [(key, info) for key, info in model.model_fields.items() if key not in later]
 
 
 def _table(model: type[BaseModel], heading: str, text: str = "") -> str:

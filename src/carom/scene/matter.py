@@ -17,7 +17,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.scene.contact_laws import Numbers, law_called
 from carom.scene.portable_math import power
 from carom.scene.schema import Body, BodyGroup, Coefficients, Material, Scene
-from carom.scene.schema.body import Matter, StaticPlane
+from carom.scene.schema.body import Matter
 from carom.scene.schema.contact import DEFAULT, Surface, combined
 
 DEFAULT_DENSITY = 1000.0  # kg/m³
@@ -147,12 +147,14 @@ def kinds_of_contacts(scene: Scene) -> list[KindOfContact]:
     names, own = _names(scene), len(Coefficients._fields)
     table = _table(scene, names)
     planes = [_called(plane.name or f"plane {index}", plane.material) for index, plane in enumerate(scene.plane)]
-    walls = [_called("walls", scene.domain.material)] if table.shape[1] > len(names) + len(planes) else []
-    ends = [*names, *planes, *walls]
+    domain = [_called("walls", scene.domain.material)] if scene.domain.walled else []
+    walls = [_called(name, wall.material) for name, wall in zip(scene.wall_names, scene.wall, strict=True)]
+    columns = [*range(len(names) + len(planes) + len(domain)), *range(table.shape[1] - len(walls), table.shape[1])]
+    ends = dict(zip(columns, (*names, *planes, *domain, *walls), strict=True))
     return [
         KindOfContact((name, ends[other]), Coefficients(*table[index, other, :own].tolist()))
         for index, name in enumerate(names)
-        for other in range(index, len(ends))
+        for other in columns[index:]
     ]
 
 
@@ -234,7 +236,7 @@ def _table(scene: Scene, names: list[str]) -> FloatArray:
     """Return the coefficients of each material with each material, plane and wall, (a, a + p, 3 + k)."""
     walls = 2 * len(scene.domain.walled)
 
-    def row(name: str, other: str, plane: StaticPlane | None = None) -> tuple[float, ...]:
+    def row(name: str, other: str, plane: Surface | None = None) -> tuple[float, ...]:
         meeting = between(scene, name, other)
         own = meeting if plane is None else plane.completed(meeting)
         return (*own, *_of_law(scene, name, other, plane).values())
@@ -244,6 +246,7 @@ def _table(scene: Scene, names: list[str]) -> FloatArray:
             *(row(name, other) for other in names),
             *(row(name, plane.material or DEFAULT, plane) for plane in scene.plane),
             *([row(name, scene.domain.material or DEFAULT)] * walls),
+            *(row(name, wall.material or DEFAULT, wall) for wall in scene.wall),
         ]
         for name in names
     ]

@@ -67,9 +67,25 @@ class HalfSpaces:
     def __len__(self) -> int:
         return len(self.offset)
 
+    @property
+    def surface(self) -> FloatArray:
+        """What kernels find the tangent plane of each by, with `offset`."""
+        return self.normal
+
+    @property
+    def curves(self) -> bool:
+        """Whether one of them is a wall, which need not be flat."""
+        return False
+
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
         """Return the depth of spheres in each half-space, (n, p) m; negative outside."""
         return np.asarray(radius[:, None] - ((position[:, None] * self.normal).sum(axis=2) - self.offset))
+
+    def heights(self, position: FloatArray) -> FloatArray:
+        """Return the heights of points above each, (n, p) m; summed here, since rounding in BLAS varies."""
+        N = self.normal
+        heights = -self.offset + position[:, :1] * N[:, 0]
+        return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
 
 
 def planes_of(scene: Scene) -> HalfSpaces:
@@ -82,6 +98,11 @@ def planes_of(scene: Scene) -> HalfSpaces:
         normal=np.array(normals).reshape(-1, 3),
         offset=np.array([(n * np.array(plane.point)).sum() for n, plane in zip(normals, scene.plane, strict=True)]),
     )
+
+
+def names_of_solids(scene: Scene) -> list[str]:
+    """Return the names of all planes and walls of a scene, in the order of their numbers."""
+    return [*half_spaces(scene).name, *scene.wall_names]
 
 
 def half_spaces(scene: Scene) -> HalfSpaces:

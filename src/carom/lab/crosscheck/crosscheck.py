@@ -26,8 +26,8 @@ from carom.extend import (
     WorkerDiedError,
     cores,
     finite,
-    half_spaces,
     judge,
+    names_of_solids,
     place,
     recording_space,
     simulate,
@@ -357,7 +357,7 @@ class Crosscheck:
         return None if found is None else asdict(found)
 
     def _names(self) -> Names:
-        return Names(place(self.scene).name, half_spaces(self.scene).name)
+        return Names(place(self.scene).name, names_of_solids(self.scene))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT

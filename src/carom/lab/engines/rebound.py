@@ -293,6 +293,7 @@ def _refuse(scene: Scene) -> None:
         "friction (set contact.static_friction = 0 and contact.kinetic_friction = 0)": parts.contact.modelled
         and parts.friction.modelled,
         "planes": bool(len(half_spaces(scene))),
+        "a [[wall]]": bool(scene.wall),
         "bodies of several materials": len(pair_coefficients(scene).places) > 0,
         "a periodic box": scene.domain.is_periodic,
         "a uniform field": any(scene.gravity.uniform),

@@ -78,6 +78,7 @@ def problem_of(engine: str, scene: Scene) -> Problem:
         "the bodies' own gravity": parts.gravity.modelled,
         "a periodic box": scene.domain.is_periodic,
         "drag": scene.drag is not None,
+        "a [[wall]]": bool(scene.wall),
         f"the force {force}": force != "",
         scene.contact.law_key: parts.contact.modelled and bool(scene.contact.laws),
         "bodies of several materials": len(coefficients.places) > 0,

@@ -138,6 +138,7 @@ def _refuse_other_state(branch: Branch, original: Scene, scene: Scene) -> None:
         "the solver of resting contacts": (original.contact.solver, scene.contact.solver),
         "the integrator": (auto.integrator(original).name, auto.integrator(scene).name),
         "the number of planes": (len(original.plane), len(scene.plane)),
+        "the number of walls": (len(original.wall), len(scene.wall)),
     }
     for what, (one, other) in changes.items():
         if one != other:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 from carom.errors import ExperimentError
-from carom.extend import TIME, Expect, Names, Verdict, half_spaces, nearest, suggestion
+from carom.extend import TIME, Expect, Names, Verdict, names_of_solids, nearest, suggestion
 from carom.lab.run_summary import LASTING, SUNK, Expression, Observation, Pair, UnknownNameError, end_name
 from carom.lab.shrink.whole_run import ReplayDiffers, Varies
 
@@ -244,7 +244,7 @@ class Met:
         return set(self.pair or ()) & set(seen.space.names)
 
     def _pair(self, seen: Observation) -> Pair:
-        names = Names(list(seen.space.names), list(half_spaces(seen.space.scene).name))
+        names = Names(list(seen.space.names), names_of_solids(seen.space.scene))
         return frozenset(self._named(end, names) for end in (self.first, self.second))
 
     def _named(self, end: str, names: Names) -> str:

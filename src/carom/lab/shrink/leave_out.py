@@ -132,7 +132,7 @@ def _split(items: list[Item], parts: int) -> list[list[Item]]:
 # Drops parts of the model in the order of requirements, then every key whose default fails as well.
 _KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
-_LISTS = ("plane", "pair", "material")  # lists of tables besides the bodies
+_LISTS = ("plane", "wall", "pair", "material")  # lists of tables besides the bodies
 
 
 def drop_parts(smallest: Smallest) -> bool:
@@ -192,6 +192,7 @@ def _without_parts(smallest: Smallest) -> Iterator[Document]:
     yield _changed(smallest, {("drag",): None})
     yield _changed(smallest, {("domain",): None})
     yield _changed(smallest, {("plane",): None})
+    yield _changed(smallest, {("wall",): None})
     for key in _LISTS:
         for place in reversed(range(len(smallest.document.get(key, [])))):
             tables = smallest.document[key]
@@ -238,7 +239,7 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
 
 # Writes every number with the fewest digits that still show the failure.
 MOST_DIGITS = 17
-_FIXED_FRAME = ("plane", "domain", "drag")  # sections that define a position or a velocity at rest
+_FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that define a position or a velocity at rest
 _NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
 
 

@@ -63,6 +63,8 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
         document["gravity"] = {"constant": scene.gravity.constant} | document.get("gravity", {})
     if names := half_spaces(scene).name[: len(scene.plane)]:
         document["plane"] = [{"name": name} | plane for name, plane in zip(names, document["plane"], strict=True)]
+    for name, wall in zip(scene.wall_names, document.get("wall", []), strict=True):
+        wall["name"] = name
     document[BODIES] = [_body(start, k) for k in range(len(start.name))]
     if scene.material:
         _name_materials(document, scene, start)

@@ -203,7 +203,7 @@ class Varies:
 def applies(name: str, scene: Scene) -> bool:
     """Return whether carom promises an invariance for a scene."""
     needs = require(scene)
-    bounded, outside = scene.domain.boundary != "open", bool(scene.plane) or scene.anchored
+    bounded, outside = scene.domain.boundary != "open" or bool(scene.wall), bool(scene.plane) or scene.anchored
     match name:
         case "scaling":
             return True

@@ -64,7 +64,7 @@ def why_not(scene: Scene) -> str:
     """Return why a scene cannot be solved exactly; empty if it can."""
     if scene.count > MOST_BODIES:
         return f"{scene.count} bodies, more than {MOST_BODIES}"
-    if scene.domain.boundary != "open" or scene.plane:
+    if scene.domain.boundary != "open" or scene.plane or scene.wall:
         return "no exact solution with planes, walls or periodic boxes"
     if scene.has_fixed_bodies:
         return "no exact solution with fixed bodies"

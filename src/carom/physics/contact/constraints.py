@@ -256,7 +256,8 @@ class ConstraintSystem(NamedTuple):
     acceleration: FloatArray  # (n + p, 3) m/s²
     inverse_mass: FloatArray  # (n + p,) 1/kg
     box: FloatArray  # (3,) m, zeros in open space
-    surface: FloatArray  # (p, 3) normals of the planes
+    position: FloatArray  # (n, 3) m
+    surface: FloatArray  # (p, 3) normals of the planes, or records of planes and walls: see `solids`
     offset: FloatArray  # (p,) m
     bodies: RecordArray[BodyStateRecord]  # (n + p,)
     pushed: RecordArray[PushedBodyRecord]  # (n + p,)

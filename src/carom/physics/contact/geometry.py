@@ -12,6 +12,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.solids import tangent_plane
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.vectors import where
@@ -28,8 +29,9 @@ def normal_and_distance(dx: float, dy: float, dz: float) -> tuple[float, float, 
 
 @inline
 def height_above(normal: FloatArray, offset: FloatArray, plane: int, x: float, y: float, z: float) -> float:
-    """Return the height of a point above a plane, in m; negative behind it."""
-    height: float = -offset[plane] + normal[plane, 0] * x + normal[plane, 1] * y + normal[plane, 2] * z
+    """Return the height of a point above a plane or a wall, in m; negative behind it."""
+    nx, ny, nz, distance = tangent_plane(normal, offset, plane, x, y, z)
+    height: float = -distance + nx * x + ny * y + nz * z
     return height
 
 
@@ -79,7 +81,8 @@ def update_geometry(
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if j >= n:
             p, (px, py, pz) = j - n, vector(x, i)
-            contact.nx, contact.ny, contact.nz = -surface[p, 0], -surface[p, 1], -surface[p, 2]
+            nx, ny, nz, _ = tangent_plane(surface, offset, p, px, py, pz)
+            contact.nx, contact.ny, contact.nz = -nx, -ny, -nz
             contact.arm_i, contact.arm_j = radius[i], 0.0
             state.overlap = radius[i] - height_above(surface, offset, p, px, py, pz)
             continue

@@ -11,6 +11,7 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray
 from carom.errors import SceneError
+from carom.physics.contact.solids import solids_of
 from carom.physics.placement.neighbours import Surroundings, overlapping_pairs, squared_distance
 from carom.physics.placement.random_placement import FULLEST
 from carom.physics.placement.region import (
@@ -25,7 +26,7 @@ from carom.scene.data.body_columns import BodyColumns
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.matter import drawn_radii, made_of, mass_of, mean_volume
 from carom.scene.schema import Body, BodyGroup, Region, Scene
-from carom.scene.start import HalfSpaces, InitialBodies, half_spaces, join
+from carom.scene.start import HalfSpaces, InitialBodies, join
 from carom.scene.units.dimension import LENGTH
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import NumberedNames, body_called, body_key
@@ -55,7 +56,7 @@ def _place(scene: Scene) -> InitialBodies:
         remedy, called = ", or set contact.enabled = false", written_name(scene, worst, parts[0].name)
         size, key = float(parts[0].radius[worst]), key_of(scene, worst)
         refuse_unresolved(called, key, float(reach[worst]), size, scene.unit_system, remedy)
-    solids = half_spaces(scene)
+    solids = solids_of(scene)
     if parts and not scene.contact.allow_overlap and scene.contact.enabled:
         refuse_overlaps(scene, parts[0], box)
         refuse_immersion(scene, parts[0], solids)

@@ -189,7 +189,7 @@ class CameraFit:
 
         By default, the camera does not move if there is a plane, a wall, a periodic box or a field.
         """
-        grounded = header.planes is not None or header.walls is not None or header.box is not None
+        grounded = any(part is not None for part in (header.planes, header.walls, header.shapes, header.box))
         if motion is None and (grounded or UNIFORM_FIELD.name in header.forces):
             motion = CameraMotion.STILL
         up = _against_gravity(header)

@@ -18,7 +18,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.recording.layout.camera import SLOPE, CameraMotion, View, screen
 from carom.recording.schema import palette, paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.paths import PERIODIC_BOX, PLANES, WALLS
+from carom.recording.schema.paths import PERIODIC_BOX, PLANES, SHAPES, WALLS
 
 if TYPE_CHECKING:
     from carom.recording.layout.plot_views import Curves
@@ -208,7 +208,7 @@ def spatial_view(
 
 def surroundings(header: Header) -> list[str]:
     """Return the entities of the planes, walls and periodic box of the scene."""
-    parts = ((PLANES, header.planes), (WALLS, header.walls), (PERIODIC_BOX, header.box))
+    parts = ((PLANES, header.planes), (WALLS, header.walls), (SHAPES, header.shapes), (PERIODIC_BOX, header.box))
     return [path for path, part in parts if part is not None]
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from carom.errors import RecordingError, SceneError
 from carom.recording.read.recorded_scene import recorded_scene
-from carom.scene.start import half_spaces
+from carom.scene.start import names_of_solids
 from carom.scene.wording import Names, bodies_called, body_called
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def names_of(recording: Recording) -> Names:
     if recording.engine:
         return Names(recording.bodies.name, str(recording.info.get("plane_names", "")).split("\n"))
     try:
-        planes = half_spaces(recorded_scene(recording)).name
+        planes = names_of_solids(recorded_scene(recording))
     except (RecordingError, SceneError):
         planes = []
     return Names(recording.bodies.name, planes)

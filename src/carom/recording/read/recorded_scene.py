@@ -165,6 +165,7 @@ def header_of_recording(recording: Recording) -> Header:
         record_impacts="auto" if recording.records_contacts else "none",
         box=np.asarray(info["box"]) if "box" in info else None,
         walls=recording.drawn_box(paths.WALLS) if paths.WALLS in static else None,
+        shapes=() if paths.SHAPES in static else None,
         planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
     )

@@ -20,6 +20,7 @@ from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
 from carom.scene.schema import Scene
 from carom.scene.schema.settings import ENDLESS
+from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
 from carom.scene.units.system import SI, UnitSystem
 
@@ -135,6 +136,7 @@ class Header:
     units: UnitSystem = SI  # units of the recorded and of the printed numbers
     walls: FloatArray | None = None  # (3,) m, size of a walled domain
     planes: HalfSpaces | None = None  # the static half-spaces other than the walls
+    shapes: Sequence[Wall] | None = None  # walls of other shapes; empty if only their drawing is known
     colour_by: str = "auto"  # record.colour_by
     data: tuple[BodyColumns, ...] = ()  # the bodies of each [[bodies]] table of the scene
     data_notes: Sequence[Sequence[str]] = ()  # for each [[bodies]] table: unused columns of its file

@@ -22,12 +22,14 @@ from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
 from carom.scene.schema.settings import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, TIME
+from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import in_series
 
 Static = tuple[str, rr.AsComponents]
 
 _THICK, _THIN, _FORCE = 0.16, 0.07, 0.05  # of an arrow, in median body radii
 _EDGE_POINTS = 2.5  # width of a contact's line in points of the screen
+_TRANSLUCENT = 0x8A93A638  # walls in front of bodies
 _PLANE_REACH = 1.5  # half-width of a plane's grid, in units of `reach`
 _MESH_RINGS = 8  # from pole to pole; enough for one sphere among thousands to look round
 
@@ -154,6 +156,17 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
                 ),
             )
     yield from plane_grids(header, origin, np.zeros(3), reach)
+    if header.shapes:
+        meshes = [shape_called(wall.shape).mesh(wall.section, origin, _PLANE_REACH * reach) for wall in header.shapes]
+        first = np.cumsum([0, *(len(mesh.corners) for mesh in meshes[:-1])])
+        yield (
+            paths.SHAPES,
+            rr.Mesh3D(
+                vertex_positions=np.concatenate([mesh.corners for mesh in meshes]) - origin,
+                triangle_indices=np.concatenate([mesh.triangles + k for mesh, k in zip(meshes, first, strict=True)]),
+                albedo_factor=_TRANSLUCENT,
+            ),
+        )
 
 
 def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
@@ -272,6 +285,9 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
     if header.planes is not None:
         names = in_series(header.planes.name)
         lines.append(f"- Static planes, drawn as grids: {names}. They extend to infinity.")
+    if header.shapes:
+        names = in_series([wall.name or wall.shape for wall in header.shapes])
+        lines.append(f"- Walls, drawn as translucent surfaces: {names}. Some extend beyond what is drawn.")
     if header.walls is not None:
         lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + f"{m}.")
     if header.box is not None:

@@ -57,7 +57,7 @@ class PlaneSearch:
         n, p, team = len(self._radius), len(self._planes), self._team
         blocks = np.empty(-(-n // BODIES_PER_BLOCK), dtype=BLOCK)
         merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
-        spheres, planes = (position, self._radius, self._inverse_mass), (self._planes.normal, self._planes.offset)
+        spheres, planes = (position, self._radius, self._inverse_mass), (self._planes.surface, self._planes.offset)
         team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _merge, pairs, *spheres, *planes, scale, skin, merged, blocks)
         return close_up(merged, blocks, team)
 
@@ -123,11 +123,11 @@ class PlaneGuard:
         """Put back bodies that have passed through a plane since the step began; return whether there were any."""
         position, planes = self._bodies.position, self._planes
         is_behind = np.zeros(1, dtype=np.bool_)
-        tested = (position, planes.normal, planes.offset, is_behind)
+        tested = (position, planes.surface, planes.offset, is_behind)
         self._team.divide(len(position), MIN_BODIES_PER_TASK, _test_behind, *tested)
         if not is_behind[0]:
             return False
-        crossed = (self._heights(position) < 0.0) & (self._heights(self._start) >= 0.0)
+        crossed = (self._planes.heights(position) < 0.0) & (self._planes.heights(self._start) >= 0.0)
         stopped = np.flatnonzero(crossed.any(axis=1))
         if len(stopped) == 0:  # bodies already behind a plane were behind it at the start
             return False
@@ -153,21 +153,33 @@ class PlaneGuard:
     def _first_touch(self, stopped: NDArray[np.intp], crossed: BoolArray) -> FloatArray:
         """Return the positions where bodies first touched a plane that they crossed, (k, 3) m."""
         start, end, radius = self._start[stopped], self._bodies.position[stopped], self._bodies.radius[stopped]
-        before, after = self._heights(start), self._heights(end)
+        before, after = self._planes.heights(start), self._planes.heights(end)
         largest = np.maximum(np.abs(start).max(axis=1), np.abs(self._planes.offset).max())
         depth = np.minimum(DEEPEST * radius, DEPTH * radius + ROUNDING * np.spacing(largest))
-        with np.errstate(invalid="ignore", divide="ignore"):  # for planes that were not crossed
-            fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0)
-        places: FloatArray = start + np.clip(fraction.min(axis=1), 0.0, 1.0)[:, None] * (end - start)
-        lost = ((self._heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
+        if self._planes.curves:
+            fraction = self._fraction_before_walls(start, end, crossed, radius - depth)
+        else:
+            with np.errstate(invalid="ignore", divide="ignore"):  # for planes that were not crossed
+                fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0).min(axis=1)
+        places: FloatArray = start + np.clip(fraction, 0.0, 1.0)[:, None] * (end - start)
+        lost = ((self._planes.heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
         places[lost] = start[lost]  # rounding, if a radius is a few units in the last place
         return places
 
-    def _heights(self, position: FloatArray) -> FloatArray:
-        """Return the heights of centres above each plane, (k, p) m; summed here, since rounding in BLAS varies."""
-        N = self._planes.normal
-        heights = -self._planes.offset + position[:, :1] * N[:, 0]
-        return np.asarray(heights + position[:, 1:2] * N[:, 1] + position[:, 2:] * N[:, 2])
+    def _fraction_before_walls(
+        self, start: FloatArray, end: FloatArray, crossed: BoolArray, touching: FloatArray
+    ) -> FloatArray:
+        """Return the fraction of each path, (k,), up to which the body is at least ``touching`` m from what it crosses.
+
+        Found by bisection: the distance from a curved wall is not linear along the path.
+        """
+        low, high = np.zeros(len(start)), np.ones(len(start))
+        for _ in range(np.finfo(np.float64).nmant):
+            middle = 0.5 * (low + high)
+            heights = self._planes.heights(start + middle[:, None] * (end - start))
+            is_clear = (np.where(crossed, heights, np.inf).min(axis=1)) >= touching
+            low, high = np.where(is_clear, middle, low), np.where(is_clear, high, middle)
+        return low
 
 
 @long_kernel

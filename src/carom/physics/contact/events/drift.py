@@ -142,7 +142,7 @@ class EventDrivenDrift:
             radius=ends.radius,
             rest_speed=np.zeros(len(ends.radius)),
             box=box,
-            surface=planes.normal,
+            surface=planes.surface,
             offset=planes.offset,
             materials=materials.rows,
             places=materials.places,

@@ -13,6 +13,8 @@ are exact. The same holds under drag, with the velocities and times in `trajecto
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from carom.arrays import RecordArray
@@ -38,6 +40,7 @@ from carom.physics.contact.events.trajectories import (
     slowing,
     velocity,
 )
+from carom.physics.contact.events.wall_impacts import has_walls, predict_with_solids, predict_with_walls
 from carom.physics.contact.impact_log import ROUNDING, ImpactRecord
 from carom.physics.contact.law import (
     dissipates,
@@ -51,7 +54,7 @@ from carom.physics.contact.law import (
 from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.exponential import exponentials
-from carom.physics.jit.decorators import inline, inner, long_kernel
+from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
 from carom.physics.rotation import rotate_one
 from carom.physics.vector import Vector, add, along, between, nearest_image, sizes, vector
 
@@ -72,7 +75,7 @@ MAX_ELASTIC = 10_000
 @long_kernel
 def predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict the first impact of each body in [lo, hi) with planes and its neighbours."""
-    _predict_with_planes(lo, hi, T)
+    predict_with_solids(lo, hi, T)
     _predict(lo, hi, neighbours, T)
 
 
@@ -153,7 +156,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict a body's next impact on its remaining path, and update the event queue."""
     body, drift = T.body[i], T.drift[0]
     body.impact_time = np.inf
-    _predict_with_planes(i, i + 1, T)
+    predict_with_solids(i, i + 1, T)
     if body.strays:
         _predict(i, i + 1, T.everyone, T)
     else:
@@ -251,7 +254,6 @@ def _time_on_parabola(
     return tau if closing > slow * np.sqrt(nx * nx + ny * ny + nz * nz) else np.inf
 
 
-@inner
 def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
     """Predict the next impact of each body in [lo, hi) with a plane, and keep it if it is before the stored one."""
     x, v, a, N, offset = T.x, T.v, T.a, T.surface, T.offset
@@ -289,6 +291,11 @@ def _predict_with_planes(lo: int, hi: int, T: Trajectories) -> None:
                     if when == body.impact_time and body.partner < len(x) + p:
                         continue
                     body.impact_time, body.partner, body.partner_impacts = when, len(x) + p, 0
+
+
+@chosen_by_type(predict_with_solids)
+def _by_solids(lo: Any, hi: Any, T: Any) -> Any:
+    return predict_with_walls if has_walls(T) else _predict_with_planes
 
 
 @inner

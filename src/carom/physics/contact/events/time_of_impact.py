@@ -144,7 +144,7 @@ def time_of_impact_on_parabola(
         gap = distance - R
         if gap <= GAP_TOLERANCE * R and closing > 0.0:
             return t
-        further = _open_for(gap, closing, decay * b)
+        further = open_for(gap, closing, decay * b)
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
@@ -178,7 +178,7 @@ def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float
             return t
         if falls == 0.0 and not closing > 0.0:
             return np.inf
-        further = _open_for(remaining, closing, decay * falls)
+        further = open_for(remaining, closing, decay * falls)
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
@@ -186,7 +186,7 @@ def time_to_plane_in_medium(gap: float, rate: float, bend: float, damping: float
 
 
 @inline
-def _open_for(gap: float, closing: float, b: float) -> float:
+def open_for(gap: float, closing: float, b: float) -> float:
     """Return a lower bound (s) of the time until a gap closes, if its closing speed grows by at most b (m/s²)."""
     gap = max(0.0, gap)
     root = np.sqrt(closing * closing + 2.0 * b * gap)

@@ -29,8 +29,9 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.contact.constraints import ContactRecord
-from carom.physics.contact.geometry import height_above, normal_and_distance
+from carom.physics.contact.geometry import normal_and_distance
 from carom.physics.contact.impact_log import ROUNDING
+from carom.physics.contact.solids import tangent_plane
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.exponential import log_remainder
 from carom.physics.jit.decorators import inner, kernel, long_kernel
@@ -120,7 +121,7 @@ class Trajectories(NamedTuple):
     radius: FloatArray  # (n + p,) m
     rest_speed: FloatArray  # (n + p,) m/s, closing speed up to which the body's contacts are at rest
     box: FloatArray  # (3,) m; zeros in open space
-    surface: FloatArray  # (p, 3) normals
+    surface: FloatArray  # (p, 3) normals, or records: see `solids`
     offset: FloatArray  # (p,) m
     materials: RecordArray[Coefficients]  # (k,) `MATERIAL`, by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
@@ -281,9 +282,9 @@ def contact_geometry(i: int, j: int, T: Trajectories) -> tuple[float, float, flo
     """
     n = len(T.x)
     if j >= n:
-        N = T.surface[j - n]
         x, y, z = centre(i, T)
-        return -N[0], -N[1], -N[2], max(0.0, height_above(T.surface, T.offset, j - n, x, y, z)), 0.0
+        nx, ny, nz, offset = tangent_plane(T.surface, T.offset, j - n, x, y, z)
+        return -nx, -ny, -nz, max(0.0, -offset + nx * x + ny * y + nz * z), 0.0
     dx, dy, dz = between(T.x, i, j)
     if T.body[i].is_straight != T.body[j].is_straight:
         drift = T.drift[0]

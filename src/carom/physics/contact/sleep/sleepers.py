@@ -106,7 +106,7 @@ class Sleepers:
 
     def __init__(self, sleep: Sleep, bodies: Bodies, planes: HalfSpaces, box: FloatArray) -> None:
         self._sleep, self._bodies = sleep, bodies
-        self._shapes = bodies.position, bodies.radius, box, planes.normal, planes.offset
+        self._shapes = bodies.position, bodies.radius, box, planes.surface, planes.offset
         self._fixed = bodies.ends.inverse_mass == 0.0
         self._movable = int(np.count_nonzero(~self._fixed[: len(bodies)]))
         self._compile()

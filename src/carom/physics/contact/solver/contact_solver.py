@@ -36,6 +36,7 @@ from carom.physics.contact.geometry import update_geometry
 from carom.physics.contact.graph import SolveOrder, solve_order_of
 from carom.physics.contact.islands import Islands
 from carom.physics.contact.law import Materials, has_torque
+from carom.physics.contact.solids import add_arc_speeds
 from carom.physics.contact.solver.body_state import active_bodies, gather, scatter
 from carom.physics.contact.solver.impacts import CONVERGED, check_closing
 from carom.physics.contact.solver.phase_code import IMPACTS, POSITIONS, RESTING, PhaseCode
@@ -229,7 +230,11 @@ class ContactSolver:
         """Compute the rest speed of each contact (see `Islands`); return whether one is not 0."""
         ends, system = self._bodies.ends, self._system
         accelerated = (ends.acceleration, ends.inverse_mass, field, dt)
-        return self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
+        presses = self._islands.write_rest_speeds(system.pairs, system.active, *accelerated, system.states)
+        if presses and self._planes.curves:
+            moving = (system.pairs, system.position, ends.velocity, system.surface, dt, system.states)
+            self._team.divide(len(system.pairs), MIN_PER_TASK, add_arc_speeds, *moving)
+        return presses
 
     def correct_positions(self, max_iterations: int) -> None:
         """Correct the overlaps of resting contacts."""
@@ -328,7 +333,7 @@ class ContactSolver:
 
     def _geometry(self) -> tuple[object, ...]:
         bodies, planes, system = self._bodies, self._planes, self._system
-        shapes = (bodies.position, bodies.radius, self._box, planes.normal, planes.offset)
+        shapes = (bodies.position, bodies.radius, self._box, planes.surface, planes.offset)
         return system.pairs, *shapes, system.contacts, system.states
 
     def _lead(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
@@ -384,7 +389,7 @@ class Workspace:
         records: bool,
     ) -> None:
         count = len(bodies.ends.velocity)
-        self._ends, self._planes = bodies.ends, planes
+        self._ends, self._position, self._planes = bodies.ends, bodies.position, planes
         self._materials, self._box, self._spin, self._records = materials, box, spin, records
         rolls = has_torque(materials.rows.dtype)
         contact = ROLLING_CONTACT if rolls else CONTACT
@@ -440,7 +445,8 @@ class Workspace:
             acceleration=ends.acceleration,
             inverse_mass=ends.inverse_mass,
             box=self._box,
-            surface=self._planes.normal,
+            position=self._position,
+            surface=self._planes.surface,
             offset=self._planes.offset,
             bodies=self._bodies,
             pushed=self._pushed,

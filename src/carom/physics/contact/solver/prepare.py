@@ -23,6 +23,7 @@ from carom.physics.contact.constraints import (
     ConstraintSystem,
     ContactRecord,
     ContactStateRecord,
+    body_count,
     contacts_of,
     ends_of,
 )
@@ -46,11 +47,13 @@ from carom.physics.contact.rolling import (
     set_change_of_angular_impulse,
     set_spin_before,
 )
+from carom.physics.contact.solids import bias_along_wall
 from carom.physics.contact.solver.body_state import apply_impulse, prefetch_ends, relative_velocity, slip
 from carom.physics.diagnostics.ledger import clear_terms
 from carom.physics.jit.decorators import inline, kernel, long_kernel, unowned
 from carom.physics.jit.instructions import AHEAD, prefetch_record
 from carom.physics.jit.team import Team
+from carom.physics.vector import vector
 
 TOUCHING = 1e-9  # of the sum of radii; a smaller gap counts as a contact, since iterations and rounding leave such gaps
 CACHED_CONTACTS = 64  # contacts whose records fit into the first-level cache
@@ -125,7 +128,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
     settings = system.settings[0]
     spins = settings.spins
     dt, drift, booked, bias_rate = settings.dt, settings.drift, settings.booked, settings.bias_rate
-    largest = 0.0
+    count, largest = body_count(system), 0.0
     for c in range(lo, hi):
         prefetch_ends(bodies, pairs, c)
         i, j = ends_of(pairs, c)
@@ -143,6 +146,12 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         gap, rest_speed = -state.overlap, state.rest_speed
         if drift > 0.0:
             bias = max(0.0, gap) / drift
+            if j >= count:
+                # of the body, with the friction of the warm start, which is close to the final one
+                fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
+                t = (-tx - fx, -ty - fy, -tz - fz)
+                n, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
+                bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, *place, *n, *t, drift)
             # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
             fastest = rest_speed * ((booked + 0.5 * drift) / dt)
             is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
@@ -150,14 +159,15 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             bias = gap / dt if gap > 0.0 else bias_rate * gap
             is_open = gap > 0.0 and state.apart
             fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
-        contact.velocity_bias, state.biased, state.slides = bias, bias < 0.0, False
+        contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
         # an open contact meets in an impact, if at all
         meets = is_open and not (system.pressed[i] or system.pressed[j])
         system.held[c] = not (meets or -vn > fastest)
         negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
         if system.held[c]:
-            largest = max(largest, -vn, LOADED * contact.normal_impulse * Kn)
+            opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that bends towards the body, bias < 0
+            largest = max(largest, -vn, opening, LOADED * contact.normal_impulse * Kn)
         else:
             contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
             set_angular_impulse(contact, 0.0, 0.0, 0.0)

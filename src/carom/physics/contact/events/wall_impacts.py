@@ -1,0 +1,136 @@
+"""Times of impact of bodies with walls.
+
+The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. The wall is d(x) away, and the gap of
+a body of the radius r is d - r. Where d is a signed distance, the gap cannot close before the path is as long, and its
+second derivative is at least -(g + u²/f), where u is the speed and f the distance of the nearest centre of curvature.
+Both bounds lead to the first root from below, the second at the rate of Newton's method, as in `time_of_impact`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASSES, open_for
+from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
+from carom.physics.contact.solids import nearest_point
+from carom.physics.jit.decorators import inner
+from carom.physics.vector import along, vector
+
+FOCAL_PART = 0.5  # of the focal distance, that a body may move in a pass
+
+
+def predict_with_solids(lo: int, hi: int, T: Trajectories) -> None:
+    """Predict the next impact of each body in [lo, hi) with a plane or wall, if it comes before the stored one."""
+    raise NotImplementedError("only kernels call it")
+
+
+def has_walls(T: Any) -> bool:
+    """Return whether Numba's type of `Trajectories` is that of a scene with walls."""
+    return hasattr(T.types[T.fields.index("surface")].dtype, "fields")
+
+
+def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
+    """Predict the next impact of each body in [lo, hi) with planes and walls."""
+    n, drift, behind = len(T.x), T.drift[0], lag(T)
+    clock, dt, kick = drift.clock, drift.dt, drift.kick
+    span = dt - elapsed(T)
+    for i in range(lo, hi):
+        body = T.body[i]
+        if body.holds >= MOST_HOLDS:
+            continue
+        x, y, z = along(T.x, T.v, i, clock - body.now)
+        vx, vy, vz = vector(T.v, i)
+        ax, ay, az = vector(T.a, i)
+        gx, gy, gz = 0.0, 0.0, 0.0
+        if not body.is_straight:
+            gx, gy, gz = drift.field_x, drift.field_y, drift.field_z
+        since_kick = clock - kick
+        x, y, z = x - behind * gx, y - behind * gy, z - behind * gz
+        wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
+        bend = np.sqrt(gx * gx + gy * gy + gz * gz)
+        held = body.is_straight and not body.is_free  # its contacts close again at the end of the drift, if it rolls
+        slow = (1.0 if held else drift.slow) * rest_speed(i, T) + body.negligible_speed
+        for solid in range(len(T.offset)):
+            wait = _time_to_wall(solid, x, y, z, wx, wy, wz, gx, gy, gz, bend, T.radius[i], span, T)
+            when = clock + wait
+            if not when <= min(dt, body.impact_time):
+                continue
+            half = 0.5 * wait
+            px, py, pz = x + wait * (wx + half * gx), y + wait * (wy + half * gy), z + wait * (wz + half * gz)
+            nx, ny, nz, _, focal = nearest_point(T.surface, solid, px, py, pz)
+            s = when - kick
+            ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
+            closing = -(ux * nx + uy * ny + uz * nz)
+            turning = 0.0  # m/s, by which a body that rolls along the wall closes in a drift
+            if not body.is_free and focal > 0.0:
+                turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
+            if closing > slow + turning:
+                if when == body.impact_time and body.partner < n + solid:
+                    continue
+                body.impact_time, body.partner, body.partner_impacts = when, n + solid, 0
+
+
+@inner
+def _time_to_wall(
+    solid: int,
+    x: float,
+    y: float,
+    z: float,
+    wx: float,
+    wy: float,
+    wz: float,
+    gx: float,
+    gy: float,
+    gz: float,
+    bend: float,
+    R: float,
+    span: float,
+    T: Trajectories,
+) -> float:
+    """Return the time in s until a body touches a wall and closes; infinite if it does not within a span.
+
+    Parameters
+    ----------
+    solid
+        The number of the wall.
+    x, y, z, wx, wy, wz, gx, gy, gz, bend
+        m, m/s and m/s²: present position, velocity and acceleration of the body, and the magnitude of the last.
+    R, span
+        m, the radius; s.
+    """
+    t = 0.0
+    for _ in range(MOST_PASSES):
+        if not t <= span:
+            return np.inf
+        px, py, pz = x + t * (wx + 0.5 * t * gx), y + t * (wy + 0.5 * t * gy), z + t * (wz + 0.5 * t * gz)
+        vx, vy, vz = wx + t * gx, wy + t * gy, wz + t * gz
+        nx, ny, nz, distance, focal = nearest_point(T.surface, solid, px, py, pz)
+        gap, closing = distance - R, -(vx * nx + vy * ny + vz * nz)
+        if gap <= GAP_TOLERANCE * R and closing > 0.0:
+            return t
+        speed = np.sqrt(vx * vx + vy * vy + vz * vz)
+        further = _until_path(gap, speed, bend)
+        if focal < np.inf:
+            near = _until_path(FOCAL_PART * focal, speed, bend)
+            fastest = speed + bend * near
+            curvature = fastest * fastest / ((1.0 - FOCAL_PART) * focal) if focal > 0.0 else np.inf
+            if near > 0.0:
+                further = max(further, min(near, open_for(gap, closing, bend + curvature)))
+        elif closing > 0.0 or bend > 0.0:
+            further = max(further, open_for(gap, closing, bend))
+        else:
+            return np.inf
+        if not t + further > t:
+            return t if closing > 0.0 else np.inf
+        t += further
+    return np.inf  # a graze
+
+
+@inner
+def _until_path(length: float, speed: float, bend: float) -> float:
+    """Return the time in s in which a path of a length in m can be covered at the soonest."""
+    if not length > 0.0:
+        return 0.0
+    return float(2.0 * length / (speed + np.sqrt(speed * speed + 2.0 * bend * length)))

@@ -1,0 +1,291 @@
+"""The solids of a scene in kernels: planes, and walls of any shape.
+
+Kernels reach a solid by its number and ask for its tangent plane, at the point nearest to a body. With planes alone,
+``surface`` has their normals and ``offset`` their distances from the origin, and the tangent plane is read. With walls,
+``surface`` has a record for each solid, whose type names the functions of all shapes (`WallShape`); Numba chooses them
+by that type when it compiles a kernel, so that scenes without walls have kernels without them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from carom import registry
+from carom.arrays import FloatArray, IntArray, RecordArray, Records
+from carom.physics.contact.constraints import ContactStateRecord, ends_of
+from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
+from carom.physics.jit.instructions import from_front
+from carom.physics.vector import vector
+from carom.scene.schema import Scene
+from carom.scene.start import HalfSpaces, half_spaces
+from carom.scene.wall_shapes import shape_called
+
+_MARK = "walls_"  # how the name of the first field of the records begins
+_PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
+_nearest: dict[str, Callable[..., Any]] = {}  # by that name
+ARC_PASSES = 3  # of Newton's method, each of which doubles the number of digits
+LARGEST_ARC = 0.5  # of the focal distance, that a body may move along a wall in a step
+
+
+@dataclass(frozen=True)
+class SolidsWithWalls(HalfSpaces):
+    """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
+
+    records: Records  # (p,)
+
+    @property
+    def surface(self) -> FloatArray:
+        """The records, for kernels."""
+        return self.records  # type: ignore[return-value] # kernels have another form for records
+
+    @property
+    def curves(self) -> bool:
+        """True."""
+        return True
+
+    def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:
+        """Return the depth of spheres in each solid, (n, p) m; negative outside."""
+        return np.asarray(radius[:, None] - self.heights(position))
+
+    def heights(self, position: FloatArray) -> FloatArray:
+        """Return the distances of points from each solid, (n, p) m; negative behind it."""
+        heights = np.empty((len(position), len(self)))
+        _write_heights(np.ascontiguousarray(position), self.surface, self.offset, heights)
+        return heights
+
+
+def solids_of(scene: Scene) -> HalfSpaces:
+    """Return the half-spaces of a scene, followed by its walls if it has any."""
+    flat = half_spaces(scene)
+    if not scene.wall:
+        return flat
+    shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
+    parameters = [shape_called(wall.shape).parameters(wall.section) for wall in scene.wall]
+    names = _fields_of(shapes)
+    kinds = [("kind", np.int64), *((name, np.float64) for name in (*_PLANE, *names))]
+    records = np.zeros(len(flat) + len(scene.wall), np.dtype([(_mark_of(shapes), np.float64), *kinds], align=True))
+    for name, values in zip(_PLANE, (*flat.normal.T, flat.offset), strict=True):
+        records[name][: len(flat)] = values
+    for row, (wall, values) in enumerate(zip(scene.wall, parameters, strict=True), start=len(flat)):
+        records["kind"][row] = 1 + shapes.index(wall.shape)
+        for name, value in values.items():
+            records[name][row] = value
+    zeros = np.zeros((len(scene.wall), 3))
+    return SolidsWithWalls(
+        name=[*flat.name, *scene.wall_names],
+        normal=np.concatenate((flat.normal, zeros)),
+        offset=np.concatenate((flat.offset, zeros[:, 0])),
+        records=records,
+    )
+
+
+def _mark_of(shapes: list[str]) -> str:
+    """Return the name of the field that stands for shapes; prepare their functions for kernels."""
+    functions = [shape_called(name).nearest for name in shapes]
+    mark = f"{_MARK}{'_'.join(shapes)}_{identity_of(*functions)}"
+    if mark not in _nearest:
+        chosen: Callable[..., Any] = leaf(_of_plane)
+        for kind, function in enumerate(functions, start=1):
+            chosen = _either(kind, leaf(function), chosen)
+        _nearest[mark] = chosen
+    return mark
+
+
+def _of_plane(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
+    """Return what `WallShape.nearest` returns, of a plane."""
+    distance = -p.plane_offset + p.plane_x * x + p.plane_y * y + p.plane_z * z
+    return p.plane_x, p.plane_y, p.plane_z, distance, np.inf
+
+
+def _either(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
+    """Return the function of a solid that is ``one`` for a kind of solid, and ``other`` for those before it."""
+
+    def chosen(p: Any, x: float, y: float, z: float) -> Any:
+        if p.kind == kind:
+            return one(p, x, y, z)
+        return other(p, x, y, z)
+
+    return leaf(chosen)
+
+
+def _function_of(surface: Any) -> Callable[..., Any] | None:
+    """Return the function that Numba's type of ``surface`` names; None for planes alone."""
+    fields = getattr(surface.dtype, "fields", None)
+    return None if fields is None else _nearest[next(iter(fields))]
+
+
+def tangent_plane(
+    surface: FloatArray, offset: FloatArray, solid: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float]:
+    """Return the normal of the plane that touches a solid at the point nearest to (x, y, z) m, and its offset in m."""
+    raise NotImplementedError("only kernels call it")
+
+
+def nearest_point(
+    surface: FloatArray, solid: int, x: float, y: float, z: float
+) -> tuple[float, float, float, float, float]:
+    """Return what `WallShape.nearest` returns, of a solid in a scene with walls."""
+    raise NotImplementedError("only kernels call it")
+
+
+def bias_along_wall(
+    surface: FloatArray,
+    solid: int,
+    bias: float,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    tx: float,
+    ty: float,
+    tz: float,
+    drift: float,
+) -> float:
+    """Return the speed at which a body may close so that it just touches a wall after a drift, in m/s.
+
+    Parameters
+    ----------
+    surface, solid
+        The solids, and the number of the one that the body touches.
+    bias
+        m/s, the same for a plane.
+    radius, x, y, z
+        m, of the body and of its centre.
+    nx, ny, nz, tx, ty, tz
+        The normal, from the body to the wall, and the tangential velocity in m/s.
+    drift
+        s
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(tangent_plane)
+def _tangent_plane(surface: Any, offset: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
+    nearest = _function_of(surface)
+    if nearest is None:
+        return lambda surface, offset, solid, x, y, z: (
+            surface[solid, 0],
+            surface[solid, 1],
+            surface[solid, 2],
+            offset[solid],
+        )
+    of_one: Any = nearest
+
+    def of_wall(surface: Any, offset: FloatArray, solid: int, x: float, y: float, z: float) -> Any:
+        nx, ny, nz, distance, _ = of_one(surface[solid], x, y, z)
+        return nx, ny, nz, nx * x + ny * y + nz * z - distance
+
+    return of_wall
+
+
+@chosen_by_type(nearest_point)
+def _nearest_point(surface: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
+    of_one: Any = _function_of(surface)
+    return lambda surface, solid, x, y, z: of_one(surface[solid], x, y, z)
+
+
+@chosen_by_type(bias_along_wall)
+def _bias_along_wall(
+    surface: Any,
+    solid: Any,
+    bias: Any,
+    radius: Any,
+    x: Any,
+    y: Any,
+    z: Any,
+    nx: Any,
+    ny: Any,
+    nz: Any,
+    tx: Any,
+    ty: Any,
+    tz: Any,
+    drift: Any,
+) -> Any:
+    if _function_of(surface) is None:
+        return lambda surface, solid, bias, radius, x, y, z, nx, ny, nz, tx, ty, tz, drift: bias
+    return _bias_on_curve
+
+
+def _bias_on_curve(
+    surface: FloatArray,
+    solid: int,
+    bias: float,
+    radius: float,
+    x: float,
+    y: float,
+    z: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    tx: float,
+    ty: float,
+    tz: float,
+    drift: float,
+) -> float:
+    """Find `bias_along_wall` by Newton's method: the distance after the drift has to be the radius."""
+    focal = nearest_point(surface, solid, x, y, z)[4]
+    c, path = bias, drift * np.sqrt(tx * tx + ty * ty + tz * tz)
+    if not 0.0 < path < LARGEST_ARC * focal:
+        return bias
+    for _ in range(ARC_PASSES):
+        px, py, pz = x + drift * (tx + c * nx), y + drift * (ty + c * ny), z + drift * (tz + c * nz)
+        qx, qy, qz, distance, _ = nearest_point(surface, solid, px, py, pz)
+        slope = -(qx * nx + qy * ny + qz * nz)
+        if not slope > LARGEST_ARC:  # the body leaves an edge, or the wall is not a curve
+            return bias
+        c += (distance - radius) / (slope * drift)
+    return c
+
+
+@kernel
+def _write_heights(position: FloatArray, surface: FloatArray, offset: FloatArray, heights: FloatArray) -> None:
+    for i in range(len(position)):
+        x, y, z = vector(position, i)
+        for solid in range(len(offset)):
+            heights[i, solid] = nearest_point(surface, solid, x, y, z)[3]
+
+
+@long_kernel
+def add_arc_speeds(
+    lo: int,
+    hi: int,
+    pairs: IntArray,
+    x: FloatArray,
+    v: FloatArray,
+    surface: FloatArray,
+    dt: float,
+    states: RecordArray[ContactStateRecord],
+) -> None:
+    """Add the closing speeds of bodies that roll along walls to the rest speeds of the contacts [lo, hi).
+
+    A body that moves straight for dt s along a wall with the radius of curvature f closes at v_t² dt/f more than on a
+    plane.
+    """
+    n = len(x)
+    for c in range(from_front(lo), hi):
+        i, j = ends_of(pairs, c)
+        if j >= n and states[c].rest_speed > 0.0:
+            (px, py, pz), (vx, vy, vz) = vector(x, i), vector(v, i)
+            states[c].rest_speed += _arc_speed(surface, j - n, px, py, pz, vx, vy, vz, dt)
+
+
+@inline
+def _arc_speed(
+    surface: FloatArray, solid: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, dt: float
+) -> float:
+    nx, ny, nz, _, focal = nearest_point(surface, solid, x, y, z)
+    vn = vx * nx + vy * ny + vz * nz
+    along = vx * vx + vy * vy + vz * vz - vn * vn
+    return max(0.0, along) * dt / focal if focal > 0.0 else 0.0
+
+
+def _fields_of(shapes: list[str]) -> list[str]:
+    """Return the names of the parameters of all shapes, so that the type of the records depends on the shapes only."""
+    return sorted({name for shape in shapes for name in shape_called(shape).fields})

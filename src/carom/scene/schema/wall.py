@@ -1,0 +1,67 @@
+"""[[wall]]: walls of other shapes than planes."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Self
+
+from pydantic import Field, model_validator
+from pydantic.fields import FieldInfo
+
+from carom import registry
+from carom.scene.schema.contact import Surface
+from carom.scene.schema.force_settings import section_of
+from carom.scene.schema.quantity import Section
+
+_shapes: list[str] = []
+
+
+class Wall(Surface):
+    """[[wall]]: a wall with the section of its shape.
+
+    Its coefficients hold for all contacts with it; those that it does not give follow from both materials.
+    """
+
+    name: str = Field("", description="shown in warnings")
+    material: str | None = Field(None, description="name of a [[material]], in place of coefficients")
+
+    @property
+    def shapes(self) -> list[str]:
+        """The shapes of which it has a section."""
+        return [name for name in _shapes if getattr(self, name, None) is not None]
+
+    @property
+    def shape(self) -> str:
+        """The name of its shape."""
+        return self.shapes[0]
+
+    @property
+    def section(self) -> Any:
+        """The section of its shape."""
+        return getattr(self, self.shape)
+
+    @model_validator(mode="after")
+    def _has_one_shape(self) -> Self:
+        if not self.shapes:
+            raise ValueError(f"has no shape; add the section of one: {', '.join(_shapes)}")
+        if len(self.shapes) > 1:
+            raise ValueError(f"has the shapes {' and '.join(self.shapes)}; leave all but one out")
+        return self
+
+
+@cache
+def know_wall_shapes(*holders: type[Section]) -> None:
+    """Let walls have a section for each shape; see `know_installed_forces`.
+
+    Parameters
+    ----------
+    holders
+        `Wall`, and the models that have walls.
+    """
+    for name in registry.names("walls"):
+        section = section_of("walls", name)
+        _shapes.append(name)
+        meaning = (section.__doc__ or "").partition(": ")[2] or section.__doc__
+        Wall.model_fields[name] = FieldInfo(annotation=section | None, default=None, description=meaning)
+    for model in holders:
+        model.model_rebuild(force=True)

@@ -1,0 +1,81 @@
+"""Shapes of walls: surfaces that bodies cannot pass through, besides planes.
+
+A shape is one module: its section in the scene, and the function that contacts are found with. A scene chooses a shape
+by the section of a [[wall]] that has its name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from carom import registry
+from carom.arrays import FloatArray, IntArray
+from carom.scene.forces import numbers_of
+
+SIDES = 96  # of the drawn surface of revolution
+
+
+class Mesh(NamedTuple):
+    """The triangles that show a wall."""
+
+    corners: FloatArray  # (k, 3) m
+    triangles: IntArray  # (t, 3) into `corners`
+
+
+@dataclass(frozen=True, slots=True)
+class WallShape:
+    """A shape of a wall.
+
+    carom compiles ``nearest`` with Numba, as the functions of a `carom.extend.BodyForce`. Its last result, the focal
+    distance, bounds the curvature: in a ball of that radius about the point, level surfaces of the distance bend
+    towards the bodies no more than about a centre outside of the ball. It is infinite where they do not bend so.
+    """
+
+    section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
+    nearest: Callable[..., tuple[float, float, float, float, float]]  # (p, x, y, z) → the unit normal that points from
+    # the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance in m
+    mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach): what is within about reach of the centre
+    fields: tuple[str, ...]  # of p
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units, by these names
+
+
+def shape_called(name: str) -> WallShape:
+    """Return a shape of walls by its name; raises `ExtensionError` if it cannot be loaded."""
+    shape: WallShape = registry.load("walls", name)
+    return shape
+
+
+def unit_vector(direction: tuple[float, float, float]) -> FloatArray:
+    """Return a direction with length 1, (3,)."""
+    scaled = np.array(direction) / np.max(np.abs(direction))  # first by the largest component, which cannot overflow
+    return np.asarray(scaled / np.sqrt((scaled * scaled).sum()))
+
+
+def across(axis: FloatArray) -> FloatArray:
+    """Return a unit vector at right angles to another, (3,)."""
+    other = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
+    return np.asarray(other / np.sqrt((other * other).sum()))
+
+
+def mesh_of_revolution(point: FloatArray, axis: FloatArray, profile: Sequence[tuple[float, float]]) -> Mesh:
+    """Return the surface that a line of points draws as it turns about an axis.
+
+    Parameters
+    ----------
+    point, axis
+        (3,) m, of the axis; (3,) its direction, a unit vector.
+    profile
+        Of each point of the line, the distance from the axis and that along it from ``point``, in m.
+    """
+    one = across(axis)
+    angles = np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False)[:, None]
+    around = np.cos(angles) * one + np.sin(angles) * np.cross(axis, one)
+    corners = np.concatenate([point + height * axis + radius * around for radius, height in profile])
+    first = np.arange(SIDES)
+    ring = np.stack((first, (first + 1) % SIDES, first + SIDES, (first + 1) % SIDES + SIDES), axis=1)
+    corner = np.concatenate([ring + k * SIDES for k in range(len(profile) - 1)])
+    return Mesh(corners, np.concatenate((corner[:, [0, 1, 2]], corner[:, [1, 3, 2]])))

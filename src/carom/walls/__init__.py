@@ -1,0 +1,1 @@
+"""Shapes of walls besides planes: one module each."""
