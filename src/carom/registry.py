@@ -61,6 +61,10 @@ HOUSE: Mapping[str, Mapping[str, str]] = {  # carom's own parts: kind â†’ name â
     },
     "walls": {
         "cylinder": "carom.walls.cylinder:WALL",
+        "sphere": "carom.walls.sphere:WALL",
+        "cone": "carom.walls.frustum:WALL",
+        "disc": "carom.walls.disc:WALL",
+        "rectangle": "carom.walls.rectangle:WALL",
     },
     "placements": {  # arrangements of groups, and the region shape with its own velocities
         "random": "carom.physics.placement.random_placement:RANDOM",

@@ -17,6 +17,7 @@ from carom.scene.integrators import ENCOUNTERS_BY
 from carom.scene.key_places import KeyPath, naming_places
 from carom.scene.schema import Scene
 from carom.scene.units.dimension import ACCELERATION, DENSITY, LENGTH
+from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import body_key, counted
 
 BYTES_PER_BODY = 700  # state, workspace, queued frames and the initial state; measured at 10⁵ bodies and rounded up
@@ -189,12 +190,21 @@ def _refuse_damping(scene: Scene) -> None:
 
 
 def _refuse_walls(scene: Scene) -> None:
-    """Refuse walls with integrators that choose their own steps, which only know planes."""
+    """Refuse walls with integrators that only know planes, and thin walls with late impacts, which would pass them."""
     chosen = integrator(scene)
     if scene.wall and chosen.controls_error:
         raise SceneError(
             f'time.integrator = "{chosen.name}" does not support a [[wall]]; set time.integrator = "leapfrog"',
             INTEGRATOR,
+        )
+    needs = require(scene)
+    thin = next((wall.shape for wall in scene.wall if shape_called(wall.shape).thin), "")
+    if thin and needs.contact.modelled and not needs.impact_time.modelled:
+        raise SceneError(
+            f"bodies may pass a thin wall ({thin}) within a step if impacts are resolved at its end "
+            '(contact.timing = "end-of-step"); set contact.timing = "time-of-impact", with an integrator such '
+            "as leapfrog",
+            ("contact", "timing"),
         )
 
 

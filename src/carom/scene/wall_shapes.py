@@ -41,6 +41,7 @@ class WallShape:
     mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach): what is within about reach of the centre
     fields: tuple[str, ...]  # of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units, by these names
+    thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
 
 
 def shape_called(name: str) -> WallShape:
