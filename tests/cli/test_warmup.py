@@ -16,7 +16,7 @@ from numba.core.dispatcher import Dispatcher
 import carom
 from other_processor import OtherProcessor, environment_of
 
-PLAIN = {f"taylor.{name}_in_turn" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
+PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies", "_evaluate")}  # of CAROM_PLAIN=1 only
 OF_PACKAGES = {"kernel_forces._add", "kernel_forces._energy"}  # compiled for the forces of each package that has any
 
 

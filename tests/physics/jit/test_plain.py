@@ -93,22 +93,22 @@ def test_each_instruction_does_what_its_plain_form_does() -> None:
 
 @numba.njit(error_model="numpy")
 def expand(poles: Any, boxes: Any, sums: Any, local: Any, x: Any, m: Any, lanes: Any) -> None:
-    taylor.attract(poles, boxes, 1, 0.3, -0.2, 0.1, 0.7, 1e-3, sums)
+    taylor.attract(poles, boxes, 1, (0.3, -0.2, 0.1), 0.7, 1e-3, sums)
     taylor.evaluate(local, 1, 0.1, 0.2, -0.3, 0.7, lanes)
     taylor.attract_bodies(x, m, 2, 19, 0.0, lanes)
 
 
 @numba.njit(error_model="numpy")
-def expand_in_turn(poles: Any, boxes: Any, sums: Any, local: Any, x: Any, m: Any, lanes: Any) -> None:
-    taylor._attract_in_turn(poles, boxes, 1, 0.3, -0.2, 0.1, 0.7, 1e-3, sums)
-    taylor._evaluate_in_turn(local, 1, 0.1, 0.2, -0.3, 0.7, lanes)
-    taylor._attract_bodies_in_turn(x, m, 2, 19, 0.0, lanes)
+def expand_one_by_one(poles: Any, boxes: Any, sums: Any, local: Any, x: Any, m: Any, lanes: Any) -> None:
+    taylor._attract_one_by_one(poles, boxes, 1, (0.3, -0.2, 0.1), 0.7, 1e-3, sums)
+    taylor._evaluate_one_by_one(local, 1, 0.1, 0.2, -0.3, 0.7, lanes)
+    taylor._attract_bodies_one_by_one(x, m, 2, 19, 0.0, lanes)
 
 
 @pytest.mark.slow  # it compiles the series of the fast multipoles
 def test_multipoles_of_eight_boxes_have_the_bits_of_one_box_after_another(seed: int) -> None:
     found: list[tuple[FloatArray, FloatArray]] = []
-    for run in (expand, expand_in_turn):
+    for run in (expand, expand_one_by_one):
         rng = np.random.default_rng(seed)
         poles, boxes = rng.normal(size=(20, taylor.POLES)), rng.integers(20, size=9)
         sums, local = rng.normal(size=taylor.LOCAL * WIDTH), rng.normal(size=(3, taylor.LOCAL + 3))

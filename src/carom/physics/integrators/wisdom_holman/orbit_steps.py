@@ -24,7 +24,7 @@ from carom.physics.forces.gravity.pair import attraction, mutual_attraction
 from carom.physics.integrators.wisdom_holman.kepler import END_X, END_Y, END_Z, LANES, X, Y, Z, revolve_all
 from carom.physics.jit.decorators import long_kernel, unowned
 from carom.physics.step_rule import END_TOLERANCE
-from carom.physics.vector import add, between, square, vector, write
+from carom.physics.vector import Vector, add, between, square, vector, write
 
 
 class RunRecord(Protocol):
@@ -242,17 +242,15 @@ def meets(o: OrbitArrays, x: FloatArray, after: float, until: float, apart: floa
             d2 = dx * dx + dy * dy + dz * dz
             close = apart * max(own, near[j])
             wide = close + far + max_displacement[j]
-            if d2 < wide * wide and _passes(speed, i, j, dx, dy, dz, close, after, until):
+            if d2 < wide * wide and _passes(speed, i, j, (dx, dy, dz), close, after, until):
                 return True
     return False
 
 
 @unowned
-def _passes(
-    speed: FloatArray, i: int, j: int, dx: float, dy: float, dz: float, close: float, after: float, until: float
-) -> bool:
+def _passes(speed: FloatArray, i: int, j: int, d: Vector, close: float, after: float, until: float) -> bool:
     """Return whether the distance of two bodies falls below a length ``close`` in m."""
-    ux, uy, uz = between(speed, i, j)
+    (dx, dy, dz), (ux, uy, uz) = d, between(speed, i, j)
     u2 = ux * ux + uy * uy + uz * uz
     t = -(dx * ux + dy * uy + dz * uz) / u2 if u2 > 0.0 else after
     t = min(max(t, after), until)

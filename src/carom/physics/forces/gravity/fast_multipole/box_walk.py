@@ -278,7 +278,7 @@ def _add_far(fars: int, depth: int, a: int, tree: MultipoleBoxes, law: Multipole
     for c in range(LOCAL * LANES):
         expansion[c] = 0.0
     for k in range(0, fars, LANES):
-        attract(poles, far, k, boxes[a].x, boxes[a].y, boxes[a].z, unit, soft, expansion)
+        attract(poles, far, k, (boxes[a].x, boxes[a].y, boxes[a].z), unit, soft, expansion)
     for c in range(LOCAL):
         for k in range(LANES):
             local[depth, c] += expansion[LANES * c + k]

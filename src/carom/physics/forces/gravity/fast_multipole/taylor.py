@@ -31,6 +31,7 @@ from carom.physics.jit.decorators import inner
 from carom.physics.jit.instructions import Code, instruction
 from carom.physics.jit.vectors import DOUBLE, Lanes, Sum, read_doubles, spread, transposed, write_doubles
 from carom.physics.jit.vectors import WIDTH as LANES
+from carom.physics.vector import Vector
 
 Index = tuple[int, int, int]
 
@@ -125,17 +126,16 @@ STEPS = np.array(
 
 
 @inner
-def _attract_in_turn(
+def _attract_one_by_one(
     poles: FloatArray,
     boxes: IntArray,
     at: int,
-    x: float,
-    y: float,
-    z: float,
+    point: Vector,
     unit: float,
     eps2: float,
     sums: FloatArray,
 ) -> None:
+    x, y, z = point
     D = np.empty((ORDER + 1, LOCAL))
     for lane in range(LANES):
         M = poles[boxes[at + lane]]
@@ -158,10 +158,8 @@ def _attract_in_turn(
             sums[k] = sums[k] + D[0, TERMS[q, 1]] * M[TERMS[q, 2]]
 
 
-@instruction(_attract_in_turn, at="int64", x="float64", y="float64", z="float64", unit="float64", eps2="float64")
-def attract(
-    code: Code, poles: Any, boxes: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, eps2: Any, sums: Any
-) -> None:
+@instruction(_attract_one_by_one, at="int64", unit="float64", eps2="float64")
+def attract(code: Code, poles: Any, boxes: Any, at: Any, point: Any, unit: Any, eps2: Any, sums: Any) -> None:
     """Add the local expansions of eight boxes about a point, each to its own lane.
 
     Parameters
@@ -170,8 +168,8 @@ def attract(
         (k, POLES) multipoles of all boxes.
     boxes, at
         (l,) indices of boxes; the eight from ``at`` on are used.
-    x, y, z
-        m, the point.
+    point
+        (3,) m.
     unit
         1/m; factor of lengths.
     eps2
@@ -184,8 +182,9 @@ def attract(
     M: list[Lanes] = []
     for first in range(0, POLES, LANES):
         M += transposed([read_doubles(builder, row, first) for row in rows])
-    scale, point = spread(builder, unit), [spread(builder, along) for along in (x, y, z)]
-    d = [(along - M[CENTRE + axis]) * scale for axis, along in enumerate(point)]
+    scale = spread(builder, unit)
+    centre = [spread(builder, builder.extract_value(point, axis)) for axis in range(3)]
+    d = [(along - M[CENTRE + axis]) * scale for axis, along in enumerate(centre)]
     D = _derivatives(d, spread(builder, eps2))
     for k in _LOCAL:
         s = read_doubles(builder, total, LANES * _PLACE[k])
@@ -217,7 +216,9 @@ def _derivatives(d: list[Lanes], eps2: Lanes) -> dict[Index, Lanes]:
 
 
 @inner
-def _evaluate_in_turn(local: FloatArray, at: int, x: float, y: float, z: float, unit: float, lanes: FloatArray) -> None:
+def _evaluate_one_by_one(
+    local: FloatArray, at: int, x: float, y: float, z: float, unit: float, lanes: FloatArray
+) -> None:
     L, powers = local[at], np.empty(LOCAL)
     for lane in range(LANES):
         ux, uy, uz = (lanes[X, lane] - x) * unit, (lanes[Y, lane] - y) * unit, (lanes[Z, lane] - z) * unit
@@ -236,7 +237,7 @@ def _evaluate_in_turn(local: FloatArray, at: int, x: float, y: float, z: float, 
         lanes[PHI, lane] = lanes[PHI, lane] + value * unit
 
 
-@instruction(_evaluate_in_turn, at="int64", x="float64", y="float64", z="float64", unit="float64")
+@instruction(_evaluate_one_by_one, at="int64", x="float64", y="float64", z="float64", unit="float64")
 def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any, lanes: Any) -> None:
     """Add a local expansion at eight bodies.
 
@@ -273,7 +274,9 @@ def evaluate(code: Code, local: Any, at: Any, x: Any, y: Any, z: Any, unit: Any,
 
 
 @inner
-def _attract_bodies_in_turn(x: FloatArray, m: FloatArray, begin: int, end: int, eps2: float, lanes: FloatArray) -> None:
+def _attract_bodies_one_by_one(
+    x: FloatArray, m: FloatArray, begin: int, end: int, eps2: float, lanes: FloatArray
+) -> None:
     for lane in range(LANES):
         for j in range(begin, end):
             dx, dy, dz = x[X, j] - lanes[X, lane], x[Y, j] - lanes[Y, lane], x[Z, j] - lanes[Z, lane]
@@ -285,7 +288,7 @@ def _attract_bodies_in_turn(x: FloatArray, m: FloatArray, begin: int, end: int, 
             lanes[PHI, lane] = lanes[PHI, lane] + s * square
 
 
-@instruction(_attract_bodies_in_turn, begin="int64", end="int64", eps2="float64")
+@instruction(_attract_bodies_one_by_one, begin="int64", end="int64", eps2="float64")
 def attract_bodies(code: Code, x: Any, m: Any, begin: Any, end: Any, eps2: Any, lanes: Any) -> None:
     """Add the gravity of the bodies [begin, end) at eight others, pair by pair; a body does not attract itself.
 
