@@ -91,8 +91,9 @@ def _compile_encoding() -> None:
     encoding.pick_strongest(rows, values, each, rows)
     encoding.draw_edges(contacts, single, values, box, palette.STAGE_COLOURS, strips, numbers, np.empty(3))
     ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each)
-    encoding.draw_arrows(position, each, numbers, values, points, values, values, 1.0, single, single)
-    encoding.turning(position, numbers, values, each)
+    torques = encoding.TorqueList(position, each, numbers, values)
+    encoding.draw_arrows(torques, points, values, values, 1.0, encoding.Arrows(single, single))
+    encoding.list_torques(torques)
     encoding.cast_orientations(np.empty((0, 0, 4)), np.empty((0, 0, 4), np.float32))
     encoding.cast_positions(position, box, points)
 

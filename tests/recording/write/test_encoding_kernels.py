@@ -23,11 +23,12 @@ def arrow_vectors(
     torque = magnitude[:, None] * np.array([0.0, 0.6, 0.8])
     body, found = np.empty(n, dtype=np.uint32), np.empty(n)
     each = np.zeros(1, dtype=np.int64)
-    assert encoding.turning(torque[None], body, found, each) == n
-    origin, vector = np.empty((2, n, 3), dtype=np.float32)
+    torques = encoding.TorqueList(torque[None], each, body, found)
+    assert encoding.list_torques(torques) == n
+    arrows = encoding.Arrows(*np.empty((2, n, 3), dtype=np.float32))
     points = np.zeros((1, n, 3), dtype=np.float32)
-    encoding.draw_arrows(torque[None], each, body, found, points, radius, np.full(n, unit), l_max, origin, vector)
-    return vector
+    encoding.draw_arrows(torques, points, radius, np.full(n, unit), l_max, arrows)
+    return arrows.vector
 
 
 def test_the_length_of_an_arrow_can_be_turned_back_into_the_magnitude() -> None:
@@ -50,7 +51,8 @@ def test_only_torques_that_can_be_drawn_are_listed() -> None:
     torque = np.array([[0.0, 0.0, 0.0], [3e-200, 4e-200, 0.0], [np.nan, 0, 0], [np.inf, 0, 0], [3e200, 0.0, 4e200]])
     body, magnitude = np.empty(10, dtype=np.uint32), np.empty(10)
     each = np.zeros(2, dtype=np.int64)
-    assert encoding.turning(np.stack((torque, 0.0 * torque[:1].repeat(5, axis=0))), body, magnitude, each) == 2
+    frames = np.stack((torque, 0.0 * torque[:1].repeat(5, axis=0)))
+    assert encoding.list_torques(encoding.TorqueList(frames, each, body, magnitude)) == 2
     assert each.tolist() == [2, 0], "two in the first frame, none in the second"
     assert body[:2].tolist() == [1, 4]
     np.testing.assert_allclose(magnitude[:2], [5e-200, 5e200], rtol=1e-15)

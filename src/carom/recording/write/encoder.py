@@ -10,7 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun import ComponentColumn
 
-from carom.arrays import FloatArray, IntArray, SingleArray
+from carom.arrays import FloatArray, SingleArray
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.checkpoint import Checkpoint
@@ -37,6 +37,7 @@ from carom.recording.schema.paths import (
 from carom.recording.schema.series import Sample, recorded
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder, contact_columns, force_rows
+from carom.recording.write.encoding_kernels import Arrows, TorqueList
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
 from carom.recording.write.rows import (
     NO_STEPS,
@@ -230,41 +231,31 @@ class BatchEncoder:
         """Return the arrows of torques and of angular accelerations τ/I, for bodies with a torque."""
         torque = _stacked("torque", batch, store)
         most = self.header.bodies * len(batch)
-        body, magnitude = np.empty(most, dtype=np.uint32), np.empty(most)
-        each = np.zeros(len(batch), dtype=np.int64)
-        total = encoding.turning(torque, body, magnitude, each)
+        each, body, magnitude = np.zeros(len(batch), dtype=np.int64), np.empty(most, dtype=np.uint32), np.empty(most)
+        total = encoding.list_torques(TorqueList(torque, each, body, magnitude))
+        torques = TorqueList(torque, each, body[:total], magnitude[:total])
         for path in (TORQUE, ANGULAR_ACCELERATION):
-            yield self._arrow_rows(path, index, batch, torque, points, each, body[:total], magnitude[:total])
+            yield self._arrow_rows(path, index, batch, torques, points)
 
     def _arrow_rows(
-        self,
-        path: str,
-        index: Index,
-        batch: Sequence[Frame],
-        torque: FloatArray,
-        points: SingleArray,
-        each: IntArray,
-        body: NDArray[np.uint32],
-        magnitude: FloatArray,
+        self, path: str, index: Index, batch: Sequence[Frame], torques: TorqueList, points: SingleArray
     ) -> Rows:
-        """Return arrows of one kind.
-
-        ``body`` lists the bodies frame by frame (``each`` holds their numbers), with the magnitudes of their torques.
-        """
+        """Return arrows of one kind."""
+        each, body, magnitude = torques.each, torques.body, torques.magnitude
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
         if len(body) and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
             first = magnitude[: each[k]] / inertia[body[: each[k]]]
             self.arrow_references.choose(path, drawing.reference(first, self._natural_unit(path, batch[k])))
         unit, longest = self.arrow_references.get(path, 1.0) * inertia, arrow_length(self.header, path)
-        origin, vector = np.empty((2, len(body), 3), dtype=np.float32)
-        encoding.draw_arrows(torque, each, body, magnitude, points, self.header.radius, unit, longest, origin, vector)
+        arrows = Arrows(*np.empty((2, len(body), 3), dtype=np.float32))
+        encoding.draw_arrows(torques, points, self.header.radius, unit, longest, arrows)
         columns = [
-            vector_column(rr.Arrows3D.descriptor_vectors(), vector, each),
-            vector_column(rr.Arrows3D.descriptor_origins(), origin, each),
+            vector_column(rr.Arrows3D.descriptor_vectors(), arrows.vector, each),
+            vector_column(rr.Arrows3D.descriptor_origins(), arrows.origin, each),
             any_column("body", body, each),
         ]
-        return frame_rows(path, index, columns, array_bytes(vector, origin, body))
+        return frame_rows(path, index, columns, array_bytes(*arrows, body))
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
         """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""

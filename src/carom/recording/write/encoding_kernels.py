@@ -30,6 +30,22 @@ class FrameContacts(NamedTuple):
     impacts: Records  # (l,) `CONTACT_ROW`, in order of time
 
 
+class TorqueList(NamedTuple):
+    """Torques that can be drawn, frame by frame."""
+
+    torque: FloatArray  # (frames, n, 3) N m, of all bodies
+    each: IntArray  # (frames,) how many bodies each frame lists
+    body: NDArray[np.uint32]  # (m,) the bodies listed
+    magnitude: FloatArray  # (m,) N m, of their torques
+
+
+class Arrows(NamedTuple):
+    """Arrows of a batch, in the order of `TorqueList`."""
+
+    origin: SingleArray  # (m, 3)
+    vector: SingleArray  # (m, 3)
+
+
 class EdgeColumns(NamedTuple):
     """One value for each edge."""
 
@@ -60,18 +76,12 @@ def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
 
 
 @long_kernel
-def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray, each: IntArray) -> int:
-    """List the bodies with a torque that can be drawn, frame by frame, and its magnitude; return how many there are.
+def list_torques(torques: TorqueList) -> int:
+    """Fill the list of the bodies with a torque that can be drawn, which has room for all; return its length.
 
     The largest component is the unit, so that no square overflows.
-
-    Parameters
-    ----------
-    torque
-        (frames, n, 3) N m.
-    each
-        (frames,), overwritten: the number of bodies that each frame lists.
     """
+    torque, each, body, magnitude = torques
     found = 0
     for f in range(torque.shape[0]):
         before = found
@@ -89,16 +99,7 @@ def turning(torque: FloatArray, body: NDArray[np.uint32], magnitude: FloatArray,
 
 @long_kernel
 def draw_arrows(
-    torque: FloatArray,
-    each: IntArray,
-    body: NDArray[np.uint32],
-    magnitude: FloatArray,
-    points: SingleArray,
-    radius: FloatArray,
-    unit: FloatArray,
-    l_max: float,
-    origin: SingleArray,
-    vector: SingleArray,
+    torques: TorqueList, points: SingleArray, radius: FloatArray, unit: FloatArray, l_max: float, arrows: Arrows
 ) -> None:
     """Write arrows along the torques of the bodies listed, by the law of `carom.recording.layout.drawing`.
 
@@ -107,6 +108,7 @@ def draw_arrows(
     unit
         (n,) N m, the torque of each body for which its arrow extends by half of ``l_max``.
     """
+    (torque, each, body, magnitude), (origin, vector) = torques, arrows
     c = 0
     for f in range(len(each)):
         for _ in range(each[f]):

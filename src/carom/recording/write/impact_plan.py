@@ -51,18 +51,47 @@ def positions_at(
     s = np.clip((times - before.time) / dt, 0.0, 1.0)[:, None, None]
     own, other = before.velocity * dt - path, path - after.velocity * dt  # Hermite's, about the straight line
     found: FloatArray = start + s * path + s * (1.0 - s) * ((1.0 - s) * own + s * other)
-    first, order = _by_body(impacts, len(radius))
-    most = int(np.diff(first).max(initial=0)) + 2  # with both frames
-    scratch = np.empty(most), np.empty((most, 3))
-    _pass_through(times, (before.time, after.time), impacts, first, order, start, path, radius, box, *scratch, found)
+    own_impacts = _by_body(impacts, len(radius))
+    most = int(np.diff(own_impacts.first).max(initial=0)) + 2  # with both frames
+    motion = _Motion(before.time, after.time, start, path, radius, box)
+    _pass_through(times, motion, own_impacts, _Corners(np.empty(most), np.empty((most, 3))), found)
     return found
 
 
-def _by_body(impacts: Records, bodies: int) -> tuple[IntArray, IntArray]:
-    """Return the impacts ordered by body and time, and the offset of each body's impacts, (n + 1,)."""
+class _Motion(NamedTuple):
+    """Motion of the bodies from one frame to the next, along a straight line."""
+
+    begin: float  # s
+    end: float  # s
+    start: FloatArray  # (n, 3) m
+    path: FloatArray  # (n, 3) m, displacement
+    radius: FloatArray  # (n,) m
+    box: FloatArray  # (3,) m
+
+
+class _ImpactsByBody(NamedTuple):
+    """The impacts of each body, in order of time: ``rows[own[k]]`` with k in [``first[body]``, ``first[body + 1]``)."""
+
+    rows: Records  # (k,) `CONTACT_ROW`
+    first: IntArray  # (n + 1,)
+    own: IntArray  # (2 k,)
+
+
+class _Corners(NamedTuple):
+    """Buffer for the corners of the path of one body: both frames, and its impacts between them.
+
+    Allocated in `_pass_through`, the arrays took a second to compile.
+    """
+
+    time: FloatArray  # s
+    position: FloatArray  # (…, 3) m, from the start
+
+
+def _by_body(impacts: Records, bodies: int) -> _ImpactsByBody:
+    """Return the impacts of each body."""
     struck = np.column_stack((impacts["i"], impacts["j"])).ravel()
     order = np.argsort(struck, kind="stable")
-    return np.searchsorted(struck[order], np.arange(bodies + 1)), order // 2
+    return _ImpactsByBody(impacts, np.searchsorted(struck[order], np.arange(bodies + 1)), order // 2)
 
 
 def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame) -> FloatArray | None:
@@ -77,51 +106,39 @@ def orientations_at(times: FloatArray, before: Frame | Checkpoint, after: Frame)
 
 @long_kernel
 def _pass_through(
-    times: FloatArray,
-    ends: tuple[float, float],
-    impacts: Records,
-    first: IntArray,
-    own: IntArray,
-    start: FloatArray,
-    path: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    clock: FloatArray,
-    way: FloatArray,
-    found: FloatArray,
+    times: FloatArray, motion: _Motion, own_impacts: _ImpactsByBody, corners: _Corners, found: FloatArray
 ) -> None:
-    """Move bodies with impacts onto the straight lines from one impact to the next; see `positions_at`.
-
-    ``clock`` and ``way`` hold the times and positions of one body's corners. (Allocated in here, they took a second to
-    compile.)
-    """
+    """Move bodies with impacts onto the straight lines from one impact to the next; see `positions_at`."""
+    begin, end, start, path, radius, box = motion
+    impacts, first, own = own_impacts
+    clock, corner = corners
     for body in range(len(radius)):
         lo, last = first[body], first[body + 1] - first[body] + 1  # the corner after the last impact
         if last == 1:
             continue
-        clock[0], clock[last] = ends[0], ends[1]
+        clock[0], clock[last] = begin, end
         for k in range(3):
-            way[0, k], way[last, k] = 0.0, path[body, k]
+            corner[0, k], corner[last, k] = 0.0, path[body, k]
         for c in range(1, last):
             impact = impacts[own[lo + c - 1]]
             reach = -radius[body] if impact.i == body else radius[body]  # along the normal, which points away from i
             clock[c] = impact.time
-            way[c, 0] = impact.x + reach * impact.nx - start[body, 0]
-            way[c, 1] = impact.y + reach * impact.ny - start[body, 1]
-            way[c, 2] = impact.z + reach * impact.nz - start[body, 2]
+            corner[c, 0] = impact.x + reach * impact.nx - start[body, 0]
+            corner[c, 1] = impact.y + reach * impact.ny - start[body, 1]
+            corner[c, 2] = impact.z + reach * impact.nz - start[body, 2]
             if box[0] > 0.0:
                 for k in range(3):
-                    way[c, k] = minimum_image(way[c, k], box[k])
+                    corner[c, k] = minimum_image(corner[c, k], box[k])
         for m in range(len(times)):
             time, c = times[m], 0  # the previous corner, as in `numpy.interp`
             while c < last and clock[c + 1] <= time:
                 c += 1
             for k in range(3):
                 if c == last or time <= clock[c]:
-                    found[m, body, k] = start[body, k] + way[c, k]
+                    found[m, body, k] = start[body, k] + corner[c, k]
                 else:
-                    speed = (way[c + 1, k] - way[c, k]) / (clock[c + 1] - clock[c])
-                    found[m, body, k] = start[body, k] + (speed * (time - clock[c]) + way[c, k])
+                    speed = (corner[c + 1, k] - corner[c, k]) / (clock[c + 1] - clock[c])
+                    found[m, body, k] = start[body, k] + (speed * (time - clock[c]) + corner[c, k])
 
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
@@ -153,6 +170,23 @@ class Kept(NamedTuple):
     scenes: IntArray  # of these, the largest ones, which have a frame of their instant
 
 
+class _Counts(NamedTuple):
+    """Numbers in each frame of a batch, (frames,), and of all bodies."""
+
+    bodies: int
+    moved: IntArray  # bodies drawn elsewhere than in the frame before
+    edges: IntArray
+    contacts: IntArray
+    impacts: IntArray
+
+
+class _BodyColumns(NamedTuple):
+    """What a frame has for each body besides its position."""
+
+    orientation: bool
+    torque: bool
+
+
 class ImpactPlan:
     """Decides how many impacts and contacts of each frame are recorded.
 
@@ -169,7 +203,7 @@ class ImpactPlan:
     """
 
     def __init__(self, *, everything: bool, oriented: bool, turned: bool) -> None:
-        self._model = everything, oriented, turned
+        self._everything, self._columns = everything, _BodyColumns(oriented, turned)
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
         self._before: SingleArray | None = None  # (n, 3) m, as drawn in the frame before
@@ -195,7 +229,8 @@ class ImpactPlan:
         moved = np.empty(len(position), dtype=np.int64)
         count_moved(position, self._before, moved)
         kept = Kept(*np.empty((3, len(position)), dtype=np.int64))
-        _spend(SHARE, *self._model, position.shape[1], moved, edges, contacts, impacts, self._budget, kept)
+        counts = _Counts(position.shape[1], moved, edges, contacts, impacts)
+        _spend(SHARE, self._everything, self._columns, counts, self._budget, kept)
         return kept
 
 
@@ -210,22 +245,17 @@ def largest(impacts: Records, count: int) -> IntArray:
 def _spend(
     share: float,
     everything: bool,
-    oriented: bool,
-    turned: bool,
-    bodies: int,
-    moved: IntArray,
-    edges: IntArray,
-    contacts: IntArray,
-    impacts: IntArray,
+    columns: _BodyColumns,
+    counts: _Counts,
     budget: RecordArray[BudgetRecord],
     kept: Kept,
 ) -> None:
-    """Decide for frames, given their numbers of moved bodies, edges, contacts and impacts, (frames,) each."""
-    used = budget[0]
-    scene = _SCENE + bodies * (28 if oriented else 12)
-    arrow = 2 * _ARROW if turned else _ARROW  # with friction two
+    """Decide for the frames of a batch."""
+    used, (bodies, moved, edges, contacts, impacts) = budget[0], counts
+    scene = _SCENE + bodies * (28 if columns.orientation else 12)
+    arrow = 2 * _ARROW if columns.torque else _ARROW  # with friction two
     for f in range(len(moved)):
-        used.others += _size(bodies, moved[f] / bodies, edges[f], oriented, turned)
+        used.others += _size(bodies, moved[f] / bodies, edges[f], columns)
         most, arrows, room = impacts[f], contacts[f], np.inf
         if not everything:
             used.contacts += _CONTACT * contacts[f]
@@ -244,13 +274,13 @@ def _spend(
 
 
 @inline
-def _size(bodies: int, moved: float, edges: int, oriented: bool, turned: bool) -> float:
+def _size(bodies: int, moved: float, edges: int, columns: _BodyColumns) -> float:
     """Estimate the other bytes of a frame in the file: bodies, arrows of torques, edges, scalars, checkpoints.
 
     Unchanged values compress to little; ``moved`` is the fraction of bodies that move.
     """
-    drawn = bodies * (2 + moved * (26 if oriented else 10))
-    arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if turned else 0.0
+    drawn = bodies * (2 + moved * (26 if columns.orientation else 10))
+    arrows = 22 * (1 + moved) * min(bodies, 2 * edges) if columns.torque else 0.0
     return 1.08 * (drawn + arrows + (5 + 12 * moved) * edges + _SCALARS)
 
 
