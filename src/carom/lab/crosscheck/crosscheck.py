@@ -27,6 +27,7 @@ from carom.extend import (
     cores,
     finite,
     judge,
+    named_version,
     names_of_solids,
     place,
     recording_space,
@@ -307,6 +308,10 @@ class Crosscheck:
             "reference": reference,
             "refused": self.refused,
             "notes": notes,
+            "versions": {
+                engine.name: named_version(engine.name, getattr(engine, "distribution", None))
+                for engine in self.engines
+            },
             "runs": runs,
         }
 

@@ -161,6 +161,8 @@ def _show_several(
             console.print(escape(f"{name}: {scenes[name].title} ({link})"), soft_wrap=True)
     for name, reason in refused.items():
         console.print(escape(f"{name}: {reason}"), soft_wrap=True)
+    versions = dict.fromkeys(each for document in documents.values() for each in document["versions"].values())
+    console.print(f"Versions: {', '.join(versions)}.", soft_wrap=True)
     ran_by = sum(1 for document in documents.values() if document["runs"])
     console.print(
         f"{ran_by} scenes; {len(refused)} cannot be represented by any of the engines. Figures and recordings: "
@@ -205,6 +207,7 @@ def _show(document: dict[str, Any], units: UnitSystem, folder: Path) -> None:
         console.print(
             f"The impacts listed are the first with different outcomes, numbered as in carom's run: {escape(where)}"
         )
+    console.print(f"Versions: {', '.join(document['versions'].values())}.", soft_wrap=True)
     for engine, notes in document["notes"].items():
         if notes:
             console.print(f"{engine}: {escape('; '.join(notes))}.", soft_wrap=True)
