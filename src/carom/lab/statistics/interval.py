@@ -255,10 +255,10 @@ class Interval:
 
     @cached_property
     def volume(self) -> float | None:
-        """Volume of the periodic box or of the walls, m³; None in open space."""
-        if self.box is not None:
-            return float(np.prod(self.box))
-        size = None if self.scene is None or self.scene.domain.boundary == "open" else self.scene.domain.size
+        """Volume of the periodic box or of the walls, m³; None if space is open along an axis."""
+        if self.scene is None:
+            return None if self.box is None else float(np.prod(self.box))
+        size = None if "open" in self.scene.domain.axes else self.scene.domain.size
         return None if size is None else float(np.prod(size))
 
     def chosen(self, count: int) -> IntArray:

@@ -45,6 +45,8 @@ def measure(interval: Interval) -> Statistic:
     """Measure the pair correlation from drawn positions, averaged over frames."""
     if interval.bodies < 2:
         raise RecordingError("a pair correlation needs at least two bodies")
+    if interval.scene is not None and len(set(interval.scene.domain.axes)) > 1:
+        raise RecordingError("a pair correlation needs the same boundary along all axes")
     radius, box = interval.recording.bodies.radius, interval.box
     centres = min(interval.bodies, MOST_CENTRES_OF_FRAME)
     steps = interval.step[interval.chosen(MOST_CENTRES // centres)].tolist()

@@ -63,7 +63,7 @@ class BalanceAudit:
         constant: float = 0.0,
         losses: Iterable[str] = (),
     ) -> None:
-        periodic = scene.domain.boundary == "periodic"
+        periodic = scene.domain.is_periodic
         self.ledger = Ledger(forces=tuple((entry, 0.0) for entry in losses))
         self.energy: Energy
         self.momentum: Momentum
