@@ -208,7 +208,7 @@ def test_times_of_impacts_in_a_study_are_in_the_units_of_the_scene(folder: Path)
 def test_a_description_in_a_refusal_is_in_the_units_of_the_scene(folder: Path) -> None:
     for name, unit in (("cm", "ms"), ("si", "s")):
         said = carom("run", f"{name}.toml", "--set", "time.fixed_dt=-1", cwd=folder).stderr
-        assert f"(fixed_dt: {unit}, constant step in place of the adaptive one)" in said
+        assert f"(fixed_dt: {unit}, constant step instead of the adaptive one)" in said
     density = carom("run", "cm.toml", "--set", "body.0.density=-1", cwd=folder).stderr
     assert "kg/m³, 1000 unless" in density  # a default is in SI
 

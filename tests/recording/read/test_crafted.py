@@ -54,7 +54,7 @@ MOVING: list[tuple[str, Change, str]] = [
     ("state/fingerprint", doubled, "sorted by step"),
     ("energy/total", retyped("Scalars:scalars", several(["x"])), "of type list"),
     ("energy/total", mapped("Scalars:scalars", lambda row: [1.0, 2.0]), "1 values"),
-    ("energy/total", lambda batch: without_column(batch, "Scalars:scalars"), "has no /energy/total: part"),
+    ("energy/total", lambda batch: without_column(batch, "Scalars:scalars"), "has no /energy/total: a part"),
     ("state/momentum", mapped("momentum_error", lambda row: []), "1 values"),
     ("step/contacts", mapped("Scalars:scalars", lambda row: [None]), "1 values"),
     ("events", retyped("TextLog:level", several([1])), "of type list"),
