@@ -46,7 +46,8 @@ def few_bodies(count: int = 3, **sections: dict[str, Any]) -> Scene:
         "body": bodies,
     }
     return Scene.from_dict(
-        {key: document.get(key, {}) | sections.get(key, {}) for key in document if key != "body"} | {"body": bodies}
+        {key: document.get(key, {}) | sections.get(key, {}) for key in {**document, **sections} if key != "body"}
+        | {"body": bodies}
     )
 
 
@@ -173,7 +174,7 @@ def billiards(count: int = 5, domain: dict[str, Any] = WALLS, **sections: dict[s
         "contact": {"restitution": 0.9},
         "record": {"every": 0.11, "check_every": 50},
     }
-    merged = {key: part | sections.get(key, {}) for key, part in document.items()}
+    merged = {key: document.get(key, {}) | sections.get(key, {}) for key in {**document, **sections}}
     return Scene.from_dict({**merged, "domain": domain, "body": body[:count]})
 
 
@@ -210,6 +211,44 @@ def test_a_scene_with_a_fast_small_body_meets_all_that_single_steps_meet() -> No
     scene = billiards()
     fast = scene.body[0].model_copy(update={"velocity": (190.0, 41.0, 13.0), "radius": 0.01, "mass": 1e-3})
     assert_same_run(scene.model_copy(update={"body": (fast, *scene.body[1:])}), least=1.0)
+
+
+WIND: dict[str, dict[str, Any]] = {"drag": {"relaxation_time": 0.4, "medium_velocity": [0.3, -0.2, 0.1]}}
+FIELD: dict[str, dict[str, Any]] = {"gravity": {"constant": 1.0, "uniform": [0.0, -1.0, 0.5]}}
+
+
+@pytest.mark.parametrize(
+    "sections",
+    [
+        WIND | {"time": {"target_dx": 1e-3, "smoothing": 0.3}} | FIELD,
+        WIND | {"time": {"fixed_dt": 0.003}, "gravity": {"constant": 0.0}},
+        {"drag": {"relaxation_time": 1e3}, "time": {"fixed_dt": 0.003}, "gravity": {"constant": 0.0}},
+    ],
+    ids=["gravity, a field and a wind", "a wind alone", "a medium at rest"],
+)
+def test_steps_in_a_medium_are_those_of_single_steps(sections: dict[str, dict[str, Any]]) -> None:
+    scene = few_bodies(4, **sections)
+    held = tuple(body.model_copy(update={"fixed": k == 1}) for k, body in enumerate(scene.body))
+    assert_same_run(scene)
+    assert_same_run(scene.model_copy(update={"body": held}))
+
+
+@pytest.mark.parametrize("relaxation_time", [5.0, 0.02, 2e-4], ids=str)  # 0.0008, 0.2 and 20 times a step
+@pytest.mark.parametrize("falls", [False, True])
+def test_steps_in_a_medium_between_collisions_are_those_of_single_steps(falls: bool, relaxation_time: float) -> None:
+    drag = {"relaxation_time": relaxation_time, "medium_velocity": [2.0, 1.0, 0.0]}
+    field = [0.0, 0.0, -9.81 if falls else 0.0]
+    time = {"duration": 0.4} if relaxation_time < 1e-3 else {}  # most of these steps are single ones, at the walls
+    scene = billiards(drag=drag, gravity={"uniform": field}, time=time)
+    assert assert_same_run(scene, least=1.0).extremes.contacts is not None
+
+
+def test_a_run_in_a_medium_that_is_continued_between_calls_has_the_same_bits() -> None:
+    scene = few_bodies(drag=WIND["drag"])
+    whole = list(Space(scene, threads=1).run(schedule=every(0.7)))
+    resumed = Space(scene, threads=1)
+    resumed.restore(whole[2].checkpoint)
+    assert [bits(frame) for frame in resumed.run(schedule=every(0.7))][1:] == [bits(frame) for frame in whole[3:]]
 
 
 def in_contact(bodies: list[dict[str, Any]], floor: bool = True, **sections: dict[str, Any]) -> Scene:

@@ -6,15 +6,15 @@ kick, drift and rotate, so the bits are those of single steps.
 
 Where bodies can touch, a step is taken only if all gaps stay larger than rounding and larger than a fall from rest in
 one step, the distance within which `contact.pipeline` searches for contacts. Paths are straight, so two bodies approach
-each other by at most |v_j - v_i| dt. All pairs and planes are tested again only after the bodies may have moved by half
-the smallest gap. A step with a possible contact is undone and left to `KickDriftStepper`, and so is a step too short to
-change the clock.
+each other by at most |v_j - v_i| dt; with drag, v is the mean velocity of the drift. All pairs and planes are tested
+again only after the bodies may have moved by half the smallest gap. A step with a possible contact is undone and left
+to `KickDriftStepper`, and so is a step too short to change the clock.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -26,7 +26,7 @@ from carom.physics.diagnostics.run_monitor import remembered
 from carom.physics.forces.field import add
 from carom.physics.forces.gravity.direct import MAX_IN_ONE_BLOCK, sum_few
 from carom.physics.forces.kernel_forces import Parameters, add_forces
-from carom.physics.integrators.kick_drift import advance, wrap_rows
+from carom.physics.integrators.kick_drift import KickedBodies, advance, kick_after_drift, kick_before_drift, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
 from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
@@ -34,6 +34,9 @@ from carom.physics.time_step import Timestep
 from carom.physics.vector import is_periodic, minimum_image, square, write
 from carom.physics.world import World
 from carom.plan.auto import integrator
+
+if TYPE_CHECKING:  # `physics.jit.cache` follows this import, too
+    from carom.physics.forces.drag import DragLaw
 
 MOST_STEPS = 20_000  # in one call, some milliseconds: `Space.stop` and the progress line wait for its end
 NEAR = 2.0 * TOUCHING  # of the sum of radii; twice the largest gap that counts as a contact
@@ -51,10 +54,9 @@ class PlanRecord(Protocol):
     attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
     softening_squared: float  # m²
-    is_uniform: bool  # whether there is a uniform field
     ends_with_forces: bool
     touches: bool  # whether contacts are possible
-    field: float  # m/s², magnitude of the uniform field
+    field: float  # m/s², magnitude of the uniform acceleration
 
 
 PLAN = dtype_of(PlanRecord)
@@ -65,9 +67,10 @@ class FlightLaws(NamedTuple):
 
     plan: RecordArray[PlanRecord]  # (1,)
     substeps: FloatArray  # (s, 3) parts of the step: first kick, drift, last kick
-    uniform: FloatArray  # (3,) m/s², the uniform field
+    uniform: FloatArray  # (f, 3) m/s², the uniform accelerations by each force that has one
     rule: RecordArray[RuleRecord]  # (1,)
     forces: Parameters  # of installed packages
+    damping: DragLaw | tuple[()]  # of the force that depends on velocities; empty without one
 
 
 class FlightClock(NamedTuple):
@@ -150,12 +153,11 @@ class FreeFlight:
         plan["fixed_dt"], plan["accelerates"] = timestep.fixed_dt or 0.0, world.needs.pulls
         plan["attracts"], plan["constant"] = forces.attracts, forces.constant
         plan["softening_squared"] = forces.softening * forces.softening
-        plan["is_uniform"], plan["ends_with_forces"] = forces.is_uniform, chosen.ends_with_forces
-        plan["touches"] = world.contact is not None
-        plan["field"] = np.sqrt((forces.uniform**2).sum())
+        plan["ends_with_forces"], plan["touches"] = chosen.ends_with_forces, world.contact is not None
+        plan["field"] = np.sqrt((world.forces.uniform**2).sum())
         turning = bodies.orientation, bodies.angular_velocity
         self.arguments = (
-            FlightLaws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others),
+            FlightLaws(self._plan, self._substeps, forces.uniform, timestep.rule, forces.others, forces.damping),
             MovedState(bodies.position, bodies.velocity, bodies.acceleration, *turning),
             KeptState(
                 *(bodies.radius, bodies.mass, bodies.ends.inverse_mass, NO_SUPPORT, timestep.field),
@@ -207,6 +209,7 @@ def _fly(
     substeps, box, saved = laws.substeps, kept.box, buffers.saved
     position, velocity, acceleration, orientation, angular_velocity = moved
     P, n, last = laws.plan[0], len(position), len(substeps) - 1
+    kicked = KickedBodies(position, velocity, acceleration, kept.mass, kept.inverse_mass)
     before, dt, limit, steps = time, P.fixed_dt, FIXED, 0
     slack, gone, grain = 0.0, 0.0, 0.0  # m: the smallest gap at the last test, and how far bodies may have moved since
     while steps < most and limit != END and (time < until or steps == 0):
@@ -219,11 +222,12 @@ def _fly(
         is_free = True
         for s in range(len(substeps)):
             first_kick, drift, last_kick = substeps[s, 0] * length, substeps[s, 1] * length, substeps[s, 2] * length
+            strength = 1.0
             if P.accelerates and first_kick != 0.0:
-                advance(0, n, velocity, acceleration, first_kick)
+                strength = kick_before_drift(laws.damping, kicked, length, first_kick)
             if P.touches:
                 fastest, largest = _fastest(velocity, acceleration)
-                skin = (largest + P.field) * length * length
+                skin = (largest + P.field) * strength * length * length
                 if not 2.0 * (gone + fastest * abs(drift) + grain) + skin < slack:
                     slack, grain = _smallest_gap(position, velocity, kept, abs(drift), skin)
                     gone = 0.0
@@ -237,7 +241,7 @@ def _fly(
             if P.accelerates and (s < last or P.ends_with_forces):
                 sum_accelerations(laws, moved, kept, buffers)
             if P.accelerates and last_kick != 0.0:
-                advance(0, n, velocity, acceleration, last_kick)
+                kick_after_drift(laws.damping, kicked, length, last_kick)
         if not is_free:
             copy_state(saved[0], saved[1], saved[2], position, velocity, acceleration)
             break
@@ -273,8 +277,8 @@ def sum_accelerations(laws: FlightLaws, moved: MovedState, kept: KeptState, buff
     else:
         for i in range(n):
             write(acceleration, i, 0.0, 0.0, 0.0)
-    if P.is_uniform:
-        add(0, n, acceleration, laws.uniform)
+    for part in range(len(laws.uniform)):
+        add(0, n, acceleration, laws.uniform[part])
     add_forces(laws.forces, 0, n, moved.position, kept.mass, kept.box, acceleration)
     for i in range(n):
         if kept.inverse_mass[i] == 0.0:

@@ -115,6 +115,8 @@ class KickDriftStepper:
         if most > 1:
             steps, until = goal.quiet(clock)
             most, until = int(min(most, steps)), min(until, self._books.kept_until)
+        if self._damping:
+            self._damping.exchanged[:] = self._books.audit.exchanged(self._damping.kind.loss)
         taken = flight.take(clock.time, goal.end, until, most, self._books.activity.impact_energy)
         return self._land(taken, goal) if taken.steps else self._advance_once(goal)
 
@@ -122,6 +124,8 @@ class KickDriftStepper:
         """Book steps without contacts; return whether a frame is due."""
         world, books, clock = self._world, self._books, self._world.clock
         clock.advance(taken.steps, taken.before, taken.time, taken.dt, taken.limit)
+        if self._damping:
+            books.audit.exchange_up_to(self._damping.kind.loss, self._damping.exchanged)
         due, judged = goal.is_reached(clock), goal.is_check(clock)
         if world.contact:
             world.contact.add_quiet_steps()

@@ -125,6 +125,15 @@ class BalanceAudit:
         self.ledger = self.ledger.plus_loss(entry, loss)
         self._momentum.receive(impulse, angular_impulse)
 
+    def exchanged(self, entry: str) -> FloatArray:
+        """Return the energy dissipated by a force without a potential so far, and the expected momenta, (7,)."""
+        return np.array([self.ledger.entry(entry), *self._momentum.expected])
+
+    def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
+        """Replace these numbers after steps that added to them."""
+        self.ledger = self.ledger.with_loss(entry, float(exchanged[0]))
+        self._momentum.expected = exchanged[1:].copy()
+
     def suspect(self, step: int, contact: ContactPipeline) -> None:
         """Copy the contacts of a step for a possible warning, before the next step overwrites them."""
         self._suspects = self._spent = Suspects.of(step, contact, self._bodies, self._spent)

@@ -61,8 +61,11 @@ class Ledger:
 
     def plus_loss(self, entry: str, loss: float) -> Ledger:
         """Return the ledger after a force without a potential removed ``loss`` joules."""
-        forces = dict(self.forces)
-        return replace(self, forces=tuple({**forces, entry: forces.get(entry, 0.0) + loss}.items()))
+        return self.with_loss(entry, dict(self.forces).get(entry, 0.0) + loss)
+
+    def with_loss(self, entry: str, loss: float) -> Ledger:
+        """Return the ledger after a force without a potential removed ``loss`` joules in all."""
+        return replace(self, forces=tuple({**dict(self.forces), entry: loss}.items()))
 
     @property
     def balance(self) -> float:

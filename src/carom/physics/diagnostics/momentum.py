@@ -165,6 +165,16 @@ class MomentumAccount:
         self._linear, self._angular = self._linear + linear, self._angular + angular
         self._baseline = None
 
+    @property
+    def expected(self) -> FloatArray:
+        """(6,) kg m/s and kg m²/s, the reference values of both momenta; set them after they have been added to."""
+        return np.concatenate((self._linear, self._angular))
+
+    @expected.setter
+    def expected(self, momenta: FloatArray) -> None:
+        self._linear, self._angular = momenta[:3], momenta[3:]
+        self._baseline = None
+
     def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
         """Return the momenta at a time since the start (s).
 

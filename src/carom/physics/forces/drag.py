@@ -22,8 +22,7 @@ with w between the factors, and κ = ½ (h φ₂ + k₂²/(h φ₂)), for which 
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,7 +33,8 @@ from carom.physics.contact.impact_log import ImpactRecord, Impacts
 from carom.physics.exponential import exponentials
 from carom.physics.forces.field import MIN_BODIES_PER_TASK, add
 from carom.physics.forces.force import DampedPath, DampedStep, Exchange
-from carom.physics.jit.decorators import kernel
+from carom.physics.integrators.kick_drift import KickedBodies, kick_after_drift, kick_before_drift
+from carom.physics.jit.decorators import chosen_by_type, inline, kernel
 from carom.physics.jit.team import Team
 from carom.scene.forces import DRAG, MOST_RELAXATIONS
 from carom.scene.schema import Drag, Scene
@@ -53,6 +53,17 @@ class DragSumsRecord(Protocol):
 
 
 SUMS = dtype_of(DragSumsRecord)
+BEFORE, AFTER = range(2)  # the drift: rows of sums
+
+
+class DragLaw(NamedTuple):
+    """The drag for kernels; its type chooses it in `kick_before_drift` and `kick_after_drift`."""
+
+    rate: float  # 1/s
+    wind: FloatArray  # (3,) m/s², u/τ
+    outer: FloatArray  # (3,) m/s², with the other forces that are the same for all bodies
+    sums: RecordArray[DragSumsRecord]  # (2,) of a step
+    exchanged: FloatArray  # (7,) as in `Damping`
 
 
 class StokesDrag:
@@ -73,9 +84,10 @@ class StokesDrag:
     kind = DRAG
 
     def __init__(self, drag: Drag, bodies: Bodies, outer: FloatArray, team: Team) -> None:
-        self._rate = 1.0 / drag.relaxation_time
-        self.uniform = np.array(drag.medium_velocity) * self._rate
-        self._outer = outer + self.uniform
+        rate = 1.0 / drag.relaxation_time
+        self.uniform = np.array(drag.medium_velocity) * rate
+        self.exchanged = np.zeros(7)
+        self.law = DragLaw(rate, self.uniform, outer + self.uniform, np.zeros(2, SUMS), self.exchanged)
         self._bodies = bodies
         self._team = team
         self._against = np.zeros_like(bodies.ends.acceleration)
@@ -90,25 +102,25 @@ class StokesDrag:
 
     def step(self, dt: float) -> DampedStep:
         """Return the kicks and factors of a step of dt seconds."""
-        decay, phi1, phi2 = exponentials(dt * self._rate)
-        first, held = dt * (phi2 / phi1), dt * phi2
-        last = dt * (phi1 - decay * (phi2 / phi1))
-        path = DampedPath(first, self._rate, 1.0)
-        if dt * self._rate > MOST_RELAXATIONS:
-            _, phi1_longest, phi2_longest = exponentials(MOST_RELAXATIONS)
-            damping = MOST_RELAXATIONS / dt
-            path = DampedPath(dt * (phi2_longest / phi1_longest), damping, self._rate / damping)
-        return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held, path)
+        return _step_of(self.law.rate, dt)
 
     def begin(self, step: DampedStep) -> Exchange:
         """Kick, then slow down to the mean velocity of the drift."""
         n, bodies = len(self._bodies), self._bodies
-        self._against[:n] = bodies.acceleration - bodies.velocity * self._rate
-        return self._exchange(_begin, step, step.first_kick, step.before)
+        self._against[:n] = bodies.acceleration - bodies.velocity * self.law.rate
+        _begin(self.law, self._kicked(), step)
+        return _exchange_of(self.law.sums, BEFORE)
 
     def end(self, step: DampedStep) -> Exchange:
         """Slow down from the mean velocity of the drift, then kick."""
-        return self._exchange(_end, step, step.last_kick, step.after)
+        _end(self.law, self._kicked(), step)
+        return _exchange_of(self.law.sums, AFTER)
+
+    def _kicked(self) -> KickedBodies:
+        bodies = self._bodies
+        return KickedBodies(
+            bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
+        )
 
     def against(self) -> FloatArray:
         """Return a - v/τ at the beginning of the step, (n + p, 3) m/s²; see `Damping`."""
@@ -126,16 +138,10 @@ class StokesDrag:
         _exchange_in_impacts(impacts.log, impacts.after, *state, *step.path, step.share, sums)
         return _exchange_of(sums)
 
-    def _exchange(self, kernel: Callable[..., None], step: DampedStep, kick: float, factor: float) -> Exchange:
-        bodies, sums = self._bodies, np.zeros(1, SUMS)
-        state = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass, bodies.ends.inverse_mass
-        kernel(*state, self.uniform, self._outer, step.length, step.share, kick, factor, sums)
-        return _exchange_of(sums)
 
-
-def _exchange_of(sums: RecordArray[DragSumsRecord]) -> Exchange:
+def _exchange_of(sums: RecordArray[DragSumsRecord], row: int = 0) -> Exchange:
     impulse, angular_impulse = columns(sums, ("px", "py", "pz")), columns(sums, ("Lx", "Ly", "Lz"))
-    return Exchange(float(sums["lost"][0]), impulse[0], angular_impulse[0])
+    return Exchange(float(sums["lost"][row]), impulse[row].copy(), angular_impulse[row].copy())
 
 
 def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
@@ -144,23 +150,58 @@ def make(scene: Scene, bodies: Bodies, team: Team) -> StokesDrag:
     return StokesDrag(scene.drag, bodies, np.array(scene.gravity.uniform), team)
 
 
+@chosen_by_type(kick_before_drift)
+def _damped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
+    """Return what Numba compiles for a call of `kick_before_drift` with this drag."""
+
+    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> float:
+        step = _step_of(damping.rate, length)
+        _begin(damping, bodies, step)
+        return step.path.strength
+
+    return slow_down if _is_law(damping) else None
+
+
+@chosen_by_type(kick_after_drift)
+def _damped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
+    """Return what Numba compiles for a call of `kick_after_drift` with this drag."""
+
+    def slow_down(damping: DragLaw, bodies: KickedBodies, length: float, kick: float) -> None:
+        _end(damping, bodies, _step_of(damping.rate, length))
+        for row in range(2):
+            part = damping.sums[row]
+            terms = (part.lost, part.px, part.py, part.pz, part.Lx, part.Ly, part.Lz)
+            for k in range(7):
+                damping.exchanged[k] += terms[k]
+
+    return slow_down if _is_law(damping) else None
+
+
+def _is_law(kind: Any) -> bool:
+    """Return whether a type of Numba is that of a `DragLaw`."""
+    return getattr(kind, "instance_class", None) is DragLaw
+
+
 @kernel
-def _begin(
-    x: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    mass: FloatArray,
-    inverse_mass: FloatArray,
-    wind: FloatArray,
-    outer: FloatArray,
-    h: float,
-    share: float,
-    kick: float,
-    factor: float,
-    sums: RecordArray[DragSumsRecord],
-) -> None:
-    """Kick and slow down before the drift; add loss, impulse and angular impulse to ``sums``."""
-    total = sums[0]
+def _step_of(rate: float, dt: float) -> DampedStep:
+    """Return the kicks and factors of a step of dt seconds, with drag at a rate in 1/s."""
+    decay, phi1, phi2 = exponentials(dt * rate)
+    first, held = dt * (phi2 / phi1), dt * phi2
+    last = dt * (phi1 - decay * (phi2 / phi1))
+    path = DampedPath(first, rate, 1.0)
+    if dt * rate > MOST_RELAXATIONS:
+        _, phi1_longest, phi2_longest = exponentials(MOST_RELAXATIONS)
+        damping = MOST_RELAXATIONS / dt
+        path = DampedPath(dt * (phi2_longest / phi1_longest), damping, rate / damping)
+    return DampedStep(dt, first, phi1, decay / phi1, last, 0.5 * (held + last * last / held), held, path)
+
+
+@kernel
+def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
+    """Kick and slow down before the drift; write loss, impulse and angular impulse."""
+    x, v, a, mass, inverse_mass = bodies
+    total, h, share, kick, factor = law.sums[BEFORE], step.length, step.share, step.first_kick, step.before
+    _clear(total)
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
             continue
@@ -174,26 +215,15 @@ def _begin(
             a2 += a[i, k] * a[i, k]
             v[i, k] = kicked
         total.lost += mass[i] * (0.5 * (v2 - w2) + share * work - 0.5 * share * (h - share) * a2)
-        _slow_down(i, x, v, mass[i], outer, kick, factor, total)
+        _slow_down(i, x, v, mass[i], law.outer, kick, factor, total)
 
 
 @kernel
-def _end(
-    x: FloatArray,
-    v: FloatArray,
-    a: FloatArray,
-    mass: FloatArray,
-    inverse_mass: FloatArray,
-    wind: FloatArray,
-    outer: FloatArray,
-    h: float,
-    share: float,
-    kick: float,
-    factor: float,
-    sums: RecordArray[DragSumsRecord],
-) -> None:
-    """Slow down and kick after the drift; add loss, impulse and angular impulse to ``sums``."""
-    total = sums[0]
+def _end(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
+    """Slow down and kick after the drift; write loss, impulse and angular impulse."""
+    x, v, a, mass, inverse_mass = bodies
+    total, h, share, kick, factor = law.sums[AFTER], step.length, step.share, step.last_kick, step.after
+    _clear(total)
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
             continue
@@ -201,14 +231,19 @@ def _end(
         for k in range(3):
             w2 += v[i, k] * v[i, k]
             work += a[i, k] * v[i, k]
-            blown += wind[k] * v[i, k]
+            blown += law.wind[k] * v[i, k]
             a2 += a[i, k] * a[i, k]
-        _slow_down(i, x, v, mass[i], outer, kick, factor, total)
+        _slow_down(i, x, v, mass[i], law.outer, kick, factor, total)
         for k in range(3):
             v[i, k] += a[i, k] * kick
             v2 += v[i, k] * v[i, k]
         lost = 0.5 * (w2 - v2) + (h - share) * work - h * blown + 0.5 * share * (h - share) * a2
         total.lost += mass[i] * lost
+
+
+@inline
+def _clear(total: DragSumsRecord) -> None:
+    total.lost = total.px = total.py = total.pz = total.Lx = total.Ly = total.Lz = 0.0
 
 
 @kernel

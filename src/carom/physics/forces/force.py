@@ -8,7 +8,7 @@ bodies, team)``, named in `carom.registry`. `carom.physics.forces.kernel_forces`
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -23,8 +23,11 @@ from carom.physics.forces.kernel_forces import KernelForce, Parameters
 from carom.physics.jit.team import Team
 from carom.plan.auto import uses_tree
 from carom.plan.features import Requirements
-from carom.scene.forces import FORCES, ForceKind
+from carom.scene.forces import FORCES, UNIFORM_FIELD, ForceKind
 from carom.scene.schema import Scene
+
+if TYPE_CHECKING:
+    from carom.physics.forces.drag import DragLaw
 
 Potentials = dict[str, float]  # J, by term of the energy
 
@@ -97,7 +100,18 @@ class Damping(Force, Protocol):
 
     It defines its own kicks and factors, and books the energy that it dissipates. Its kind has ``damps`` set and names
     the entry of the ledger. A scene has at most one such force.
+
+    Attributes
+    ----------
+    law
+        Its arguments for `kick_before_drift` and `kick_after_drift` in kernels, a named tuple.
+    exchanged
+        (7,) what the medium has exchanged in the run, to which these kernels add: the energy that left the bodies in J,
+        and the momentum and angular momentum that the balance expects, in N s and N m s.
     """
+
+    law: DragLaw
+    exchanged: FloatArray
 
     def step(self, dt: float) -> DampedStep:
         """Return the kicks and factors of a step (s)."""
@@ -151,9 +165,9 @@ class ForceLaws(NamedTuple):
     attracts: bool  # whether bodies attract each other
     constant: float  # m³/(kg s²), G
     softening: float  # m
-    is_uniform: bool  # whether there is a field
-    uniform: FloatArray  # (3,) m/s²
+    uniform: FloatArray  # (f, 3) m/s², of each force that accelerates all bodies alike, in the order of summation
     others: Parameters  # forces of installed packages, as for `add_forces`
+    damping: DragLaw | tuple[()]  # of the force that depends on velocities, for `kick_before_drift`; empty without one
 
 
 class TotalForce:
@@ -182,13 +196,14 @@ class TotalForce:
 
     @property
     def laws(self) -> ForceLaws | None:
-        """The forces for a kernel that takes many steps; None with drag, or with gravity by a tree."""
+        """The forces for a kernel that takes many steps; None with gravity by a tree."""
         needs, gravity = self._needs, self._scene.gravity
-        if self.damping or uses_tree(self._scene):
+        if uses_tree(self._scene):
             return None
         others = tuple(force.parameters for force in self._forces if isinstance(force, KernelForce))
         mutual = needs.gravity.modelled, gravity.constant, gravity.softening
-        return ForceLaws(*mutual, needs.field.modelled, self.uniform, others)
+        alike = [force.uniform for force in self._forces if force.uniform.any() or force.kind is UNIFORM_FIELD]
+        return ForceLaws(*mutual, np.array(alike).reshape(-1, 3), others, self.damping.law if self.damping else ())
 
     def accelerate(self, potential: bool) -> Potentials:
         """Update the accelerations of the bodies; return the potential energies if requested."""

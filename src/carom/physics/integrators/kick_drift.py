@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 from carom.arrays import FloatArray
-from carom.physics.jit.decorators import long_kernel
+from carom.physics.jit.decorators import chosen_by_type, long_kernel
 from carom.physics.jit.team import SOLO, Team
 from carom.physics.vector import minimum_image
 
@@ -40,3 +42,57 @@ def wrap_rows(lo: int, hi: int, position: FloatArray, box: FloatArray) -> None:
     for i in range(lo, hi):
         for k in range(3):
             position[i, k] = minimum_image(position[i, k], box[k])
+
+
+class KickedBodies(NamedTuple):
+    """The bodies of a kick."""
+
+    x: FloatArray  # (n, 3) m
+    v: FloatArray  # (n, 3) m/s
+    a: FloatArray  # (n, 3) m/s²
+    mass: FloatArray  # (n,) kg
+    inverse_mass: FloatArray  # (n + p,) 1/kg
+
+
+def kick_before_drift(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
+    """Kick before the drift of a step, or let drag take the place of the kick; for kernels.
+
+    Parameters
+    ----------
+    damping
+        `Damping.law` of the force that depends on velocities; an empty tuple without one.
+    length, kick
+        s, the step and, without drag, its first kick.
+
+    Returns
+    -------
+    strength
+        Factor of the accelerations along the paths of the drift, see `DampedPath`.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def kick_after_drift(damping: Any, bodies: KickedBodies, length: float, kick: float) -> None:
+    """Kick after the drift of a step, as `kick_before_drift`."""
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(kick_before_drift)
+def _undamped_before(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
+    """Return what Numba compiles for a call without drag. The module of a drag defines the calls with it."""
+
+    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> float:
+        advance(0, len(bodies.v), bodies.v, bodies.a, kick)
+        return 1.0
+
+    return kick_only if len(damping) == 0 else None
+
+
+@chosen_by_type(kick_after_drift)
+def _undamped_after(damping: Any, bodies: Any, length: Any, kick: Any) -> Any:
+    """Return what Numba compiles for a call without drag."""
+
+    def kick_only(damping: Any, bodies: KickedBodies, length: float, kick: float) -> None:
+        advance(0, len(bodies.v), bodies.v, bodies.a, kick)
+
+    return kick_only if len(damping) == 0 else None

@@ -163,7 +163,7 @@ def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight
         return None
     system, settings, is_held_twice = contact.solver.system, contact.settings, min(substeps[0]) > 0.0
     is_known = settings.stabilisation != "baumgarte" and settings.search != "k-d-tree"  # which rounds otherwise
-    is_known = is_known and not (has_torque(system.materials.dtype) or system.box.any())
+    is_known = is_known and not (has_torque(system.materials.dtype) or system.box.any() or world.forces.damping)
     return SteadySteps(world, books, timestep, flight) if is_held_twice and is_known else None
 
 
