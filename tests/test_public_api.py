@@ -79,7 +79,7 @@ def test_every_name_for_extensions_can_be_imported_and_is_documented_in_its_sect
     sections = {section: " ".join(homes.values()).split() for section, homes in extend.SECTIONS.items()}
     assert {section: documented.get(section) for section in sections} == sections
     names = [name for section in sections.values() for name in section]
-    assert len(names) == len(set(names)) < 180, "too many names hide those that an author needs"
+    assert len(names) == len(set(names)) < 200, "too many names hide those that an author needs"
     for name in names:
         if name not in NEEDS_AN_EXTRA:
             assert getattr(extend, name) is not None

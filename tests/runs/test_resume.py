@@ -22,7 +22,7 @@ from carom.recording.edit.clip import clip
 from carom.recording.edit.repair import repair
 from carom.recording.read.recording import Recording
 from carom.runs.resume import claimed_target, continue_run, resumable_run
-from carom.runs.run import simulate
+from carom.runs.run import recording_space, simulate
 from carom.scene.schema import Scene
 from small_scenes import bundled, cloud, two_planets
 
@@ -70,7 +70,7 @@ def half_second(_half_second: Path, tmp_path: Path) -> Recording:
 
 def stopped(scene: Scene, path: Path, at: float) -> Recording:
     """Record a scene up to about a time, as the interrupt key leaves it."""
-    space = Space(scene)
+    space = recording_space(scene)
     frames = space.run
 
     def run_and_stop(**options: Any) -> Any:

@@ -9,11 +9,14 @@ have q = 1/4 (Johnson, *Contact Mechanics*, §11.5).
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 from pydantic import Field
 
-from carom.extend import VELOCITY, ContactLaw, Positive, Section, power
+from carom.extend import VELOCITY, ContactLaw, Positive, Section
+
+BITS = 53  # of the fraction of an exponent; the root of the last one differs from 1 by less than round-off
 
 
 class PowerLaw(Section):
@@ -30,7 +33,18 @@ def restitution(p: Any, approach: float, rest_speed: float) -> float:
         return 0.0
     if approach <= p.fastest_speed:
         return float(p.slow_restitution)
-    e: float = p.slow_restitution * power(approach / p.fastest_speed, -p.exponent)
+    # the power by square roots, whose bits are the same on any processor: one for each binary digit of the exponent
+    ratio, left = approach / p.fastest_speed, p.exponent
+    power, root = 1.0, ratio
+    while left >= 1.0:
+        power *= ratio
+        left -= 1.0
+    for _ in range(BITS):
+        root, left = math.sqrt(root), 2.0 * left
+        if left >= 1.0:
+            power *= root
+            left -= 1.0
+    e: float = p.slow_restitution / power
     return e
 
 

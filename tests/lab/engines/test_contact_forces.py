@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import carom
+from carom.recording.layout.canvas import Area
 from carom.recording.read.moment import frame_of
 from carom.recording.read.recorded_contacts import rows_of_engine
 from carom.recording.read.recorded_scene import header_of_recording
@@ -145,7 +146,7 @@ def test_commands_show_recorded_contact_forces_and_refuse_impacts(recording: Rec
 
 def test_a_close_up_of_a_recorded_contact_has_its_force(recording: Recording) -> None:
     header = header_of_recording(recording)
-    close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), 1.0, None, "dark")  # type: ignore[arg-type]
+    close = close_up(recording, header, shown_step(recording, STEPS * DT), Pair(0, 1), Area(400.0, 400.0), None, "dark")  # type: ignore[arg-type]
     assert close.contact is not None and close.contact.force is not None
     (row,) = [row for row in recording.contacts(STEPS * DT).to_pylist() if (row["i"], row["j"]) == (0, 1)]
     assert close.contact.force == pytest.approx(np.hypot(row["normal_force"], row["tangential_force"]), rel=1e-6)

@@ -37,7 +37,7 @@ def test_every_plot_shows_at_least_one_series_and_every_plotted_series_has_its_p
     assert len(set(plots)) == len(plots) and len({series.path for series in SERIES}) == len(SERIES)
 
 
-@pytest.mark.parametrize(("wrong", "said"), [({"part": "spn"}, "no part spn"), ({"path": "momentum/size"}, "begins")])
+@pytest.mark.parametrize(("wrong", "said"), [({"part": "spn"}, "no part spn"), ({"path": "momentum/size"}, "begin")])
 def test_a_series_that_no_table_would_have_is_refused_when_it_is_made(wrong: dict[str, str], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         replace(SERIES[0], **wrong)  # type: ignore[arg-type]

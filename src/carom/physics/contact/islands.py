@@ -11,6 +11,8 @@ Islands are found by union-find: each is a tree whose root is its lowest body (G
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
@@ -20,6 +22,9 @@ from carom.physics.jit.decorators import inline, inner, kernel, long_kernel, uno
 from carom.physics.jit.instructions import atomic_load, atomic_max, atomic_replace, from_front
 from carom.physics.jit.team import Team
 from carom.physics.vector import between, sizes
+
+if TYPE_CHECKING:
+    from carom.physics.contact.events.trajectories import Trajectories
 
 UNEQUAL, PRESSES = range(2)  # flags: accelerations of bodies differ; some contact has a rest speed
 
@@ -194,29 +199,27 @@ def excess_square(acceleration: FloatArray, field: FloatArray, i: int) -> float:
 @kernel
 def island_rest_speeds(
     pairs: IntArray,
-    x: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
+    T: Trajectories,
     scale: float,
     skin: float,
     acceleration: FloatArray,
-    inverse_mass: FloatArray,
     field: FloatArray,
     dt: float,
-    speeds: FloatArray,
 ) -> None:
     """Write the rest speed of each body, 2 |a|max dt of its island, (n + p,) m/s, for all pairs that may touch.
 
-    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0.
+    Pairs no farther apart than ``(r_i + r_j) scale + skin`` are joined. The rest speed of fixed ends is 0. The queue of
+    events, which is empty before a drift, serves as workspace.
     """
-    n = len(x)
-    parent = np.arange(n)
+    x, radius, inverse_mass, speeds, parent, n = T.x, T.radius, T.inverse_mass, T.rest_speed, T.queue, len(T.x)
+    for i in range(n):
+        parent[i] = i
     for c in range(len(pairs)):
         i, j = ends_of(pairs, c)
         if inverse_mass[i] == 0.0 or inverse_mass[j] == 0.0:
             continue
         dx, dy, dz = between(x, i, j)
-        if are_near(dx, dy, dz, radius[i] + radius[j], sizes(box), scale, skin):
+        if are_near(dx, dy, dz, radius[i] + radius[j], sizes(T.box), scale, skin):
             join(parent, i, j)
     for i in range(n):
         speeds[i] = 2.0 * np.sqrt(excess_square(acceleration, field, i)) * dt if inverse_mass[i] > 0.0 else 0.0

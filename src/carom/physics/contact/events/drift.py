@@ -254,20 +254,8 @@ class EventDrivenDrift:
 
     def _write_rest_speeds(self, pairs: IntArray, dt: float, scale: float, skin: float) -> None:
         """Compute the rest speed of each body."""
-        T = self.trajectories
-        island_rest_speeds(
-            pairs,
-            T.x,
-            T.radius,
-            T.box,
-            scale,
-            skin,
-            self._bodies.ends.acceleration,
-            T.inverse_mass,
-            self.field,
-            dt,
-            T.rest_speed,
-        )
+        acceleration = self._bodies.ends.acceleration
+        island_rest_speeds(pairs, self.trajectories, scale, skin, acceleration, self.field, dt)
 
     def _neighbours(self, largest: float, scale: float, skin: float) -> IntArray:
         """Return the pairs whose search radii overlap. If the largest, in body radii, is small, all bodies get it."""

@@ -235,8 +235,7 @@ def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
         later.last[i] = m
     begin(T, dt, kick, 0.0, rules.bends and kick == 0.5 * dt, system.pressed)
     straighten(contacts.pairs, contacts.place, system.contacts, T.body)
-    moving = system.acceleration, T.inverse_mass, rules.field, dt
-    island_rest_speeds(near[:m], T.x, T.radius, T.box, scale, skin, *moving, T.rest_speed)
+    island_rest_speeds(near[:m], T, scale, skin, system.acceleration, rules.field, dt)
     predict(0, n, later, T)
     first = np.inf
     for i in range(n):
