@@ -25,7 +25,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import SweepMember
 from carom.runs.outcome import judge
 from carom.runs.resume import resumable_run
-from carom.runs.run import Outcome, simulate
+from carom.runs.run import Outcome, recording_space, simulate
 from carom.scene.load import scene_from_text
 from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
@@ -131,7 +131,7 @@ def test_a_run_that_is_watched_without_a_pause_records_what_one_alone_does(
 ) -> None:
     monkeypatch.setattr("carom.runs.run.POLL", 0.0)
     seen: list[StepStatus] = []
-    outcome = simulate(Space(cloud()), tmp_path / "watched.rrd", watch=seen.append)
+    outcome = simulate(recording_space(cloud()), tmp_path / "watched.rrd", watch=seen.append)
     watched = Recording.open(outcome.path)
     assert watched.fingerprints().equals(cloud_run.fingerprints())
     assert watched.steps().equals(cloud_run.steps())
