@@ -20,7 +20,10 @@ PLAIN = {f"taylor.{name}_one_by_one" for name in ("_attract", "_attract_bodies",
 OF_WALLS = {  # compiled for scenes with a [[wall]], as the kernels of a contact law are for scenes with that law
     *("solids._write_heights", "solids.add_arc_speeds", "wall_impacts._time_to_wall", "wall_impacts._until_path"),
 }
-OF_PACKAGES = {"kernel_forces._add", "kernel_forces._energy"}  # compiled for the forces of each package that has any
+OF_PACKAGES = {  # compiled for the forces and laws of each package that calls them
+    *("kernel_forces._add", "kernel_forces._energy"),
+    *("exponential.exponential", "exponential.logarithm", "exponential.power"),
+}
 
 
 def kernels() -> set[str]:
