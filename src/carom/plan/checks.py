@@ -308,8 +308,7 @@ def _refuse_narrow_box(scene: Scene) -> None:
         return
     given = [body.radius for body in scene.body] + [columns.radii[1] for columns in scene.data]
     largest, units = max(given + [group.radius.max for group in scene.group]), scene.unit_system
-    repeating = [size for size, axis in zip(scene.domain.size, scene.domain.axes, strict=True) if axis == "periodic"]
-    if min(repeating) < 4 * largest:
+    if min(scene.domain.size[axis] for axis in scene.domain.repeating) < 4 * largest:
         least = units.text(4 * largest, LENGTH, "g")
         raise SceneError(
             f"domain.size = {units.vector(scene.domain.size, LENGTH)}: a periodic box must be at least four times the "

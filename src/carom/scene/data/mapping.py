@@ -49,6 +49,7 @@ ELEMENTS = {  # columns of orbital elements; capitals differ from small letters
     "tp": ("tp", "t_p", "T", "time_of_perihelion", "time_of_pericentre"),
     "epoch": ("epoch",),
 }
+ORIENTED = ("e", "i", "node", "peri")  # the elements that every orbit needs; others may replace each other
 _RIVALS = (("mass", "density"), ("radius", "diameter"))  # pairs of quantities that determine each other
 _MOST_SHOWN = 12  # columns that a message lists
 _MOST_NOTED = 200  # columns that a note lists
@@ -319,7 +320,7 @@ def _refuse_missing(section: BodyData, mapping: ColumnMapping, names: Sequence[s
         given = quantity in mapping or _is_given(section, quantity) or dict(_RIVALS).get(quantity) in mapping
         if not given:
             constant = "" if quantity == "position" else f", or give {quantity} = … for all bodies"
-            if quantity == "position" and {"e", "i", "node", "peri"} <= set(elements_in(names)):
+            if quantity == "position" and set(ORIENTED) <= set(elements_in(names)):
                 raise SceneError(
                     f'{called}: it has orbital elements; write orbit = {{ central_mass = "1 M_sun" }} to read them'
                 )

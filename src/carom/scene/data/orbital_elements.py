@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from carom.arrays import FloatArray
 from carom.errors import SceneError
 from carom.scene.data.formats import DataTable, Raw, numbers_of, texts_of
-from carom.scene.data.mapping import ELEMENTS, column_factor, elements_in, printable, unit_in
+from carom.scene.data.mapping import ELEMENTS, ORIENTED, column_factor, elements_in, printable, unit_in
 from carom.scene.portable_math import cosine_and_sine, cube_root
 from carom.scene.schema.body import KeplerianOrbits
 from carom.scene.units.dimension import ANGLE, LENGTH, MASS, TIME, Dimension
@@ -74,9 +75,7 @@ class OrbitTable(DataTable):
     def _refuse_missing(self) -> None:
         """Refuse a table that lacks an element."""
         there = self._columns
-        missing = [
-            f"{element} ({ELEMENTS[element][0]})" for element in ("e", "i", "node", "peri") if element not in there
-        ]
+        missing = [f"{element} ({ELEMENTS[element][0]})" for element in ORIENTED if element not in there]
         missing += [] if {"a", "q"} & set(there) else ["a or q"]
         missing += [] if {"M", "tp"} & set(there) else ["M (ma) or tp"]
         if missing:
@@ -100,11 +99,16 @@ class OrbitTable(DataTable):
             found |= {self.position: position, self.velocity: velocity}
         return found
 
+    @cached_property
+    def _raw(self) -> dict[str, Raw]:
+        """The columns of all elements, read once: a text file is parsed whole for each read."""
+        return self._table.read([self._inner[name] for name in self._columns.values()])
+
     def _element(self, element: str) -> FloatArray:
         """Return an element of all bodies: angles in degrees, times in the unit of their column."""
         name = self._columns[element]
         column = self._inner[name]
-        values = numbers_of(self.called, column, self._table.read([column])[column])
+        values = numbers_of(self.called, column, self._raw[column])
         if values.ndim != 1 or not np.isfinite(values).all():
             row = int(np.argmax(~np.isfinite(values)))
             raise SceneError(f"{self.called}: column {column}, row {row}: {values[row]:g} is not a finite number")

@@ -277,13 +277,13 @@ class Scene(Forces, Heading):
 
     @model_validator(mode="after")
     def _periodic_space_has_no_uniform_field(self) -> Self:
-        repeating = [axis for axis, boundary in enumerate(self.domain.axes) if boundary == "periodic"]
-        if any(self.gravity.uniform[axis] for axis in repeating):
-            if len(repeating) < len(self.domain.axes):
-                named = " and ".join("xyz"[axis] for axis in repeating if self.gravity.uniform[axis])
+        along = [axis for axis in self.domain.repeating if self.gravity.uniform[axis]]
+        if along:
+            if isinstance(self.domain.boundary, tuple):
+                named = " and ".join("xyz"[axis] for axis in along)
                 raise ValueError(
-                    f'gravity.uniform along {named}, where domain.boundary is "periodic": bodies would fall for '
-                    'ever; set it to 0 there, or make that axis "open"'
+                    f'gravity.uniform along {named}, where domain.boundary is "periodic": bodies would fall '
+                    'forever; set it to 0 there, or make that axis "open"'
                 )
             raise ValueError(
                 'domain.boundary = "periodic" with gravity.uniform: bodies would fall through the box forever, and '
@@ -294,9 +294,9 @@ class Scene(Forces, Heading):
     @model_validator(mode="after")
     def _periodic_space_has_no_planes(self) -> Self:
         if isinstance(self.domain.boundary, tuple):
-            for axis, boundary in enumerate(self.domain.axes):
+            for axis in self.domain.repeating:
                 slanted = next((k for k, plane in enumerate(self.plane) if plane.normal[axis]), None)
-                if boundary == "periodic" and slanted is not None:
+                if slanted is not None:
                     raise SectionError(
                         ("plane", slanted, "normal"),
                         f"its component along {'xyz'[axis]} must be 0, because space repeats along that axis",

@@ -252,9 +252,14 @@ class Domain(Section):
         return (self.boundary,) * 3 if isinstance(self.boundary, str) else self.boundary
 
     @property
+    def repeating(self) -> tuple[int, ...]:
+        """The axes along which space repeats."""
+        return tuple(axis for axis, boundary in enumerate(self.axes) if boundary == "periodic")
+
+    @property
     def is_periodic(self) -> bool:
         """Whether space repeats along an axis."""
-        return "periodic" in self.axes
+        return bool(self.repeating)
 
     @property
     def walled(self) -> tuple[int, ...]:
@@ -266,9 +271,7 @@ class Domain(Section):
         """The size of the periodic box in m, `ENDLESS` along an axis that does not repeat; None in open space."""
         if not self.is_periodic or self.size is None:
             return None
-        x, y, z = (
-            size if boundary == "periodic" else ENDLESS for size, boundary in zip(self.size, self.axes, strict=True)
-        )
+        x, y, z = (size if axis in self.repeating else ENDLESS for axis, size in enumerate(self.size))
         return x, y, z
 
     @field_validator("boundary")
