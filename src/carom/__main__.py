@@ -19,11 +19,16 @@ def main() -> None:
     fit_into_descriptors()
     # Arrow's own allocator keeps freed memory: a clip took 30 MB more with it, in the same time
     os.environ.setdefault("ARROW_DEFAULT_MEMORY_POOL", "system")
+    from carom.runs.process_settings import raise_signals, received  # noqa: PLC0415 - checks come first
+
+    raise_signals()
     try:
         from carom.cli.main import main as run  # noqa: PLC0415 - takes half a second
-    except KeyboardInterrupt:
+    except BaseException:  # an interrupted import may raise anything
+        if not received():
+            raise
         os.write(2, b"carom: interrupted\n")
-        os._exit(130)
+        os._exit(128 + received())
     run()
 
 

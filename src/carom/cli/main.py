@@ -13,7 +13,7 @@ import typer
 
 from carom.cli.commands import CommandGroup
 from carom.private_folder import remove_private_folder
-from carom.runs.process_settings import keep_freed_memory, raise_signals, received
+from carom.runs.process_settings import keep_freed_memory, received
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -36,7 +36,6 @@ def main() -> NoReturn:
     Exit codes: 2 and one message for a person's mistake; 1 for a run that ended early or missed a promise; 128 and the
     signal's number for a command that a signal ended before it had anything to close.
     """
-    raise_signals()
     output = replace_streams()
     code: int | str | None = 0
     try:

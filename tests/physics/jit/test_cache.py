@@ -38,6 +38,27 @@ print(json.dumps([values, compilations.count, cache_folder()]))
 """
 
 
+INTERRUPTED = """
+import json
+import signal
+from numba.core.codegen import JITCodeLibrary
+
+load, pending = JITCodeLibrary._object_getbuffer_hook, []
+def interrupt(module):
+    while pending:
+        signal.raise_signal(pending.pop())
+    return load(module)
+JITCodeLibrary._object_getbuffer_hook = interrupt  # LLVM's callback for code from disk
+from pack import kernels
+kernels.f1(1.0)  # also loads code of Numba's own
+pending.append(signal.SIGINT)
+try:
+    kernels.f0(1.0)
+except KeyboardInterrupt:
+    print(json.dumps([[kernels.f0(1.0)], 0, "interrupted"]))
+"""
+
+
 @pytest.fixture
 def package(tmp_path: Path) -> Path:
     """A package of kernels that call one in another file, and a folder for what is compiled of it."""
@@ -53,7 +74,7 @@ def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
     """Call the kernels in a process of their own: what they return, how many were compiled, and where they are kept."""
     environment = {"NUMBA_CACHE_DIR": str(package.parent / "cache")} | options.pop("env", {})
     called = subprocess.run(
-        [sys.executable, "-c", CALL],
+        [sys.executable, "-c", options.pop("program", CALL)],
         env=os.environ | {"PYTHONPATH": str(package.parent)} | environment,
         cwd="/",
         capture_output=True,
@@ -64,6 +85,11 @@ def call(package: Path, **options: Any) -> tuple[list[float], int, str]:
     assert called.returncode == 0, called.stderr
     values, compiled, folder = json.loads(called.stdout)
     return values, compiled, folder
+
+
+def test_an_interrupt_while_a_kernel_is_loaded_from_disk_is_raised_and_the_kernel_works(package: Path) -> None:
+    call(package)
+    assert call(package, program=INTERRUPTED) == ([2.0], 0, "interrupted")
 
 
 @pytest.mark.slow

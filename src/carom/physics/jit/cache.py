@@ -17,11 +17,13 @@ import fcntl
 import os
 import pickle
 import re
+import signal
 import sys
 import tempfile
+import threading
 import time
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -125,7 +127,8 @@ class KernelCache:
             content = pickle.loads(data)
         except (ImportError, AttributeError):  # a class named in it was moved, as by an upgrade of a library
             return None
-        return compiler.CompileResult._rebuild(target_context, *content)
+        with _signals_held():
+            return compiler.CompileResult._rebuild(target_context, *content)
 
     def has(self, sig: Any, target_context: Any) -> bool:
         """Return whether there is a valid file for a signature."""
@@ -170,6 +173,29 @@ class KernelCache:
             whole.update(len(part).to_bytes(8, "little"))
             whole.update(part)
         return whole.digest()
+
+
+@contextlib.contextmanager
+def _signals_held() -> Iterator[None]:
+    """Let the handlers of signals run afterwards, in the main thread, while LLVM calls back for a kernel's code.
+
+    The callback drops an exception that a handler raises, and LLVM then links the kernel to address zero.
+    """
+    if threading.current_thread() is not threading.main_thread():  # handlers run in the main thread only
+        yield
+        return
+    held = list[int]()
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    handlers = {number: handler for number, handler in handlers.items() if callable(handler)}
+    for number in handlers:
+        signal.signal(number, lambda sent, _frame: held.append(sent))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for sent in held:
+            signal.raise_signal(sent)
 
 
 @cache
