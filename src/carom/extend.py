@@ -57,12 +57,12 @@ if TYPE_CHECKING:
     from carom.physics.simulation import StepStatus as StepStatus
     from carom.physics.vector import minimum_images as minimum_images
     from carom.plan import auto as auto
+    from carom.plan.acting_forces import damping as damping
+    from carom.plan.acting_forces import further as further
     from carom.plan.features import Requirements as Requirements
     from carom.plan.features import require as require
     from carom.plan.hierarchy import DOMINANT as DOMINANT
     from carom.plan.hierarchy import why_no_hierarchy as why_no_hierarchy
-    from carom.plan.pulls import damping as damping
-    from carom.plan.pulls import further as further
     from carom.recording.edit.bundle import is_bundle as is_bundle
     from carom.recording.edit.bundle import opened as opened
     from carom.recording.export.export import Snapshot as Snapshot
@@ -240,7 +240,7 @@ SECTIONS = {  # purpose → module → names
         "carom.scene.matter": "pair_coefficients",
         "carom.physics.placement": "place",
         "carom.plan.features": "require",
-        "carom.plan.pulls": "further",
+        "carom.plan.acting_forces": "further",
         "carom.plan.hierarchy": "DOMINANT",
         "carom.scene.contact_laws": "DEFAULT_LAW",
         "carom.recording.source.observer": "Observer not_finite",
@@ -272,7 +272,7 @@ SECTIONS = {  # purpose → module → names
         "carom.plan": "auto",
         "carom.scene.matter": "body_materials",
         "carom.scene.conversion": "converted rescaled",
-        "carom.plan.pulls": "damping",
+        "carom.plan.acting_forces": "damping",
         "carom.scene": "key_places variation",
         "carom.scene.load": "scene_from_text",
         "carom.scene.toml_text": "toml_for toml_text",

@@ -13,7 +13,7 @@ from carom.physics.batch_step import BatchStepper
 from carom.physics.jit.team import Team
 from carom.physics.space import Space
 from carom.physics.step import KickDriftStepper
-from carom.physics.step_rule import BODIES_PER_BLOCK, PullTime, step_of_largest
+from carom.physics.step_rule import BODIES_PER_BLOCK, GravityStep, step_of_largest
 from carom.physics.time_step import MIN_SHARED_BLOCKS, Timestep
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity, Scene, Time
@@ -224,12 +224,12 @@ def test_of_many_bodies_the_step_is_never_longer_than_twice_that_of_an_isolated_
     bodies.velocity[:] = 0.0
     bodies.acceleration[:] = 0.0
     bodies.acceleration[:2] = [[1e6, 0.0, 0.0], [-1e6, 0.0, 0.0]]
-    pull = PullTime.of(Gravity(constant=1.0), 1.0, bodies)
-    assert not pull.of_pairs
+    pull = GravityStep.of(Gravity(constant=1.0), 1.0, bodies)
+    assert not pull.examines_pairs
     assert step_of_largest(1e6, pull.mean, pull.softening, pull.fraction) == pytest.approx(
         1e-3**1.5, rel=1e-12
     )  # √(r³/G m): a pair at rest has √2 less
-    soft = PullTime.of(Gravity(constant=1.0, softening=0.1), 1.0, bodies)
+    soft = GravityStep.of(Gravity(constant=1.0, softening=0.1), 1.0, bodies)
     assert step_of_largest(0.1, soft.mean, soft.softening, soft.fraction) == pytest.approx(
         max(0.1**-0.75, 1.0), rel=1e-12
     )
@@ -289,12 +289,12 @@ def test_bodies_that_rest_on_each_other_get_the_step_of_many_bodies_at_any_numbe
 def test_a_body_in_flight_keeps_its_own_step_beside_a_pile_at_rest() -> None:
     space = after(huddle({"position": [30.0, 0.0, 0.0], "velocity": [0.0, 0.3, 0.0], "mass": 1e-6, "radius": 1.0}), 60)
     fall = np.linalg.norm(space.state.acceleration[3])
-    dt, limit = stepper_of(space).timestep.target(space.state, stepper_of(space).borne())
+    dt, limit = stepper_of(space).timestep.target(space.state, stepper_of(space).supported_acceleration())
     assert limit == "acceleration" and dt == pytest.approx(0.004 * math.sqrt(2.0 / fall), rel=1e-12)
 
 
 def test_two_that_roll_about_each_other_turn_in_some_six_hundred_steps() -> None:
-    # At half the angular speed of an orbit: three quarters of the pull are borne.
+    # At half the angular speed of an orbit: three quarters of gravity are supported.
     ends = [{"position": [s, 0.0, 0.0], "velocity": [0.0, 0.25 * s, 0.0], "angular_velocity": [0.0, 0.0, 0.25]}
             for s in (-1.0, 1.0)]  # fmt: skip
     bodies = [{**end, "mass": 1.0, "radius": 1.0} for end in ends]
@@ -309,8 +309,8 @@ def test_the_impulses_that_hold_a_body_are_in_the_checkpoint() -> None:
     again = Space(huddle())
     again.restore(space.frame().checkpoint)
     assert again.first_dt == space.first_dt
-    borne = stepper_of(space).borne()
-    assert np.array_equal(stepper_of(again).borne(), borne) and len(borne) == 3
+    supported = stepper_of(space).supported_acceleration()
+    assert np.array_equal(stepper_of(again).supported_acceleration(), supported) and len(supported) == 3
 
 
 def test_a_body_squeezed_between_heavy_ones_keeps_the_short_step() -> None:

@@ -29,7 +29,15 @@ from carom.physics.forces.kernel_forces import Parameters, add_forces
 from carom.physics.integrators.kick_drift import KickedBodies, advance, kick_after_drift, kick_before_drift, wrap_rows
 from carom.physics.jit.decorators import borrowing, entry_of, inline, unowned
 from carom.physics.rotation import rotate_one
-from carom.physics.step_rule import END, FIXED, LIMIT_NAMES, LimitsRecord, RuleRecord, smooth_and_cut, target
+from carom.physics.step_rule import (
+    END,
+    FIXED,
+    LIMIT_NAMES,
+    LimitsRecord,
+    RuleRecord,
+    smooth_and_cut,
+    target,
+)
 from carom.physics.time_step import Timestep
 from carom.physics.vector import is_periodic, minimum_image, square, write
 from carom.physics.world import World
@@ -100,7 +108,7 @@ class KeptState(NamedTuple):
     radius: FloatArray  # (n,) m
     mass: FloatArray  # (n,) kg
     inverse_mass: FloatArray  # (n + p,) 1/kg
-    borne: FloatArray  # empty, since no contact supports an acceleration
+    supported: FloatArray  # empty, since no contact supports an acceleration
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
     box: FloatArray  # (3,) m, zeros in open space
     normal: FloatArray  # (p, 3) of the planes
@@ -150,7 +158,7 @@ class FreeFlight:
         self._substeps = np.array(chosen.substeps)
         self._plan = np.zeros(1, PLAN)
         plan = self._plan[0]
-        plan["fixed_dt"], plan["accelerates"] = timestep.fixed_dt or 0.0, world.needs.pulls
+        plan["fixed_dt"], plan["accelerates"] = timestep.fixed_dt or 0.0, world.needs.accelerates
         plan["attracts"], plan["constant"] = forces.attracts, forces.constant
         plan["softening_squared"] = forces.softening * forces.softening
         plan["ends_with_forces"], plan["touches"] = chosen.ends_with_forces, world.contact is not None
@@ -263,8 +271,9 @@ def choose_step(
     if P.fixed_dt > 0.0:
         length, limit, _ = smooth_and_cut(P.fixed_dt, FIXED, 1.0, 0.0, remaining)
         return length, limit, average
-    bodies = (moved.position, moved.velocity, moved.acceleration, kept.radius, kept.mass, kept.inverse_mass)
-    length, limit = target(laws.rule, *bodies, kept.borne, kept.field, buffers.limits, False)
+    x, v, a = moved.position, moved.velocity, moved.acceleration
+    bodies = x, v, a, kept.radius, kept.mass, kept.inverse_mass
+    length, limit = target(laws.rule, bodies, kept.supported, kept.field, buffers.limits, False)
     return smooth_and_cut(length, limit, R.smoothing, average, remaining)
 
 

@@ -68,9 +68,9 @@ class KickDriftStepper:
     @property
     def first_dt(self) -> float:
         """The step (s) that the limits allow in the present state."""
-        return self.timestep.first(self._world.bodies, self.borne())
+        return self.timestep.first(self._world.bodies, self.supported_acceleration())
 
-    def borne(self) -> FloatArray:
+    def supported_acceleration(self) -> FloatArray:
         """Return the accelerations supported by contacts, (n + p,) m/s²; empty if no step depends on them."""
         contact = self._world.contact
         return contact.supported_acceleration if contact and self.timestep.spares_held else NO_SUPPORT
@@ -135,7 +135,7 @@ class KickDriftStepper:
             books.begin_contacts()
         world.profile.mark("integrate")
         computed = due or judged
-        self._finish(self._sum_forces(True, computed) if computed and world.needs.pulls else {}, computed, judged)
+        self._finish(self._sum_forces(True, computed) if computed and world.needs.accelerates else {}, computed, judged)
         return due
 
     def _advance_once(self, goal: Goal) -> bool:
@@ -157,7 +157,7 @@ class KickDriftStepper:
         world, books = self._world, self._books
         books.finish_step(potentials, computed, judged)
         if books.pace and world.clock.step % world.scene.record.check_every == 0:
-            books.check_pace(*self.timestep.target(world.bodies, self.borne()))
+            books.check_pace(*self.timestep.target(world.bodies, self.supported_acceleration()))
 
     @property
     def has_solution(self) -> bool:
@@ -170,9 +170,9 @@ class KickDriftStepper:
     def _choose(self, end: float) -> tuple[float, float, str]:
         """Choose the next step of a run that ends at a time; return the time at its end, its length, and its limit."""
         world, time = self._world, self._world.clock.time
-        dt, limit = self.timestep.choose(world.bodies, end - time, self.borne())
+        dt, limit = self.timestep.choose(world.bodies, end - time, self.supported_acceleration())
         if self._asked:
-            asked, asked_limit = self._asked.target(world.bodies, self.borne())
+            asked, asked_limit = self._asked.target(world.bodies, self.supported_acceleration())
             world.clock.foresee(asked_limit, dt / asked if asked > 0.0 else np.inf)
         return end if limit == "end" else time + dt, dt, limit
 
@@ -191,18 +191,18 @@ class KickDriftStepper:
             is_last = index == len(self._substeps) - 1
             damped = damping.step(dt) if damping else None
             first_kick, last_kick = substep.before * dt, substep.after * dt
-            share = first_kick  # s, part of the drift for which the first kick has done the work of the forces
+            booked = first_kick  # s, part of the drift for which the first kick has done the work of the forces
             if damped:
-                share, last_kick = damped.share, damped.last_kick
+                booked, last_kick = damped.booked, damped.last_kick
             self._kick_before_drift(first_kick, damped)
             if index == 0 and contact:
-                self._hold(contact, first_kick, dt, share, damped)
-            self._drift(substep.drift * dt, share, damped)
+                self._hold(contact, first_kick, dt, booked, damped)
+            self._drift(substep.drift * dt, booked, damped)
             if is_last and contact:
                 self._find(contact, dt)
             if world.is_periodic:
                 wrap(world.bodies.position, world.box, world.team)
-            if world.needs.pulls:
+            if world.needs.accelerates:
                 potentials = self._sum_forces(is_last, with_potential)
                 self._kick_after_drift(last_kick, damped)
             world.profile.mark("integrate")
@@ -221,20 +221,20 @@ class KickDriftStepper:
         """Kick with the forces at the old positions; with drag, the drag's own kick replaces it."""
         if self._damping and damped:
             self._exchange(self._damping, self._damping.begin, damped)
-        elif dt and self._world.needs.pulls:
+        elif dt and self._world.needs.accelerates:
             self._kick(dt)
 
-    def _hold(self, contact: ContactPipeline, kick: float, dt: float, share: float, damped: DampedStep | None) -> None:
+    def _hold(self, contact: ContactPipeline, kick: float, dt: float, booked: float, damped: DampedStep | None) -> None:
         """Hold lasting contacts after the first kick, against the accelerations of the bodies; times in s."""
         profile = self._world.profile
         profile.mark("integrate")
         if self._damping and damped:
             before = self._world.bodies.ends.velocity.copy()
-            contact.hold(damped.held_kick, dt, share, self._damping.against())
+            contact.hold(damped.held_kick, dt, booked, self._damping.against())
             if len(contact.ledger_apart):
                 self._exchange_energy(self._damping.lost_in_hold(damped, before))
         else:
-            contact.hold(kick, dt, share)
+            contact.hold(kick, dt, booked)
         profile.mark("resting")
 
     def _drift(self, dt: float, kick: float, damped: DampedStep | None) -> None:

@@ -27,23 +27,24 @@ from carom.arrays import FloatArray, RecordArray, dtype_of
 from carom.physics.bodies import Bodies
 from carom.physics.diagnostics.momentum import centre_velocity
 from carom.physics.jit.decorators import borrowing, inline, kernel, long_kernel, unowned
+from carom.physics.vector import Vector
 from carom.plan.auto import PAIRS_UP_TO
 from carom.scene.schema import Gravity
 
 SHORTEST_MEAN = 0.5  # smallest divisor 1 - η τ'/2, which could reach 0 for a large η
 
 
-class PullTime(NamedTuple):
+class GravityStep(NamedTuple):
     """The constants of the step that gravity allows."""
 
     fraction: float  # η, the step as a fraction of the shortest time scale
     constant: float  # m³/(kg s²), G
     softening: float  # m
     mean: float  # m³/s², G times the mean mass
-    of_pairs: bool  # whether each pair is examined
+    examines_pairs: bool  # whether each pair is examined
 
     @classmethod
-    def of(cls, gravity: Gravity, fraction: float, bodies: Bodies) -> PullTime:
+    def of(cls, gravity: Gravity, fraction: float, bodies: Bodies) -> GravityStep:
         """Return the constants for a scene's section and its bodies. Fixed bodies attract others without moving."""
         mean = gravity.constant * float(np.mean(bodies.mass))
         return cls(fraction, gravity.constant, gravity.softening, mean, len(bodies) <= PAIRS_UP_TO)
@@ -76,10 +77,10 @@ def step_of_pairs(
                 R2, v2, along = R2 + d * d, v2 + u * u, along + d * u
             if R2 == 0.0:  # coincident centres do not attract each other
                 continue
-            pull = G * (m[i] + m[j]) / np.sqrt(R2)
-            rate = (v2 + pull) / R2
+            gm_over_r = G * (m[i] + m[j]) / np.sqrt(R2)
+            rate = (v2 + gm_over_r) / R2
             if rate > fastest:
-                fastest, change = rate, (along / R2) * (1.0 + 1.5 * pull / (v2 + pull))
+                fastest, change = rate, (along / R2) * (1.0 + 1.5 * gm_over_r / (v2 + gm_over_r))
     if fastest == 0.0:
         return np.inf
     step: float = fraction / np.sqrt(fastest)
@@ -87,10 +88,10 @@ def step_of_pairs(
 
 
 BODIES_PER_BLOCK = 1000  # about 10 µs
-BORNE = 0.5  # smallest fraction of its acceleration that contacts support if a body counts as held
+SUPPORTED_FRACTION = 0.5  # smallest fraction of its acceleration that contacts support if a body counts as held
 END_TOLERANCE = 1e-9  # fraction of a step; a shorter last step is merged into the previous one
 
-CAP, VELOCITY, ACCELERATION, HELD, PULL, GROWTH, FIXED, END = range(8)
+CAP, VELOCITY, ACCELERATION, HELD, GRAVITY, GROWTH, FIXED, END = range(8)
 LIMIT_NAMES = ("cap", "velocity", "acceleration", "held", "pull", "growth", "fixed", "end")
 
 
@@ -105,9 +106,9 @@ class RuleRecord(Protocol):
     held_part: float  # largest motion of such a body in a step over its radius
     smoothing: float  # weight of the new step in the average
     anchored: bool  # whether something is fixed; speeds are then relative to it
-    looks: bool  # whether a limit needs the largest values of all bodies
-    pull_fraction: float
-    pull_of_pairs: bool  # these and the following as in `PullTime`
+    measures_bodies: bool  # whether a limit needs the largest values of all bodies
+    gravity_fraction: float
+    examines_pairs: bool  # these and the following as in `GravityStep`
     constant: float
     softening: float
     mean: float
@@ -121,7 +122,7 @@ class LimitsRecord(Protocol):
 
     largest_acceleration: float  # m/s²
     largest_free_acceleration: float  # m/s², of bodies not held by contacts
-    largest_borne: float  # m/s², largest acceleration supported by contacts
+    largest_supported: float  # m/s², largest acceleration supported by contacts
     velocity_step: float  # s, smallest dt_v of all bodies; infinite at rest
     fastest_step: float  # s, dt_v of the fastest body
     fastest_squared: float  # m²/s², squared speed of the fastest body
@@ -159,19 +160,18 @@ def ends_run(dt: float, remaining: float) -> bool:
     return remaining <= dt * (1.0 + END_TOLERANCE)
 
 
+MovingBodies = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Positions, velocities and accelerations (n, 3), radii and masses (n,), and inverse masses with planes (n + p,)."""
+
+
 @borrowing
 def target(
     rule: RecordArray[RuleRecord],
-    position: FloatArray,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    radius: FloatArray,
-    mass: FloatArray,
-    inverse_mass: FloatArray,
-    borne: FloatArray,
+    bodies: MovingBodies,
+    supported: FloatArray,
     field: FloatArray,
-    found: RecordArray[LimitsRecord],
-    is_found: bool,
+    limits: RecordArray[LimitsRecord],
+    are_known: bool,
 ) -> tuple[float, int]:
     """Return the step (s) that the limits allow, before smoothing, and the limit that set it.
 
@@ -179,24 +179,24 @@ def target(
     ----------
     rule
         (1,) `RULE`.
-    borne
+    supported
         (n + p,) m/s², accelerations supported by contacts; empty if there are none.
     field
         (3,) m/s², an acceleration common to all bodies, which does not count.
-    found
+    limits
         (k,) `LIMITS`, one row for each block of bodies.
-    is_found
-        Whether ``found`` has been filled; otherwise it is filled when needed.
+    are_known
+        Whether ``limits`` has been filled; otherwise it is filled when needed.
     """
-    R = rule[0]
+    R, (x, v, _, _, m, inverse_mass) = rule[0], bodies
     dt, limit = R.max_dt, CAP
     a_max, a_free, b_max, every, fastest, held_time = 0.0, 0.0, 0.0, np.inf, np.inf, np.inf
-    if R.looks:
-        if not is_found:
-            Vx, Vy, Vz = (0.0, 0.0, 0.0) if R.anchored else centre_velocity(velocity, mass)
+    if R.measures_bodies:
+        if not are_known:
+            V = (0.0, 0.0, 0.0) if R.anchored else centre_velocity(v, m)
             cfl = R.cfl if R.cfl > 0.0 else 1.0
-            look(0, len(found), velocity, acceleration, radius, borne, field, cfl, Vx, Vy, Vz, found)
-        a_max, a_free, b_max, every, fastest, held_time = _strictest(found)
+            find_limits(0, len(limits), bodies, (supported, field), cfl, V, limits)
+        a_max, a_free, b_max, every, fastest, held_time = _strictest(limits)
     if R.cfl > 0.0:
         dt_v = fastest if R.by_fastest_body else every
         if dt_v < dt:
@@ -205,13 +205,13 @@ def target(
         dt_a, why = _of_acceleration(R.target_dx, R.held_dx, R.held_part, a_max, a_free, b_max, held_time)
         if dt_a < dt:
             dt, limit = dt_a, why
-    if R.pull_fraction > 0.0:
-        if R.pull_of_pairs:
-            dt_p = step_of_pairs(position, velocity, mass, inverse_mass, R.constant, R.softening, R.pull_fraction)
+    if R.gravity_fraction > 0.0:
+        if R.examines_pairs:
+            dt_p = step_of_pairs(x, v, m, inverse_mass, R.constant, R.softening, R.gravity_fraction)
         else:
-            dt_p = step_of_largest(a_max, R.mean, R.softening, R.pull_fraction)
+            dt_p = step_of_largest(a_max, R.mean, R.softening, R.gravity_fraction)
         if dt_p < dt:
-            dt, limit = dt_p, PULL
+            dt, limit = dt_p, GRAVITY
     return dt, limit
 
 
@@ -232,21 +232,30 @@ def _of_acceleration(
 
 
 @long_kernel
-def look(
+def find_limits(
     lo: int,
     hi: int,
-    velocity: FloatArray,
-    acceleration: FloatArray,
-    radius: FloatArray,
-    borne: FloatArray,
-    field: FloatArray,
+    bodies: MovingBodies,
+    discounted: tuple[FloatArray, FloatArray],
     cfl: float,
-    Vx: float,
-    Vy: float,
-    Vz: float,
+    V: Vector,
     found: RecordArray[LimitsRecord],
 ) -> None:
-    """Write the limits set by the bodies of the blocks [lo, hi)."""
+    """Write the limits set by the bodies of the blocks [lo, hi).
+
+    Parameters
+    ----------
+    discounted
+        Accelerations that contacts support, and the one that does not count, as in `target`.
+    cfl
+        The fraction of a radius that a body may move in a step.
+    V
+        m/s, the velocity that speeds are relative to.
+    found
+        (k,) `LIMITS`, written.
+    """
+    _, velocity, acceleration, radius, _, _ = bodies
+    (supported, field), (Vx, Vy, Vz) = discounted, V
     for block in range(lo, hi):
         a_max, v2_max, fastest, every, a_free, held_time, b_max = 0.0, 0.0, np.inf, np.inf, 0.0, np.inf, 0.0
         for i in range(block * BODIES_PER_BLOCK, min((block + 1) * BODIES_PER_BLOCK, len(radius))):
@@ -256,9 +265,9 @@ def look(
             vx, vy, vz = velocity[i, 0], velocity[i, 1], velocity[i, 2]
             ux, uy, uz = vx - Vx, vy - Vy, vz - Vz
             u = np.sqrt(ux * ux + uy * uy + uz * uz)
-            if len(borne) > 0:
-                b_max = max(b_max, borne[i])
-            if len(borne) > 0 and borne[i] >= BORNE * a:
+            if len(supported) > 0:
+                b_max = max(b_max, supported[i])
+            if len(supported) > 0 and supported[i] >= SUPPORTED_FRACTION * a:
                 held_time = min(held_time, radius[i] / u) if u > 0.0 else held_time
             else:
                 a_free = max(a_free, a)
@@ -268,7 +277,7 @@ def look(
             if v2 > v2_max:
                 v2_max, fastest = v2, s / np.sqrt(v2)
         limits = found[block]
-        limits.largest_acceleration, limits.largest_free_acceleration, limits.largest_borne = a_max, a_free, b_max
+        limits.largest_acceleration, limits.largest_free_acceleration, limits.largest_supported = a_max, a_free, b_max
         limits.velocity_step, limits.held_time = every, held_time
         limits.fastest_step, limits.fastest_squared = fastest, v2_max
 
@@ -283,7 +292,7 @@ def _strictest(found: RecordArray[LimitsRecord]) -> tuple[float, float, float, f
     for block in range(len(found)):
         limits = found[block]
         a_max = max(a_max, limits.largest_acceleration)
-        a_free, b_max = max(a_free, limits.largest_free_acceleration), max(b_max, limits.largest_borne)
+        a_free, b_max = max(a_free, limits.largest_free_acceleration), max(b_max, limits.largest_supported)
         every, held_time = min(every, limits.velocity_step), min(held_time, limits.held_time)
         if limits.fastest_squared > v2_max:
             v2_max, fastest = limits.fastest_squared, limits.fastest_step

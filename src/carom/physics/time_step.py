@@ -33,8 +33,8 @@ from carom.physics.step_rule import (
     LIMIT_NAMES,
     LIMITS,
     RULE,
-    PullTime,
-    look,
+    GravityStep,
+    find_limits,
     smooth_and_cut,
     target,
 )
@@ -87,7 +87,7 @@ class Timestep:
         anchored: bool = False,
         team: Team = SOLO,
         *,
-        pull: PullTime | None = None,
+        pull: GravityStep | None = None,
         smoothing: float = 1.0,
         held_dx: float | None = None,
         held_part: float = HELD_PART,
@@ -98,9 +98,11 @@ class Timestep:
         rule["by_fastest_body"] = time.velocity_limit == "fastest-body"
         rule["held_dx"], rule["held_part"] = held_dx or 0.0, held_part
         rule["smoothing"], rule["anchored"] = smoothing, anchored
-        rule["looks"] = cfl is not None or target_dx is not None or (pull is not None and not pull.of_pairs)
+        rule["measures_bodies"] = (
+            cfl is not None or target_dx is not None or (pull is not None and not pull.examines_pairs)
+        )
         if pull is not None:
-            rule["pull_fraction"], rule["pull_of_pairs"] = pull.fraction, pull.of_pairs
+            rule["gravity_fraction"], rule["examines_pairs"] = pull.fraction, pull.examines_pairs
             rule["constant"], rule["softening"], rule["mean"] = pull.constant, pull.softening, pull.mean
         self.fixed_dt = time.fixed_dt
         self._smoothing = smoothing
@@ -121,20 +123,20 @@ class Timestep:
             field,
             scene.anchored,
             team,
-            pull=None if fraction is None else PullTime.of(scene.gravity, fraction, bodies),
+            pull=None if fraction is None else GravityStep.of(scene.gravity, fraction, bodies),
             smoothing=limits.smoothing,
             held_dx=limits.held_dx,
             held_part=limits.held_part,
         )
 
-    def choose(self, bodies: Bodies, remaining: float, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
+    def choose(self, bodies: Bodies, remaining: float, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Choose the next step.
 
         Parameters
         ----------
         remaining
             s, until the end of the run; the last step is cut to end there.
-        borne
+        supported
             (n + p,) m/s², the accelerations supported by lasting contacts; empty if there are none.
 
         Returns
@@ -146,30 +148,30 @@ class Timestep:
         if self.fixed_dt is not None:
             dt, limit, _ = smooth_and_cut(self.fixed_dt, FIXED, 1.0, 0.0, remaining)
         else:
-            allowed, limit = self._target(bodies, borne)
+            allowed, limit = self._target(bodies, supported)
             dt, limit, self.previous = smooth_and_cut(allowed, limit, self._smoothing, self.previous, remaining)
         return dt, LIMIT_NAMES[limit]
 
-    def first(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> float:
+    def first(self, bodies: Bodies, supported: FloatArray = NO_SUPPORT) -> float:
         """Return the first step (s) of a run that starts at the present state."""
-        return self.fixed_dt or self.target(bodies, borne)[0]
+        return self.fixed_dt or self.target(bodies, supported)[0]
 
-    def target(self, bodies: Bodies, borne: FloatArray = NO_SUPPORT) -> tuple[float, str]:
+    def target(self, bodies: Bodies, supported: FloatArray = NO_SUPPORT) -> tuple[float, str]:
         """Return the step that the limits allow, before smoothing, and the limit that set it."""
-        dt, limit = self._target(bodies, borne)
+        dt, limit = self._target(bodies, supported)
         return dt, LIMIT_NAMES[limit]
 
-    def _target(self, bodies: Bodies, borne: FloatArray) -> tuple[float, int]:
+    def _target(self, bodies: Bodies, supported: FloatArray) -> tuple[float, int]:
         """Return the step and the number of its limit."""
         x, v, a, m = bodies.position, bodies.velocity, bodies.acceleration, bodies.mass
-        found = self.buffer(bodies)
-        rule, is_found = self.rule[0], self._team.size > 1 and len(found) >= MIN_SHARED_BLOCKS
-        if is_found and rule["looks"]:
+        state = x, v, a, bodies.radius, m, bodies.ends.inverse_mass
+        limits = self.buffer(bodies)
+        rule, are_known = self.rule[0], self._team.size > 1 and len(limits) >= MIN_SHARED_BLOCKS
+        if are_known and rule["measures_bodies"]:
             V = (0.0, 0.0, 0.0) if rule["anchored"] else centre_velocity(v, m)
-            by_size = v, a, bodies.radius, borne, self.field, float(rule["cfl"]) or 1.0
-            self._team.divide(len(found), 1, look, *by_size, *V, found)
-        state = x, v, a, bodies.radius, m, bodies.ends.inverse_mass, borne, self.field
-        return target(self.rule, *state, found, is_found)
+            discounted = supported, self.field
+            self._team.divide(len(limits), 1, find_limits, state, discounted, float(rule["cfl"]) or 1.0, V, limits)
+        return target(self.rule, state, supported, self.field, limits, are_known)
 
     def buffer(self, bodies: Bodies) -> Records:
         """Return an array for the limits of all blocks of bodies."""

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from carom.plan import contact_parts, pulls
+from carom.plan import acting_forces, contact_parts
 from carom.plan.contact_parts import forced_parts
 from carom.plan.hierarchy import FEWEST_ORBITS, far_apart, orbits_often
 from carom.scene.forces import MOST_RELAXATIONS
@@ -59,7 +59,7 @@ def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", 
     `TREE_FROM`. Below that, a tree saves milliseconds at most, and the direct sum conserves momentum to round-off.
     """
     method = scene.gravity.method
-    if method == "none" or not (pulls.gravity(scene).modelled or "gravity" in forced_parts(scene)):
+    if method == "none" or not (acting_forces.gravity(scene).modelled or "gravity" in forced_parts(scene)):
         return "none"
     if method == "auto":
         return "direct" if scene.count < TREE_FROM else "tree"
@@ -106,9 +106,9 @@ def inexact_impacts(scene: Scene) -> str:
     if why_late(scene):
         return f"impacts are detected up to a step late, with an overlap: {why_late(scene)}"
     second_order = "approach speeds of impacts are accurate to second order in the step"
-    if force := pulls.further(scene):
+    if force := acting_forces.further(scene):
         return f"{force} changes during a step: {second_order}"
-    if scene.domain.boundary == "periodic" and scene.anchored and pulls.pushing(scene):
+    if scene.domain.boundary == "periodic" and scene.anchored and acting_forces.pushing(scene):
         return f"paths are straight within a step in a periodic box: with fixed bodies, {second_order}"
     if scene.drag and (scene.time.fixed_dt or largest_step(scene)) > MOST_RELAXATIONS * scene.drag.relaxation_time:
         longest = scene.unit_system.text(MOST_RELAXATIONS * scene.drag.relaxation_time, TIME, "g")
@@ -116,7 +116,7 @@ def inexact_impacts(scene: Scene) -> str:
             f"steps may exceed {MOST_RELAXATIONS:g} relaxation times of the drag, and impacts in such steps are "
             f"accurate only to first order; set time.max_dt = {longest} for exact impacts"
         )
-    if not pulls.gravity(scene).modelled:
+    if not acting_forces.gravity(scene).modelled:
         return ""
     error = _error_by_gravity(scene)
     if error <= EXACT_IMPACT:
@@ -185,9 +185,11 @@ def _meets_seldom(scene: Scene) -> bool:
 
     With leapfrog's steps of at most a second, eighty years of a comet took hours. Gauss–Radau takes a second.
     """
-    if not (contact_parts.contact(scene).modelled and pulls.gravity(scene).modelled and _bounces_on_curves(scene)):
+    if not (
+        contact_parts.contact(scene).modelled and acting_forces.gravity(scene).modelled and _bounces_on_curves(scene)
+    ):
         return False
-    alone = scene.domain.boundary == "open" and not (scene.plane or scene.wall) and not pulls.pushing(scene)
+    alone = scene.domain.boundary == "open" and not (scene.plane or scene.wall) and not acting_forces.pushing(scene)
     as_usual = scene.contact.timing == "auto" and scene.contact.sleep is None
     drifts = contact_parts.moves_relatively(scene)  # bodies that start at rest fall towards each other
     return alone and as_usual and drifts and _leaves_step_free(scene) and far_apart(scene)
@@ -197,7 +199,7 @@ def _accurate(scene: Scene) -> str:
     """Return the integrator with the lowest cost for an accuracy, before a look-ahead may find a cheaper one."""
     if contact_parts.contact(scene).modelled:
         return "gauss-radau15" if _bounces_on_curves(scene) else "leapfrog"
-    if pulls.damping(scene) or not pulls.differing(scene) or scene.domain.is_periodic:
+    if acting_forces.damping(scene) or not acting_forces.differing(scene) or scene.domain.is_periodic:
         return "leapfrog"
     by_pairs = scene.gravity.method not in TREES and scene.count < TREE_FROM
     return "gauss-radau15" if by_pairs else "yoshida4"
@@ -205,7 +207,7 @@ def _accurate(scene: Scene) -> str:
 
 def _bounces_on_curves(scene: Scene) -> bool:
     """Return whether a few colliding bodies move on curves, so that a high order between impacts is worthwhile."""
-    bent = contact_parts.load(scene) != "" and not pulls.damping(scene)
+    bent = contact_parts.load(scene) != "" and not acting_forces.damping(scene)
     open_space = not scene.domain.is_periodic and not scene.contact.allow_overlap
     return bent and open_space and scene.gravity.method not in TREES and scene.count <= BOUNCES_UP_TO
 
@@ -227,7 +229,7 @@ def _leaves_step_free(scene: Scene) -> bool:
 
 
 def _is_smooth(scene: Scene) -> bool:
-    if not pulls.differing(scene) or contact_parts.contact(scene).modelled or pulls.damping(scene):
+    if not acting_forces.differing(scene) or contact_parts.contact(scene).modelled or acting_forces.damping(scene):
         return False
     resolved = scene.time.fixed_dt is None and pull_fraction(scene) is not None  # a step that resolves each encounter
     return scene.count <= (PAIRS_UP_TO if resolved else SMOOTH_UP_TO)
@@ -251,7 +253,9 @@ def target_dx(scene: Scene) -> float | None:
     """
     if scene.time.target_dx != "auto":
         return scene.time.target_dx
-    if not contact_parts.contact(scene).modelled and (pulls.gravity(scene).modelled or not pulls.differing(scene)):
+    if not contact_parts.contact(scene).modelled and (
+        acting_forces.gravity(scene).modelled or not acting_forces.differing(scene)
+    ):
         return None
     return auto_step(scene) ** 2 * smallest_radius(scene)
 
@@ -284,7 +288,7 @@ def pull_fraction(scene: Scene) -> float | None:
 
     By default it replaces the limits by radius in scenes without contacts, unless the scene sets ``target_dx``.
     """
-    if not pulls.gravity(scene).modelled:
+    if not acting_forces.gravity(scene).modelled:
         return None
     if scene.time.pull_fraction != "auto":
         return scene.time.pull_fraction

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from carom.plan.pulls import differing, pushing
+from carom.plan.acting_forces import differing, pushing
 from carom.scene.contact_laws import exerts_torque, functions_of
 from carom.scene.matter import KindOfContact, kinds_of_contacts
 from carom.scene.parts import Part

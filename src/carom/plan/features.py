@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from carom.errors import SceneError
-from carom.plan import contact_parts, pulls
+from carom.plan import acting_forces, contact_parts
 from carom.plan.auto import (
     BOUNCES_UP_TO,
     PAIRS_UP_TO,
@@ -80,7 +80,7 @@ class Requirements:
         return self.forces[UNIFORM_FIELD.name]
 
     @property
-    def pulls(self) -> bool:
+    def accelerates(self) -> bool:
         """Whether a force accelerates bodies between contacts."""
         return any(part.modelled for part in self.forces.values())
 
@@ -127,7 +127,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
             raise SceneError(f"model.force: {forced[part.name]} cannot be forced on: {contradiction}")
         return Part(part.name, True, part.why)
 
-    forces = {kind.name: decide(pulls.part(kind, scene)) for kind in kinds_of(scene)}
+    forces = {kind.name: decide(acting_forces.part(kind, scene)) for kind in kinds_of(scene)}
     contact = decide(contact_parts.contact(scene))
     friction = decide(contact_parts.friction(scene, contact))
     torque = decide(contact_parts.torque(friction))
@@ -257,9 +257,9 @@ def _integrator(scene: Scene) -> Part:
         return Part(name, True, f"{chosen}: {why}")
     if chosen == "yoshida4":
         return Part(name, True, f"yoshida4: {scene.count} bodies attract each other, and no contact is modelled")
-    if force := pulls.damping(scene):
+    if force := acting_forces.damping(scene):
         why = f"the only integrator that supports {force.name}"
-    elif not pulls.differing(scene):
+    elif not acting_forces.differing(scene):
         why = "exact between impacts, since bodies do not attract each other"
     elif contact_parts.contact(scene).modelled:
         late = timing(scene) == "end-of-step"
@@ -279,7 +279,7 @@ def _why_accurate(scene: Scene, chosen: str) -> str:
         return "its steps end at impacts and have only rounding errors; leapfrog takes over when contacts come to rest"
     if chosen == "gauss-radau15":
         return "cheapest for the accuracy, and no contact is modelled"
-    if force := pulls.damping(scene):
+    if force := acting_forces.damping(scene):
         return f"the only integrator that supports {force.name}"
     if scene.count > BOUNCES_UP_TO:
         return f"{scene.count} bodies, more than {BOUNCES_UP_TO}, which gauss-radau15 would stop at each impact"

@@ -55,7 +55,7 @@ class GridPoint:
 def knobs(scene: Scene) -> dict[str, tuple[str, ...]]:
     """Return the keys that trade speed for accuracy in a scene, each with further values."""
     parts = require(scene)
-    forces, located = parts.pulls, parts.impact_time.modelled
+    forces, located = parts.accelerates, parts.impact_time.modelled
     found: dict[str, tuple[str, ...]] = {}
     if not parts.contact.modelled:
         found["time.integrator"] = _integrators(scene)
@@ -120,7 +120,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
             ("time", "accuracy"),
         )
     parts, other = require(scene), knobs(scene)
-    forces, located = parts.pulls, parts.impact_time.modelled
+    forces, located = parts.accelerates, parts.impact_time.modelled
     if not parts.contact.modelled:
         own = GridPoint()
         orders = [own, *(own.having("time.integrator", value) for value in other.get("time.integrator", ()))]

@@ -18,6 +18,14 @@ from carom.physics.jit.instructions import from_front
 from carom.physics.jit.vectors import where
 from carom.physics.vector import Vector, between, nearest_image, vector
 
+# Arguments of kernels that belong together. Where Python calls a kernel in each step, they are plain tuples: Numba
+# takes 5 µs for a named tuple, 0.5 µs for a plain one. With named ones, a step of `heap` took 1.09 times as long.
+Shapes = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
+"""Positions (n, 3) m and radii (n,) m; box (3,) m, zeros in open space; normals (p, 3) and offsets (p,) m of planes."""
+
+SearchedSpheres = tuple[FloatArray, FloatArray, FloatArray, float, float]
+"""Positions (n, 3) m and radii (n,) m; box (3,) m; scale and skin (m) of the largest distance, see `are_near`."""
+
 
 @inline
 def normal_and_distance(dx: float, dy: float, dz: float) -> tuple[float, float, float, float]:
@@ -67,15 +75,12 @@ def update_geometry(
     lo: int,
     hi: int,
     pairs: IntArray,
-    x: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    surface: FloatArray,
-    offset: FloatArray,
+    shapes: Shapes,
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
 ) -> None:
     """Write normals from i to j, lever arms and overlaps of the contacts [lo, hi)."""
+    x, radius, box, surface, offset = shapes
     n = len(x)
     for c in range(from_front(lo), hi):
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]

@@ -84,31 +84,32 @@ class Islands:
         """
         team, parent, largest = self._team, self._parent, self._largest
         flags = np.zeros(2, dtype=np.bool_)
-        team.divide(
-            len(active), MIN_PER_TASK, _stand_alone, active, acceleration, inverse_mass, field, parent, largest, flags
-        )
+        tables = parent, largest, flags
+        team.divide(len(active), MIN_PER_TASK, _stand_alone, active, acceleration, inverse_mass, field, tables)
         if flags[UNEQUAL]:
             team.divide(len(pairs), MIN_PER_TASK, _join, pairs, inverse_mass, parent)
             team.divide(len(active), MIN_PER_TASK, _spread_largest, active, parent, largest.view(np.int64))
         joined = bool(flags[UNEQUAL])
-        islands = (pairs, inverse_mass, parent, largest, joined)
-        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, *islands, dt, states, flags)
+        team.divide(len(pairs), MIN_PER_TASK, _write_speeds, pairs, inverse_mass, tables, joined, dt, states)
         return bool(flags[PRESSES])
 
 
+IslandTables = tuple[IntArray, FloatArray, BoolArray]
+"""Parents (n + p,), see `root_of`; the largest |a|² (m²/s⁴) of the island of a root (n + p,); `UNEQUAL`, `PRESSES`."""
+
+
 @unowned
-def write_rest_speeds(
-    system: ConstraintSystem, field: FloatArray, dt: float, parent: IntArray, largest: FloatArray, flags: BoolArray
-) -> bool:
-    """Write the rest speed of each contact as `Islands` does; the last three are (n + p,), (n + p,) and (2,)."""
+def write_rest_speeds(system: ConstraintSystem, field: FloatArray, dt: float, tables: IslandTables) -> bool:
+    """Write the rest speed of each contact as `Islands` does."""
     pairs, active, inverse_mass = system.pairs, system.active, system.inverse_mass
+    parent, largest, flags = tables
     flags[UNEQUAL] = flags[PRESSES] = False
-    _stand_alone(0, len(active), active, system.acceleration, inverse_mass, field, parent, largest, flags)
+    _stand_alone(0, len(active), active, system.acceleration, inverse_mass, field, tables)
     joined = flags[UNEQUAL]
     if joined:
         _join(0, len(pairs), pairs, inverse_mass, parent)
         _spread_largest(0, len(active), active, parent, largest.view(np.int64))
-    _write_speeds(0, len(pairs), pairs, inverse_mass, parent, largest, joined, dt, system.states, flags)
+    _write_speeds(0, len(pairs), pairs, inverse_mass, tables, joined, dt, system.states)
     return bool(flags[PRESSES])
 
 
@@ -120,14 +121,13 @@ def _stand_alone(
     acceleration: FloatArray,
     inverse_mass: FloatArray,
     field: FloatArray,
-    parent: IntArray,
-    largest: FloatArray,
-    flags: BoolArray,
+    tables: IslandTables,
 ) -> None:
     """Make each body an island; note in ``flags`` whether accelerations differ.
 
     If they do not, islands need not be joined.
     """
+    parent, largest, flags = tables
     first = -1.0
     for k in range(len(active)):
         if inverse_mass[active[k]] > 0.0:
@@ -167,14 +167,13 @@ def _write_speeds(
     hi: int,
     pairs: IntArray,
     inverse_mass: FloatArray,
-    parent: IntArray,
-    largest: FloatArray,
+    tables: IslandTables,
     joined: bool,
     dt: float,
     states: RecordArray[ContactStateRecord],
-    flags: BoolArray,
 ) -> None:
     """Write the rest speed of each contact; the same for all where islands were not ``joined``."""
+    parent, largest, flags = tables
     presses, rest_speed = False, 0.0
     for c in range(lo, hi):
         if joined or c == lo:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -198,35 +198,46 @@ def late_contacts(
     kept_pairs, kept_normals = np.empty((m, 2), dtype=np.int64), np.empty((m, 3))
     overlaps, approach, rest_speed = np.empty(m), np.empty(m), np.empty(m)
     kept_colours, kept = np.empty(m, dtype=np.int64), np.empty(m, dtype=np.int64)
-    given = (pairs, colours, place, contacts, states, normals)
-    count = _copy_touching(*given, kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept)
+    given = _Contacts(pairs, colours, place, contacts, states, normals)
+    count = _copy_touching(given, _Kept(kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept))
     graph = CollisionGraph(
         kept_pairs[:count], kept_normals[:count], overlaps[:count], kept_colours[:count], body_colours
     )
     return ContactSnapshot.of(graph, approach[:count], rest_speed[:count]), kept[:count]
 
 
+class _Contacts(NamedTuple):
+    """All contacts at the end of a step, as arguments of `late_contacts`."""
+
+    pairs: IntArray
+    colours: IntArray
+    place: IntArray
+    contacts: RecordArray[ContactRecord]
+    states: RecordArray[ContactStateRecord]
+    normals: FloatArray
+
+
+class _Kept(NamedTuple):
+    """Those that are kept."""
+
+    pairs: IntArray  # (m, 2)
+    normals: FloatArray  # (m, 3)
+    overlaps: FloatArray  # (m,) m
+    colours: IntArray  # (m,)
+    approach: FloatArray  # (m,) m/s
+    rest_speed: FloatArray  # (m,) m/s
+    place: IntArray  # (m,) of their records
+
+
 @kernel
-def _copy_touching(
-    pairs: IntArray,
-    colours: IntArray,
-    place: IntArray,
-    contacts: RecordArray[ContactRecord],
-    states: RecordArray[ContactStateRecord],
-    normals: FloatArray,
-    kept_pairs: IntArray,
-    kept_normals: FloatArray,
-    overlaps: FloatArray,
-    kept_colours: IntArray,
-    approach: FloatArray,
-    rest_speed: FloatArray,
-    kept_place: IntArray,
-) -> int:
+def _copy_touching(given: _Contacts, kept: _Kept) -> int:
     """Copy the contacts that touched or carry an impulse; return their number.
 
     Normals and overlaps are those before the position correction. A contact that the correction opened is still
     resolved. Otherwise the body would fall and be pushed back in each step.
     """
+    pairs, colours, place, contacts, states, normals = given
+    kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept_place = kept
     count = 0
     for c in range(len(pairs)):
         p = place[c]

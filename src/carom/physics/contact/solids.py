@@ -19,7 +19,7 @@ from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.constraints import ContactStateRecord, ends_of
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
 from carom.physics.jit.instructions import from_front
-from carom.physics.vector import vector
+from carom.physics.vector import Vector, vector
 from carom.scene.schema import Scene
 from carom.scene.start import HalfSpaces, half_spaces
 from carom.scene.wall_shapes import shape_called
@@ -272,14 +272,12 @@ def add_arc_speeds(
     for c in range(from_front(lo), hi):
         i, j = ends_of(pairs, c)
         if j >= n and states[c].rest_speed > 0.0:
-            (px, py, pz), (vx, vy, vz) = vector(x, i), vector(v, i)
-            states[c].rest_speed += _arc_speed(surface, j - n, px, py, pz, vx, vy, vz, dt)
+            states[c].rest_speed += _arc_speed(surface, j - n, vector(x, i), vector(v, i), dt)
 
 
 @inline
-def _arc_speed(
-    surface: FloatArray, solid: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, dt: float
-) -> float:
+def _arc_speed(surface: FloatArray, solid: int, position: Vector, velocity: Vector, dt: float) -> float:
+    (x, y, z), (vx, vy, vz) = position, velocity
     nx, ny, nz, _, focal = nearest_point(surface, solid, x, y, z)
     vn = vx * nx + vy * ny + vz * nz
     along = vx * vx + vy * vy + vz * vz - vn * vn

@@ -163,7 +163,7 @@ def remedies_of(scene: Scene) -> Mapping[str, str]:
         return REMEDY
     if integrator(scene).controls_error:
         return {} if require(scene).contact.modelled else {"cap": REMEDY["cap"]}
-    return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).pulls and accuracy < LARGEST_ACCURACY else {}
+    return dict.fromkeys(REMEDY, "time.accuracy") if require(scene).accelerates and accuracy < LARGEST_ACCURACY else {}
 
 
 @dataclass(frozen=True, slots=True)

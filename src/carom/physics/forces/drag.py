@@ -129,13 +129,13 @@ class StokesDrag:
     def lost_in_hold(self, step: DampedStep, before: FloatArray) -> float:
         """Return the change of the loss because contacts were held, in joules; see `Damping`."""
         bodies = self._bodies
-        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.share)
+        return _lost_in_hold(bodies.velocity, before, bodies.acceleration, self._against, bodies.mass, step.booked)
 
     def exchange_in_impacts(self, step: DampedStep, before: FloatArray, impacts: Impacts) -> Exchange:
         """Return the exchange with the medium due to impacts during a drift; see `Damping`."""
         sums, ends = np.zeros(1, SUMS), self._bodies.ends
         state = before, ends.acceleration, ends.inverse_mass, self.uniform
-        _exchange_in_impacts(impacts.log, impacts.after, *state, *step.path, step.share, sums)
+        _exchange_in_impacts(impacts.log, impacts.after, *state, step, sums)
         return _exchange_of(sums)
 
 
@@ -200,7 +200,7 @@ def _step_of(rate: float, dt: float) -> DampedStep:
 def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
     """Kick and slow down before the drift; write loss, impulse and angular impulse."""
     x, v, a, mass, inverse_mass = bodies
-    total, h, share, kick, factor = law.sums[BEFORE], step.length, step.share, step.first_kick, step.before
+    total, h, booked, kick, factor = law.sums[BEFORE], step.length, step.booked, step.first_kick, step.before
     _clear(total)
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
@@ -214,7 +214,7 @@ def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
             work += a[i, k] * w
             a2 += a[i, k] * a[i, k]
             v[i, k] = kicked
-        total.lost += mass[i] * (0.5 * (v2 - w2) + share * work - 0.5 * share * (h - share) * a2)
+        total.lost += mass[i] * (0.5 * (v2 - w2) + booked * work - 0.5 * booked * (h - booked) * a2)
         _slow_down(i, x, v, mass[i], law.outer, kick, factor, total)
 
 
@@ -222,7 +222,7 @@ def _begin(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
 def _end(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
     """Slow down and kick after the drift; write loss, impulse and angular impulse."""
     x, v, a, mass, inverse_mass = bodies
-    total, h, share, kick, factor = law.sums[AFTER], step.length, step.share, step.last_kick, step.after
+    total, h, booked, kick, factor = law.sums[AFTER], step.length, step.booked, step.last_kick, step.after
     _clear(total)
     for i in range(len(mass)):
         if inverse_mass[i] == 0.0:
@@ -237,7 +237,7 @@ def _end(law: DragLaw, bodies: KickedBodies, step: DampedStep) -> None:
         for k in range(3):
             v[i, k] += a[i, k] * kick
             v2 += v[i, k] * v[i, k]
-        lost = 0.5 * (w2 - v2) + (h - share) * work - h * blown + 0.5 * share * (h - share) * a2
+        lost = 0.5 * (w2 - v2) + (h - booked) * work - h * blown + 0.5 * booked * (h - booked) * a2
         total.lost += mass[i] * lost
 
 
@@ -273,13 +273,13 @@ def _slow_down(
 
 @kernel
 def _lost_in_hold(
-    v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, share: float
+    v: FloatArray, before: FloatArray, a: FloatArray, against: FloatArray, mass: FloatArray, booked: float
 ) -> float:
     """Sum κ m Δv·(a - against): the contacts have booked κ m Δv·against, but the kick books κ m Δv·a."""
     lost = 0.0
     for i in range(len(mass)):
         for k in range(3):
-            lost += share * mass[i] * (v[i, k] - before[i, k]) * (a[i, k] - against[i, k])
+            lost += booked * mass[i] * (v[i, k] - before[i, k]) * (a[i, k] - against[i, k])
     return lost
 
 
@@ -291,10 +291,7 @@ def _exchange_in_impacts(
     a: FloatArray,
     inverse_mass: FloatArray,
     wind: FloatArray,
-    kick: float,
-    damping: float,
-    strength: float,
-    share: float,
+    step: DampedStep,
     sums: RecordArray[DragSumsRecord],
 ) -> None:
     """Add the exchange with the medium due to impacts to ``sums``, and write the changes of velocities to ``w``.
@@ -303,7 +300,7 @@ def _exchange_in_impacts(
 
         lost = Σ m Δw·((f² - 1) w̄ + f (σ - k) a + (κ - σ) a + σ u/τ),    impulse = Σ m Δw (1 - f)
     """
-    total = sums[0]
+    (kick, damping, strength), booked, total = step.path, step.booked, sums[0]
     change = np.zeros_like(w)
     for row in range(len(log)):
         entry = log[row]
@@ -319,7 +316,7 @@ def _exchange_in_impacts(
             for k in range(3):
                 old, new = w[i, k], (after[row, end, k] - strength * a[i, k] * s) / f
                 w[i, k] = new
-                lost = (f * f - 1.0) * (0.5 * (old + new)) + (strength * f * s + share - sigma) * a[i, k]
+                lost = (f * f - 1.0) * (0.5 * (old + new)) + (strength * f * s + booked - sigma) * a[i, k]
                 total.lost += (new - old) / inverse_mass[i] * (lost + sigma * wind[k])
                 slowed = (new - old) * (1.0 - f)
                 change[i, k] += slowed

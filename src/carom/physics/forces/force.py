@@ -81,7 +81,7 @@ class DampedStep(NamedTuple):
     before: float  # factor of the velocities before the drift, which makes them the mean velocities of the drift
     after: float  # factor after the drift
     last_kick: float  # s
-    share: float  # s, part of the drift for which the work of the other forces is booked before it
+    booked: float  # s, part of the drift for which the work of the other forces is booked before it
     held_kick: float  # s, effective length of the first kick at held contacts
     path: DampedPath
 

@@ -49,7 +49,7 @@ from carom.physics.look_ahead.error_growth import (
 from carom.physics.look_ahead.orbits import look_at_orbits
 from carom.physics.look_ahead.trial_run import LEAST, TrialRun, Watcher, WorkBudget, radau_work
 from carom.physics.placement import place
-from carom.plan import pulls
+from carom.plan import acting_forces
 from carom.plan.auto import auto_interval, integrator, largest_step
 from carom.plan.features import require
 from carom.plan.hierarchy import orbits_often
@@ -174,7 +174,7 @@ class _LookAhead:
             _, twins = self._part_at_impacts(ahead)
             longest = auto_interval(self._scene, self._scene.time.duration) / largest_step(self._scene)
             return self._promise(min(longest, LONGEST), self._rounding * twins.apart, twins.exponent)
-        if not require(self._scene).pulls:  # flights and times of impact are exact, whatever the step
+        if not require(self._scene).accelerates:  # flights and times of impact are exact, whatever the step
             _, twins = self._part_at_impacts(ahead)
             return self._promise(LONGEST, self._rounding * twins.apart, twins.exponent)
         return self._find_for_steps(integrator(self._scene).order)
@@ -183,7 +183,7 @@ class _LookAhead:
     def _is_exact(self) -> bool:
         """Whether steps of any length are exact: without contacts, and with uniform fields and drag only."""
         needs = require(self._scene)
-        return not (needs.contact.modelled or pulls.differing(self._scene))
+        return not (needs.contact.modelled or acting_forces.differing(self._scene))
 
     @property
     def _is_rough(self) -> bool:

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from carom.physics.jit.decorators import inner, long_kernel
 from carom.physics.placement.neighbours import Surroundings
 from carom.physics.placement.random_placement import positions
 from carom.physics.placement.region import Arrangement, half_extent, packing_fraction, refuse_too_large
-from carom.physics.vector import minimum_images, nearest_image
+from carom.physics.vector import Vector, minimum_images, nearest_image
 from carom.scene.portable_math import cube_root
 from carom.scene.schema import BodyGroup, Region
 from carom.scene.units.system import UnitSystem
@@ -123,7 +123,7 @@ def grown(
         own["radius"], own["growth"] = size * radius, rate * radius
         _reset_speeds(own, radius)
         ends, others = _neighbours(sphere, n, span, box)
-        flown, count = fly(sphere, n, border, queue, ends, others, box, images, span, MOST_AT_ONCE * n)
+        flown, count = fly(sphere, n, queue, FlightSpace(border, ends, others, box, images), span, MOST_AT_ONCE * n)
         size = full if flown == left else size + rate * flown
         impacts += count
         rate = min(FASTEST, max(SLOWEST, EASE * n * flown / max(1, 2 * count)))
@@ -230,16 +230,22 @@ class BorderRecord(Protocol):
 BORDER = dtype_of(BorderRecord)
 
 
+class FlightSpace(NamedTuple):
+    """Everything that spheres can meet in a flight."""
+
+    border: RecordArray[BorderRecord]  # (b,)
+    ends: IntArray  # (n + 1,) the neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``
+    others: IntArray
+    box: FloatArray  # (3,) m; zeros in open space
+    images: int  # on either side of the nearest one that can also be met, in a box of a few radii
+
+
 @long_kernel
 def fly(
     sphere: RecordArray[GrowingSphereRecord],
     movers: int,
-    border: RecordArray[BorderRecord],
     queue: IntArray,
-    ends: IntArray,
-    others: IntArray,
-    box: FloatArray,
-    images: int,
+    space: FlightSpace,
     span: float,
     most: int,
 ) -> tuple[float, int]:
@@ -249,16 +255,10 @@ def fly(
     ----------
     sphere
         (n,) `SPHERE`; spheres from ``movers`` on are fixed.
-    border
-        (b,) `BORDER`.
     queue
         (movers,) buffer for the event queue.
-    ends, others
-        The neighbours of sphere i are ``others[ends[i]:ends[i + 1]]``.
-    box
-        (3,) m; zeros in open space.
-    images
-        Number of images on either side of the nearest one that can also be met, in a box of a few radii.
+    space
+        Everything that spheres can meet.
 
     Returns
     -------
@@ -267,7 +267,7 @@ def fly(
     impacts
         Number of impacts.
     """
-    size, impacts = 0, 0
+    size, impacts, border, box = 0, 0, space.border, space.box
     for i in range(len(sphere)):
         a = sphere[i]
         a.start_x, a.start_y, a.start_z = a.x, a.y, a.z
@@ -275,7 +275,7 @@ def fly(
         if i < movers:
             span = min(span, _time_in_skin(a))
     for i in range(movers):
-        _predict(i, 0.0, span, sphere, border, ends, others, box, images)
+        _predict(i, 0.0, span, sphere, space)
         size = put(i, size, queue, sphere)
     while size > 0 and sphere[queue[0]].impact_time < span:
         i = queue[0]
@@ -293,9 +293,9 @@ def fly(
             impacts += 1
             if j < movers:
                 span = min(span, now + _time_in_skin(sphere[j]))
-                _predict(j, now, span, sphere, border, ends, others, box, images)
+                _predict(j, now, span, sphere, space)
                 size = put(j, size, queue, sphere)
-        _predict(i, now, span, sphere, border, ends, others, box, images)
+        _predict(i, now, span, sphere, space)
         size = put(i, size, queue, sphere)
         if impacts == most:
             span = now
@@ -351,18 +351,9 @@ def _bounce_off(a: GrowingSphereRecord, wall: BorderRecord) -> None:
 
 
 @inner
-def _predict(
-    i: int,
-    now: float,
-    span: float,
-    sphere: RecordArray[GrowingSphereRecord],
-    border: RecordArray[BorderRecord],
-    ends: IntArray,
-    others: IntArray,
-    box: FloatArray,
-    images: int,
-) -> None:
+def _predict(i: int, now: float, span: float, sphere: RecordArray[GrowingSphereRecord], space: FlightSpace) -> None:
     """Predict the next impact of a sphere."""
+    border, ends, others, box, images = space
     a, left = sphere[i], span - now
     s = now - a.now
     x, y, z, r = a.x + a.vx * s, a.y + a.vy * s, a.z + a.vz * s, a.radius + a.growth * now
@@ -377,33 +368,24 @@ def _predict(
         dx, dy, dz = (b.x + b.vx * t) - x, (b.y + b.vy * t) - y, (b.z + b.vz * t) - z
         dx, dy, dz = nearest_image(dx, dy, dz, box)
         D, growth = r + b.radius + b.growth * now, a.growth + b.growth
-        vx, vy, vz = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
+        v = b.vx - a.vx, b.vy - a.vy, b.vz - a.vz
         for ix in range(-images, images + 1):
             for iy in range(-images, images + 1):
                 for iz in range(-images, images + 1):
-                    px, py, pz = dx + ix * box[0], dy + iy * box[1], dz + iz * box[2]
-                    when = now + _time_to_sphere(px, py, pz, vx, vy, vz, D, growth, left)
+                    d = dx + ix * box[0], dy + iy * box[1], dz + iz * box[2]
+                    when = now + _time_to_sphere(d, v, D, growth, left)
                     if when < first:
                         first, a.partner, a.partner_impacts = when, others[m], b.impacts
     a.impact_time = first
 
 
 @inner
-def _time_to_sphere(
-    dx: float,
-    dy: float,
-    dz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    D: float,
-    growth: float,
-    left: float,
-) -> float:
+def _time_to_sphere(d: Vector, v: Vector, D: float, growth: float, left: float) -> float:
     """Return the time (s) in which two spheres meet; infinite if not within the time left."""
+    (dx, dy, dz), (vx, vy, vz) = d, v
     k = growth / D
-    wx, wy, wz = vx - k * dx, vy - k * dy, vz - k * dz
-    sigma = time_of_impact(dx, dy, dz, wx, wy, wz, 0.0, 0.0, 0.0, D, left / (1.0 + k * left), 0.0, 0.0)
+    w = vx - k * dx, vy - k * dy, vz - k * dz
+    sigma = time_of_impact(d, w, (0.0, 0.0, 0.0), D, left / (1.0 + k * left), 0.0, 0.0)
     return float(sigma / (1.0 - k * sigma)) if sigma < np.inf else np.inf
 
 
@@ -421,7 +403,7 @@ def _time_to_border(
     if wall.upright:
         z, vz = 0.0, 0.0
     if not wall.around:
-        return _time_to_sphere(x, y, z, a.vx, a.vy, vz, wall.radius + r, g, left)
+        return _time_to_sphere((x, y, z), (a.vx, a.vy, vz), wall.radius + r, g, left)
     space = max(0.0, wall.radius - r)
     A = a.vx * a.vx + a.vy * a.vy + vz * vz - g * g
     B = x * a.vx + y * a.vy + z * vz + g * space

@@ -19,7 +19,7 @@ import numpy as np
 from carom.arrays import FloatArray, IntArray, RecordArray, Records, dtype_of
 from carom.physics.contact.broad_phase.grid import ALL_PAIRS_UP_TO, HierarchicalGrid
 from carom.physics.contact.constraints import ends_of
-from carom.physics.contact.geometry import are_near
+from carom.physics.contact.geometry import SearchedSpheres, are_near
 from carom.physics.jit.decorators import borrowing, kernel, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.jit.team import SOLO, Team
@@ -144,8 +144,8 @@ class PairList:
         """Return the listed pairs within the search distance."""
         listed, team = self._listed, self._team
         blocks, near = np.empty(-(-len(listed) // PAIRS_PER_BLOCK), BLOCK), np.empty_like(listed)
-        reach = scale, skin, near, blocks
-        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _test, listed, position, self._radius, self._box, *reach)
+        spheres = position, self._radius, self._box, scale, skin
+        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _test, listed, spheres, near, blocks)
         return close_up(near, blocks, team)
 
 
@@ -182,11 +182,7 @@ def _test(
     lo: int,
     hi: int,
     listed: IntArray,
-    position: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    scale: float,
-    skin: float,
+    spheres: SearchedSpheres,
     near: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
@@ -195,6 +191,7 @@ def _test(
     Counting references to arrays at each pair would make a step of 10⁴ spheres 1.8 times as long on one thread, 2.7
     times on two.
     """
+    position, radius, box, scale, skin = spheres
     size = sizes(box)
     for block in range(lo, hi):
         m = begin = from_front(block * PAIRS_PER_BLOCK)

@@ -58,7 +58,7 @@ class PlaneSearch:
         blocks = np.empty(-(-n // BODIES_PER_BLOCK), dtype=BLOCK)
         merged = np.empty((len(pairs) + n * p, 2), dtype=np.int64)
         spheres, planes = (position, self._radius, self._inverse_mass), (self._planes.surface, self._planes.offset)
-        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _merge, pairs, *spheres, *planes, scale, skin, merged, blocks)
+        team.divide(len(blocks), MIN_BLOCKS_PER_TASK, _merge, pairs, spheres, planes, (scale, skin), merged, blocks)
         return close_up(merged, blocks, team)
 
 
@@ -67,17 +67,14 @@ def _merge(
     lo: int,
     hi: int,
     pairs: IntArray,
-    position: FloatArray,
-    radius: FloatArray,
-    inverse_mass: FloatArray,
-    normal: FloatArray,
-    offset: FloatArray,
-    scale: float,
-    skin: float,
+    spheres: tuple[FloatArray, FloatArray, FloatArray],
+    planes: tuple[FloatArray, FloatArray],
+    nearness: tuple[float, float],
     merged: IntArray,
     blocks: RecordArray[BlockRecord],
 ) -> None:
     """Merge the pairs of the blocks [lo, hi) of bodies; each block has space for all its possible pairs."""
+    (position, radius, inverse_mass), (normal, offset), (scale, skin) = spheres, planes, nearness
     c = from_front(first_of(lo * BODIES_PER_BLOCK, pairs))
     for block in range(from_front(lo), hi):
         begin = c + block * BODIES_PER_BLOCK * len(offset)

@@ -56,7 +56,7 @@ from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
 from carom.physics.rotation import rotate_one
-from carom.physics.vector import Vector, add, along, between, nearest_image, sizes, vector
+from carom.physics.vector import Vector, add, along, between, is_periodic, nearest_image, sizes, vector
 
 # of the rest speed; faster contacts are resolved where they touch, and rebound if faster than the rest speed.
 SLOW = 0.25
@@ -169,8 +169,7 @@ def _predict_again(i: int, neighbours: Neighbours, T: Trajectories) -> None:
 @inner
 def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
     """Predict each body's next impact with its neighbours, for [lo, hi), and keep it if it is before the stored one."""
-    Lx, Ly, Lz = T.box[0], T.box[1], T.box[2]
-    drift = T.drift[0]
+    box, drift = sizes(T.box), T.drift[0]
     clock = drift.clock
     span, since_kick = drift.dt - clock, clock - drift.kick
     for i in range(lo, hi):
@@ -185,61 +184,58 @@ def _predict(lo: int, hi: int, neighbours: Neighbours, T: Trajectories) -> None:
             s, t = clock - one.now, clock - other.now
             xi, yi, zi = along(T.x, T.v, i, s)
             xj, yj, zj = along(T.x, T.v, j, t)
-            dx, dy, dz = xj - xi, yj - yi, zj - zi
-            vx, vy, vz = between(T.v, i, j)
-            ax, ay, az = _acceleration(i, j, vx, vy, vz, T)
+            d, v = (xj - xi, yj - yi, zj - zi), between(T.v, i, j)
+            a = _acceleration(i, j, v, T)
             R = T.radius[i] + T.radius[j]
             slow = drift.slow * max(own, 0.0 if other.is_free else T.rest_speed[j])
             slow += one.negligible_speed + other.negligible_speed
             # only the nearest image is met on a parabola, so a body must not come halfway to another one
-            if one.is_straight != other.is_straight and not (Lx > 0.0 and _passes_images(vx, vy, vz, span, T)):
-                dx, dy, dz = nearest_image(dx, dy, dz, T.box)
-                tau = _time_on_parabola(i, j, dx, dy, dz, vx, vy, vz, slow, T)
-            elif Lx > 0.0:
-                tau = time_of_impact_in_box(dx, dy, dz, vx, vy, vz, ax, ay, az, R, span, since_kick, slow, Lx, Ly, Lz)
+            if one.is_straight != other.is_straight and not (is_periodic(box) and _passes_images(v, span, box)):
+                tau = _time_on_parabola(i, j, nearest_image(d[0], d[1], d[2], box), v, slow, T)
+            elif is_periodic(box):
+                tau = time_of_impact_in_box(d, v, a, R, span, since_kick, slow, box)
             else:
-                tau = time_of_impact(dx, dy, dz, vx, vy, vz, ax, ay, az, R, span, since_kick, slow)
+                tau = time_of_impact(d, v, a, R, span, since_kick, slow)
             when = clock + tau
             if when < one.impact_time or (when == one.impact_time < np.inf and j < one.partner):
                 one.impact_time, one.partner, one.partner_impacts = when, j, other.impacts
 
 
 @inline
-def _passes_images(vx: float, vy: float, vz: float, span: float, T: Trajectories) -> bool:
+def _passes_images(v: Vector, span: float, box: Vector) -> bool:
     """Return whether a body moves by a quarter of the periodic box along an axis."""
-    Lx, Ly, Lz = sizes(T.box)
+    (vx, vy, vz), (Lx, Ly, Lz) = v, box
     return bool(abs(vx) * span > 0.25 * Lx or abs(vy) * span > 0.25 * Ly or abs(vz) * span > 0.25 * Lz)
 
 
 @inner
-def _acceleration(i: int, j: int, vx: float, vy: float, vz: float, T: Trajectories) -> Vector:
+def _acceleration(i: int, j: int, v: Vector, T: Trajectories) -> Vector:
     """Return the acceleration of j relative to i, with drag, in m/s²; v is their relative velocity in the drift."""
-    ax, ay, az = between(T.a, i, j)
+    (vx, vy, vz), (ax, ay, az) = v, between(T.a, i, j)
     damping = T.drift[0].damping
     return ax - damping * vx, ay - damping * vy, az - damping * vz
 
 
 @inner
-def _time_on_parabola(
-    i: int, j: int, dx: float, dy: float, dz: float, vx: float, vy: float, vz: float, slow: float, T: Trajectories
-) -> float:
+def _time_on_parabola(i: int, j: int, d: Vector, v: Vector, slow: float, T: Trajectories) -> float:
     """Return the time (s) until two bodies meet, if the field bends the path of one; infinite if they do not.
 
     Parameters
     ----------
-    dx, dy, dz, vx, vy, vz
+    d, v
         m and m/s, separation and velocity of j relative to i on their straight lines.
     slow
         m/s, largest closing speed that is not an impact.
     """
     drift = T.drift[0]
     sign, behind, since_kick = -1.0 if T.body[j].is_straight else 1.0, lag(T), drift.clock - drift.kick
+    (dx, dy, dz), (vx, vy, vz) = d, v
     bx, by, bz = sign * drift.field_x, sign * drift.field_y, sign * drift.field_z
     dx, dy, dz = dx - behind * bx, dy - behind * by, dz - behind * bz
     f = slowing(T)
     wx, wy, wz = f * vx + since_kick * bx, f * vy + since_kick * by, f * vz + since_kick * bz
     R, span = T.radius[i] + T.radius[j], drift.dt - elapsed(T)
-    t = time_of_impact_on_parabola(dx, dy, dz, wx, wy, wz, bx, by, bz, drift.damping, R, span)
+    t = time_of_impact_on_parabola((dx, dy, dz), (wx, wy, wz), (bx, by, bz), drift.damping, R, span)
     if t == np.inf:
         return t
     phi1, phi2 = 1.0, 0.5
@@ -247,7 +243,7 @@ def _time_on_parabola(
         _, phi1, phi2 = exponentials(drift.damping * t)
     nx, ny = dx + t * (phi1 * wx + phi2 * t * bx), dy + t * (phi1 * wy + phi2 * t * by)
     nz = dz + t * (phi1 * wz + phi2 * t * bz)
-    ax, ay, az = _acceleration(i, j, vx, vy, vz, T)
+    ax, ay, az = _acceleration(i, j, v, T)
     tau = min(drift.dt - drift.clock, f * phi1 * t)
     s = since_kick + tau
     closing = -((vx + ax * s) * nx + (vy + ay * s) * ny + (vz + az * s) * nz)
@@ -347,7 +343,7 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
         wix, wiy, wiz = vector(omega, i)
         wjx, wjy, wjz = vector(omega, j)
         wx, wy, wz = ri * wix + rj * wjx, ri * wiy + rj * wjy, ri * wiz + rj * wjz
-        ux, uy, uz = slip_velocity(vx - vn * nx, vy - vn * ny, vz - vn * nz, nx, ny, nz, wx, wy, wz)
+        ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (nx, ny, nz), (wx, wy, wz))
         Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
         fx, fy, fz, entry.friction_loss = friction_of_impact(material, Jn, ux, uy, uz, Kt)
         if fx != 0.0 or fy != 0.0 or fz != 0.0:

@@ -177,17 +177,17 @@ def copy_rows(rows: FloatArray, to: FloatArray) -> None:
 
 
 @inline
-def write_support(contacts: SteadyContacts, kick: float, borne: FloatArray) -> None:
+def write_support(contacts: SteadyContacts, kick: float, supported: FloatArray) -> None:
     """Write the part of each acceleration that contacts bore in the last kick, of so many seconds."""
     system, inverse_mass = contacts.system, contacts.system.inverse_mass
-    for i in range(len(borne)):
-        borne[i] = 0.0
-    if len(borne) > 0:
+    for i in range(len(supported)):
+        supported[i] = 0.0
+    if len(supported) > 0:
         for c in range(len(contacts.pairs)):
             impulse = system.contacts[contacts.place[c]].normal_impulse
             for end in range(2):
                 i = contacts.pairs[c, end]
-                borne[i] += impulse * inverse_mass[i] / kick
+                supported[i] += impulse * inverse_mass[i] / kick
 
 
 @unowned
@@ -263,14 +263,14 @@ def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt:
     copy_words(contacts.contact_words, buffers.held_words)
     for k in range(len(contacts.recorded_words)):
         contacts.recorded_words[k] = 0
-    shapes = x, radius, system.box, system.surface, system.offset, system.contacts, system.states
-    begin_contacts(0, m, system.pairs, *shapes, rounding, contacts.normals)
-    if not write_rest_speeds(system, rules.field, dt, buffers.parent, buffers.largest, buffers.flags):
+    shapes = x, radius, system.box, system.surface, system.offset
+    begin_contacts(0, m, system.pairs, shapes, system.contacts, system.states, rounding, contacts.normals)
+    if not write_rest_speeds(system, rules.field, dt, (buffers.parent, buffers.largest, buffers.flags)):
         return False
     if rules.pushes:
         b, v, pushed, pushed_in = len(system.active), system.velocity, system.pushed, system.pushed_in
         find_push_fractions(0, m, system.pairs, contacts.counts, system.states)
-        gather_positions(0, b, system.active, x, v, radius, system.inverse_mass, pushed, pushed_in)
+        gather_positions(0, b, system.active, (x, v, radius, system.inverse_mass), pushed, pushed_in)
         work(rules.board, POSITIONS, rules.addresses, rules.kind, system, rules.most_sweeps)
         scatter_positions(0, b, system.active, pushed, pushed_in, x, v)
     return not _is_behind(system.surface, system.offset, x)
@@ -295,8 +295,8 @@ def resolve_steady(
         Whether nothing happened that Python must see, and the iterations.
     """
     system, rules, m = contacts.system, contacts.rules, len(contacts.pairs)
-    shapes = x, radius, system.box, system.surface, system.offset, system.contacts, system.states
-    update_geometry(0, m, system.pairs, *shapes)
+    shapes = x, radius, system.box, system.surface, system.offset
+    update_geometry(0, m, system.pairs, shapes, system.contacts, system.states)
     if rules.pushes:
         audit_corrections(0, m, system.pairs, system.acceleration, system.inverse_mass, system.states)
     settings = system.settings[0]
@@ -309,7 +309,7 @@ def resolve_steady(
     if sweeps >= rules.most_sweeps:
         closing, negligible = contacts.buffers.flags, CONVERGED * settings.fastest
         closing[0] = False
-        check_closing(0, m, system.pairs, system.contacts, system.states, system.velocity, negligible, dt, closing)
+        check_closing(0, m, system.pairs, system.contacts, system.states, system.velocity, (negligible, dt), closing)
         if closing[0]:
             return False, sweeps
     for c in range(m):

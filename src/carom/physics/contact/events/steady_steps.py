@@ -100,7 +100,7 @@ class SteadySteps:
         assert world.contact is not None, "see `make`"
         self._world, self._books, self._timestep, self._contact = world, books, timestep, world.contact
         laws, moved, kept, buffers = flight.arguments
-        kept = kept._replace(borne=np.empty(len(world.bodies.ends.radius) if timestep.spares_held else 0))
+        kept = kept._replace(supported=np.empty(len(world.bodies.ends.radius) if timestep.spares_held else 0))
         self._arguments = laws, moved, kept, buffers
         self._totals = np.zeros(1, STEADY_TOTALS)
         self._last: OrderedContacts | None = None  # the contacts of the step that was last looked at
@@ -185,7 +185,7 @@ def _go_on(
     first, whole, last = laws.substeps[0, 0], laws.substeps[0, 1], laws.substeps[0, 2]
     before, dt, limit, steps = time, 0.0, FIXED, 0
     while steps < most:
-        write_support(contacts, T.last_kick, kept.borne)
+        write_support(contacts, T.last_kick, kept.supported)
         length, why, following = choose_step(laws, moved, kept, buffers, average, end - time)
         after = time + length
         first_kick, last_kick = first * length, last * length

@@ -31,7 +31,7 @@ from carom.arrays import FloatArray
 from carom.physics.contact.impact_log import ROUNDING
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import inline, kernel
-from carom.physics.vector import between, nearest_image, vector
+from carom.physics.vector import Vector, between, nearest_image, vector
 
 MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
@@ -44,26 +44,12 @@ SHORT = 1e-4  # of the span; a nearer impact is passed by a step of this length
 
 
 @kernel
-def time_of_impact(
-    dx: float,
-    dy: float,
-    dz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    R: float,
-    span: float,
-    since_kick: float,
-    slow: float,
-) -> float:
+def time_of_impact(d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float) -> float:
     """Return the time (s) until two bodies meet in an impact; infinite if they do not within a span.
 
     Parameters
     ----------
-    dx, dy, dz, vx, vy, vz, ax, ay, az
+    d, v, a
         m, m/s and m/s²: separation, velocity and acceleration of one body relative to the other.
     R
         m, the sum of radii.
@@ -74,6 +60,7 @@ def time_of_impact(
     slow
         m/s, largest closing speed that is no impact.
     """
+    (dx, dy, dz), (vx, vy, vz), (ax, ay, az) = d, v, a
     b = dx * vx + dy * vy + dz * vz
     if not b < 0.0:
         return np.inf
@@ -95,24 +82,13 @@ def time_of_impact(
 
 @kernel
 def time_of_impact_on_parabola(
-    dx: float,
-    dy: float,
-    dz: float,
-    wx: float,
-    wy: float,
-    wz: float,
-    bx: float,
-    by: float,
-    bz: float,
-    damping: float,
-    R: float,
-    span: float,
+    separation: Vector, velocity: Vector, acceleration: Vector, damping: float, R: float, span: float
 ) -> float:
     """Return the time (s) until two bodies touch and close; infinite if they do not within a span.
 
     Parameters
     ----------
-    dx, dy, dz, wx, wy, wz, bx, by, bz
+    separation, velocity, acceleration
         m, m/s and m/s²: present separation, velocity and acceleration of one body relative to the other.
     damping
         1/s, rate at which drag slows bodies down; the acceleration is that without drag.
@@ -121,6 +97,7 @@ def time_of_impact_on_parabola(
     span
         s.
     """
+    (dx, dy, dz), (wx, wy, wz), (bx, by, bz) = separation, velocity, acceleration
     ax, ay, az = bx - damping * wx, by - damping * wy, bz - damping * wz
     b = np.sqrt(ax * ax + ay * ay + az * az)
     decay, phi1, phi2 = 1.0, 1.0, 0.5
@@ -130,7 +107,7 @@ def time_of_impact_on_parabola(
     near = R + 0.125 * b * span * span  # from the chord of the path
     t = 0.0
     if dx * dx + dy * dy + dz * dz > near * near:
-        t = time_of_impact(dx, dy, dz, ux, uy, uz, 0.0, 0.0, 0.0, near, span, 0.0, -np.inf)
+        t = time_of_impact(separation, (ux, uy, uz), (0.0, 0.0, 0.0), near, span, 0.0, -np.inf)
     for _ in range(MOST_PASSES):
         if not t <= span:
             return np.inf
@@ -195,31 +172,17 @@ def open_for(gap: float, closing: float, b: float) -> float:
 
 @kernel
 def time_of_impact_in_box(
-    dx: float,
-    dy: float,
-    dz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    R: float,
-    span: float,
-    since_kick: float,
-    slow: float,
-    Lx: float,
-    Ly: float,
-    Lz: float,
+    d: Vector, v: Vector, a: Vector, R: float, span: float, since_kick: float, slow: float, box: Vector
 ) -> float:
-    """Return `time_of_impact` in a periodic box of (Lx, Ly, Lz) m, for any number of passes through the box.
+    """Return `time_of_impact` in a periodic box, given its size in m, for any number of passes through the box.
 
     The path is cut into legs of at most half a box. On a leg, a body can meet the nearest image of another or, along
     each axis, the approaching image.
     """
+    (dx, dy, dz), (vx, vy, vz), (Lx, Ly, Lz) = d, v, box
     passed = 0.0
     while True:
-        dx, dy, dz = nearest_image(dx, dy, dz, (Lx, Ly, Lz))
+        dx, dy, dz = nearest_image(dx, dy, dz, box)
         leg = span - passed
         leg = min(leg, 0.5 * Lx / abs(vx)) if vx != 0.0 else leg
         leg = min(leg, 0.5 * Ly / abs(vy)) if vy != 0.0 else leg
@@ -230,7 +193,7 @@ def time_of_impact_in_box(
             for ky in range(2 if sy != 0.0 else 1):
                 for kz in range(2 if sz != 0.0 else 1):
                     x, y, z = dx + kx * sx, dy + ky * sy, dz + kz * sz
-                    tau = time_of_impact(x, y, z, vx, vy, vz, ax, ay, az, R, leg, since_kick + passed, slow)
+                    tau = time_of_impact((x, y, z), v, a, R, leg, since_kick + passed, slow)
                     first = min(first, tau)
         if first < np.inf:
             return passed + first
@@ -278,39 +241,26 @@ def step_by_impacts(
     first = np.inf
     for i in range(len(radius)):
         for j in range(i + 1, len(radius)):
-            dx, dy, dz = between(x, i, j)
-            vx, vy, vz = between(v, i, j)
-            ax, ay, az = between(a, i, j)
-            first = min(first, _time_to_impact(dx, dy, dz, vx, vy, vz, ax, ay, az, radius[i] + radius[j], span))
+            meeting = _time_to_impact(between(x, i, j), between(v, i, j), between(a, i, j), radius[i] + radius[j], span)
+            first = min(first, meeting)
         for p in range(len(offset)):
             nx, ny, nz = vector(surface, p)
             h = nx * x[i, 0] + ny * x[i, 1] + nz * x[i, 2] - offset[p]
             u = nx * v[i, 0] + ny * v[i, 1] + nz * v[i, 2]
             g = nx * a[i, 0] + ny * a[i, 1] + nz * a[i, 2]
-            first = min(first, _time_to_impact(h, 0.0, 0.0, u, 0.0, 0.0, g, 0.0, 0.0, radius[i], span))
+            first = min(first, _time_to_impact((h, 0.0, 0.0), (u, 0.0, 0.0), (g, 0.0, 0.0), radius[i], span))
     return APPROACH * first if first > SHORT * span else first + SHORT * span
 
 
 @inline
-def _time_to_impact(
-    dx: float,
-    dy: float,
-    dz: float,
-    vx: float,
-    vy: float,
-    vz: float,
-    ax: float,
-    ay: float,
-    az: float,
-    R: float,
-    span: float,
-) -> float:
+def _time_to_impact(d: Vector, v: Vector, a: Vector, R: float, span: float) -> float:
     """Return the time (s) until two bodies meet in an impact, on parabolas without held contacts."""
+    (vx, vy, vz), (ax, ay, az) = v, a
     tau = span
     for _ in range(PASSES):
         h = 0.5 * tau
         slow = SLOW_CONTACT * span * np.sqrt(ax * ax + ay * ay + az * az) + ROUNDING * R / span
-        tau = time_of_impact(dx, dy, dz, vx + ax * h, vy + ay * h, vz + az * h, ax, ay, az, R, span, -h, slow)
+        tau = time_of_impact(d, (vx + ax * h, vy + ay * h, vz + az * h), a, R, span, -h, slow)
         if tau == np.inf:
             break
     return tau

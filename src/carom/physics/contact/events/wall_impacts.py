@@ -16,7 +16,7 @@ from carom.physics.contact.events.time_of_impact import GAP_TOLERANCE, MOST_PASS
 from carom.physics.contact.events.trajectories import MOST_HOLDS, Trajectories, elapsed, lag, rest_speed
 from carom.physics.contact.solids import nearest_point
 from carom.physics.jit.decorators import inner
-from carom.physics.vector import along, vector
+from carom.physics.vector import Vector, along, vector
 
 FOCAL_PART = 0.5  # of the focal distance, that a body may move in a pass
 
@@ -53,7 +53,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
         held = body.is_straight and not body.is_free  # its contacts close again at the end of the drift, if it rolls
         slow = (1.0 if held else drift.slow) * rest_speed(i, T) + body.negligible_speed
         for solid in range(len(T.offset)):
-            wait = _time_to_wall(solid, x, y, z, wx, wy, wz, gx, gy, gz, bend, T.radius[i], span, T)
+            wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
             when = clock + wait
             if not when <= min(dt, body.impact_time):
                 continue
@@ -75,15 +75,9 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
 @inner
 def _time_to_wall(
     solid: int,
-    x: float,
-    y: float,
-    z: float,
-    wx: float,
-    wy: float,
-    wz: float,
-    gx: float,
-    gy: float,
-    gz: float,
+    position: Vector,
+    velocity: Vector,
+    acceleration: Vector,
     bend: float,
     R: float,
     span: float,
@@ -95,12 +89,12 @@ def _time_to_wall(
     ----------
     solid
         The number of the wall.
-    x, y, z, wx, wy, wz, gx, gy, gz, bend
+    position, velocity, acceleration, bend
         m, m/s and m/s²: present position, velocity and acceleration of the body, and the magnitude of the last.
     R, span
         m, the radius; s.
     """
-    t = 0.0
+    t, (x, y, z), (wx, wy, wz), (gx, gy, gz) = 0.0, position, velocity, acceleration
     for _ in range(MOST_PASSES):
         if not t <= span:
             return np.inf

@@ -122,7 +122,7 @@ class Sleepers:
         self.have_awake_end(pairs)
         _wake_islands(pairs, ends.inverse_mass, nobody, nobody.copy())
         _kick_energy(nobody, ends.acceleration, ends.inverse_mass, 0.0)
-        _fall_asleep(pairs, np.empty((0, 4)), *shape, ends.inverse_inertia, np.inf, self._calm, nobody)
+        _fall_asleep(pairs, np.empty((0, 4)), (*shape, ends.inverse_inertia), np.inf, self._calm, nobody)
         self.fall_asleep(pairs, ImpulseCache.empty(), 0.0)
         self._keep(pairs, np.empty((0, 4)))
         self.contacts.graph()
@@ -242,10 +242,7 @@ class Sleepers:
         energy = _fall_asleep(
             pairs,
             impulse,
-            ends.velocity,
-            ends.angular_velocity,
-            ends.inverse_mass,
-            ends.inverse_inertia,
+            (ends.velocity, ends.angular_velocity, ends.inverse_mass, ends.inverse_inertia),
             self._sleep.after,
             self._calm,
             slept,
@@ -283,7 +280,7 @@ class Sleepers:
         """Keep the contacts of the sleepers."""
         k = len(pairs)
         contacts, states, normals = np.zeros(k, CONTACT), np.zeros(k, CONTACT_STATE), np.empty((k, 3))
-        begin_contacts(0, k, pairs, *self._shapes, contacts, states, 0.0, normals)
+        begin_contacts(0, k, pairs, self._shapes, contacts, states, 0.0, normals)
         impulses_of(contacts)[:] = force
         statistics = ContactStatistics.of(pairs, contacts, states, self._bodies.ends, SOLO)
         self.contacts = SleepingContacts(
@@ -391,15 +388,13 @@ def _count_calm(
 def _fall_asleep(
     pairs: IntArray,
     impulse: FloatArray,
-    velocity: FloatArray,
-    spin: FloatArray,
-    inverse_mass: FloatArray,
-    inverse_inertia: FloatArray,
+    ends: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     after: float,
     calm: FloatArray,
     slept: BoolArray,
 ) -> float:
     """Mark the bodies of islands that fall asleep, also in ``calm``; return their kinetic energy in J."""
+    velocity, spin, inverse_mass, inverse_inertia = ends
     n = len(calm)
     parent, restless, pressed = np.arange(n), np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     join_islands(pairs, inverse_mass, parent)

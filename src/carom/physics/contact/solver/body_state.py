@@ -18,6 +18,7 @@ from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, en
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
+from carom.physics.vector import Vector
 
 
 class Moving(Protocol):
@@ -222,20 +223,19 @@ def velocity_along(nx: float, ny: float, nz: float, a: Moving, b: Moving) -> tup
 
 
 @inline
-def slip_velocity(
-    tx: float, ty: float, tz: float, nx: float, ny: float, nz: float, wx: float, wy: float, wz: float
-) -> tuple[float, float, float]:
+def slip_velocity(tangential: Vector, normal: Vector, w: Vector) -> Vector:
     """Return the slip at the contact point, u = v_t - w × n, in m/s.
 
     Parameters
     ----------
-    tx, ty, tz
+    tangential
         m/s, v_t, the tangential relative velocity of the centres.
-    nx, ny, nz
+    normal
         The normal, from i to j.
-    wx, wy, wz
+    w
         m/s, w = ρ_i ω_i + ρ_j ω_j, with the lever arms ρ.
     """
+    (tx, ty, tz), (nx, ny, nz), (wx, wy, wz) = tangential, normal, w
     return tx - (wy * nz - wz * ny), ty - (wz * nx - wx * nz), tz - (wx * ny - wy * nx)
 
 
@@ -246,7 +246,7 @@ def slip(
     """Return the slip u of two bodies, in m/s, given v_t."""
     ri, rj = contact.arm_i, contact.arm_j
     wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
-    return slip_velocity(tx, ty, tz, contact.nx, contact.ny, contact.nz, wx, wy, wz)
+    return slip_velocity((tx, ty, tz), (contact.nx, contact.ny, contact.nz), (wx, wy, wz))
 
 
 @inline
@@ -258,7 +258,7 @@ def change_of_velocity(
     px, py, pz = b.dvx - a.dvx, b.dvy - a.dvy, b.dvz - a.dvz
     pn = px * nx + py * ny + pz * nz
     wx, wy, wz = ri * a.dwx + rj * b.dwx, ri * a.dwy + rj * b.dwy, ri * a.dwz + rj * b.dwz
-    ux, uy, uz = slip_velocity(px - pn * nx, py - pn * ny, pz - pn * nz, nx, ny, nz, wx, wy, wz)
+    ux, uy, uz = slip_velocity((px - pn * nx, py - pn * ny, pz - pn * nz), (nx, ny, nz), (wx, wy, wz))
     return pn, ux, uy, uz
 
 

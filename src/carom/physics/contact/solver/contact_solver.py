@@ -242,7 +242,7 @@ class ContactSolver:
         team, bodies, active, ends = self._team, self._bodies, system.active, self._bodies.ends
         team.divide(len(system.pairs), MIN_PER_TASK, find_push_fractions, system.pairs, counts, system.states)
         moving = bodies.position, ends.velocity
-        gathered = *moving, ends.radius, ends.inverse_mass, system.pushed, system.pushed_in
+        gathered = (*moving, ends.radius, ends.inverse_mass), system.pushed, system.pushed_in
         team.divide(len(active), MIN_PER_TASK, gather_positions, active, *gathered)
         self._work(POSITIONS, system, max_iterations)
         team.divide(len(active), MIN_PER_TASK, scatter_positions, active, system.pushed, system.pushed_in, *moving)
@@ -328,13 +328,13 @@ class ContactSolver:
         system, closing = self._system, np.zeros(1, dtype=np.bool_)
         contacts = (system.pairs, system.contacts, system.states, self._bodies.ends.velocity)
         negligible = CONVERGED * float(self._settings["fastest"][0])
-        self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, negligible, dt, closing)
+        self._team.divide(len(system.pairs), MIN_PER_TASK, check_closing, *contacts, (negligible, dt), closing)
         return bool(closing[0])
 
     def _geometry(self) -> tuple[object, ...]:
         bodies, planes, system = self._bodies, self._planes, self._system
-        shapes = (bodies.position, bodies.radius, self._box, planes.surface, planes.offset)
-        return system.pairs, *shapes, system.contacts, system.states
+        shapes = bodies.position, bodies.radius, self._box, planes.surface, planes.offset
+        return system.pairs, shapes, system.contacts, system.states
 
     def _lead(self, job: int, system: ConstraintSystem, max_iterations: int) -> int:
         """Run a job on the velocities of the active bodies; return the number of iterations."""

@@ -162,8 +162,7 @@ def check_closing(
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
     v: FloatArray,
-    negligible: float,
-    dt: float,
+    limits: tuple[float, float],
     closing: BoolArray,
 ) -> None:
     """Set ``closing`` if one of the contacts [lo, hi) closes faster than its rest speed and its tolerance.
@@ -172,11 +171,10 @@ def check_closing(
 
     Parameters
     ----------
-    negligible
-        m/s, slower closing does not count.
-    dt
-        s, the step.
+    limits
+        m/s, slower closing does not count; and s, the step.
     """
+    negligible, dt = limits
     for c in range(lo, hi):
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if state.overlap < 0.0 and state.apart:

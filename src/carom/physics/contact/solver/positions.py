@@ -260,14 +260,12 @@ def gather_positions(
     lo: int,
     hi: int,
     active: IntArray,
-    x: FloatArray,
-    v: FloatArray,
-    radius: FloatArray,
-    inverse_mass: FloatArray,
+    moving: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     bodies: RecordArray[PushedBodyRecord],
     pushed_in: IntArray,
 ) -> None:
     """Copy the active bodies and planes [lo, hi) into `PUSHED_BODY`, as not yet pushed."""
+    x, v, radius, inverse_mass = moving
     for k in range(lo, hi):
         b = from_front(active[k])
         body = bodies[b]
@@ -298,14 +296,14 @@ def scatter_positions(
 
 
 @inline
-def _correct_in_turn(system: ConstraintSystem, first: int, again: float) -> float:
+def _correct_one_by_one(system: ConstraintSystem, first: int, again: float) -> float:
     for c in range(first, first + WIDTH):
         if ends_of(system.pairs, c)[1] < body_count(system):
             again = max(again, _push_apart(c, system))
     return again
 
 
-@instruction(_correct_in_turn, returns="float64", first="intp", again="float64")
+@instruction(_correct_one_by_one, returns="float64", first="intp", again="float64")
 def correct_block(code: Code, system: Any, first: Any, again: Any) -> Any:
     """Push the contacts between bodies of a block apart once; return 1 if an overlap needs another iteration.
 

@@ -27,7 +27,7 @@ from carom.physics.contact.constraints import (
     contacts_of,
     ends_of,
 )
-from carom.physics.contact.geometry import smaller_arm, update_geometry
+from carom.physics.contact.geometry import Shapes, smaller_arm, update_geometry
 from carom.physics.contact.graph import comes_before, first_of
 from carom.physics.contact.law import (
     FRICTION_X,
@@ -72,11 +72,7 @@ def begin_contacts(
     lo: int,
     hi: int,
     pairs: IntArray,
-    x: FloatArray,
-    radius: FloatArray,
-    box: FloatArray,
-    surface: FloatArray,
-    offset: FloatArray,
+    shapes: Shapes,
     contacts: RecordArray[ContactRecord],
     states: RecordArray[ContactStateRecord],
     rounding: float,
@@ -87,7 +83,7 @@ def begin_contacts(
         end = min(hi, first + CACHED_CONTACTS)
         for c in range(first, end):
             _clear(contacts[c], states[c])
-        update_geometry(first, end, pairs, x, radius, box, surface, offset, contacts, states)
+        update_geometry(first, end, pairs, shapes, contacts, states)
         for c in range(first, end):
             contact, state = contacts[c], states[c]
             normals[c, 0], normals[c, 1], normals[c, 2] = contact.nx, contact.ny, contact.nz
@@ -181,6 +177,10 @@ def impulses_of(contacts: RecordArray[ContactRecord]) -> FloatArray:
     return columns(contacts, IMPULSES)
 
 
+PlacedContacts = tuple[IntArray, IntArray, RecordArray[ContactRecord]]
+"""Pairs (m, 2), sorted, the index of the record of each, (m,), and the records, (m,)."""
+
+
 @dataclass(slots=True)
 class ImpulseCache:
     """The impulses of all contacts in the last kick, with which the next one starts."""
@@ -240,8 +240,8 @@ class ImpulseCache:
         elif place is self.place:  # the contacts are the same, and so is their order
             team.divide(len(pairs), MIN_PER_TASK, carry_each, self.contacts, kick / self.kick, contacts)
         else:
-            before = (self.pairs, self.place, self.contacts, kick / self.kick)
-            team.divide(len(pairs), MIN_PER_TASK, _carry, *before, pairs, place, contacts)
+            old, new = (self.pairs, self.place, self.contacts), (pairs, place, contacts)
+            team.divide(len(pairs), MIN_PER_TASK, _carry, old, kick / self.kick, new)
 
 
 @long_kernel
@@ -284,18 +284,10 @@ def carry_each(
 
 
 @long_kernel
-def _carry(
-    lo: int,
-    hi: int,
-    old_pairs: IntArray,
-    old_place: IntArray,
-    old_contacts: RecordArray[ContactRecord],
-    ratio: float,
-    pairs: IntArray,
-    place: IntArray,
-    contacts: RecordArray[ContactRecord],
-) -> None:
+def _carry(lo: int, hi: int, before: PlacedContacts, ratio: float, now: PlacedContacts) -> None:
     """Find each pair among the old ones, both sorted, and transfer its impulse."""
+    old_pairs, old_place, old_contacts = before
+    pairs, place, contacts = now
     k = first_of(pairs[lo, 0], old_pairs) if lo < hi else 0
     last, old_last = len(pairs) - 1, len(old_pairs) - 1
     for c in range(lo, hi):

@@ -238,13 +238,13 @@ def _resist_rotation(
 
 
 @inline
-def _solve_in_turn(
+def _solve_one_by_one(
     system: ConstraintSystem, first: int, totals: tuple[float, float, float], turning: tuple[()] | tuple[int]
 ) -> tuple[float, float, float]:
     return _solve_each(first, first + WIDTH, totals, system, turning)
 
 
-@instruction(_solve_in_turn, returns=("float64",) * 3, first="intp")
+@instruction(_solve_one_by_one, returns=("float64",) * 3, first="intp")
 def solve_block(code: Code, system: Any, first: Any, totals: Any, turning: Any) -> list[Any]:
     """Solve the contacts of a block; return ``totals`` including theirs. Arguments as for `solve`."""
     solution = _Solution(Block(code, first))
