@@ -103,7 +103,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     scene, clip = summary["scene"], summary.get("clip")
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
     if scene.get("engine"):
-        yield "engine", f"{scene['engine']}; carom recorded only its states"
+        recorded = "its states and contact forces" if summary["contact_forces"] else "only its states"
+        yield "engine", f"{scene['engine']}; carom recorded {recorded}"
         if summary["judged"] < summary["bodies"]:
             only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
             yield "judged", f"{only}; the other bodies are not free spheres"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from carom.recording.edit.clip import clip
 from carom.recording.read.moment import frame_of
 from carom.recording.read.recorded_impacts import impacts_by_number
 from carom.recording.read.recording import Recording
+from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import CHUNK
-from carom.recording.rrd.messages import Entry, decode
+from carom.recording.rrd.messages import Chunk, Entry, decode
 from carom.recording.write.contact_encoder import BatchContacts
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows
 from carom.recording.write.rows import Rows
@@ -123,6 +125,23 @@ def test_impacts_of_an_interval_and_a_body_are_those_of_the_whole_run_that_fit(
     for source in (recording, silent):
         table = source.impacts(0.5, 1.5, "high")
         assert table["step"].to_pylist() == truth["step"][inside].tolist()
+
+
+def test_only_the_impacts_around_an_interval_are_read(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    own = Recording.open(recording.path)
+    first = int(own.impact_steps[0])
+    frames = own.fingerprints()
+    before = frames["time"].to_numpy()[frames["step"].to_numpy() < first - 20]  # no frame beside the impact
+    read, inner = list[str](), Container.chunks
+
+    def chunks(container: Container, entries: Iterable[Entry]) -> Iterator[Chunk]:
+        asked = list(entries)
+        read.extend(entry.entity_path for entry in asked)
+        return inner(container, asked)
+
+    monkeypatch.setattr(Container, "chunks", chunks)
+    assert own.impacts(0.0, float(before[-1])).num_rows == 0 and "impacts" not in read
+    assert own.impacts(0.0, frames["time"][-1].as_py()).num_rows == len(own.impact_steps) and "impacts" in read
 
 
 @pytest.mark.parametrize("frame", [17, 19, 20])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -117,7 +116,7 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
     if not recording.records_contacts or not recording.frames:
         return RecordedImpacts()
     first = int(recording.fingerprints()[STEP][0].as_py())
-    steps = np.concatenate([np.empty(0, np.int64), *_steps(recording)])
+    steps = recording.impact_steps
     recorded = int(np.count_nonzero(steps <= step))
     if not recording.shows_all:
         return RecordedImpacts(recorded)
@@ -164,13 +163,6 @@ def _rows_by_number(recording: Recording, entries: list[Entry], least: int = 1) 
         return numbers, table
 
 
-def _steps(recording: Recording) -> Iterator[IntArray]:
-    """Read the steps of all recorded impacts."""
-    found = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
-    for chunk in recording.chunks(found):
-        yield np.array(chunk.batch[STEP].to_numpy())
-
-
 def count_at(recording: Recording, step: int) -> int:
     """Return the number of impacts up to a frame; 0 if it is not recorded."""
     held = [e for e in recording.store.entries if e.entity_path == paths.CONTACTS and e.holds(step)]
@@ -183,7 +175,20 @@ def count_at(recording: Recording, step: int) -> int:
 
 
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
-    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    frames = recording.fingerprints()
+    steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
+    # impacts of a step are not later than its end: chunks that end before the interval, or begin after it, are not read
+    lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
+    later = int(np.searchsorted(times, last, side="right"))
+    highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1
+    entries = [
+        entry
+        for entry in recording.store.entries
+        if entry.entity_path == paths.IMPACTS
+        and entry.first_step is not None
+        and entry.first_step <= highest
+        and (entry.last_step or 0) >= lowest
+    ]
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
         if not chunk.batch.num_rows:  # a clip by a version before 25 November 2026

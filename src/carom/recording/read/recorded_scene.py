@@ -43,7 +43,7 @@ def recorded_scene(recording: Recording, overrides: list[str] | None = None) -> 
     """
     if recording.engine:
         raise RecordingError(
-            f"{recording.path} was recorded from {recording.engine}: carom has only its states and cannot rerun it"
+            f"{recording.path} was recorded from {recording.engine}: carom cannot rerun another engine"
         )
     if recording.is_partial:
         raise RecordingError(

@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray
+from carom.arrays import FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.body_states import bodies_at, checkpoint_at, trajectory
 from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
@@ -180,6 +180,14 @@ class Recording(FrameTables):
         """
         check_times(at=at)
         return contacts(self, at, replay=replay, watch=watch)
+
+    @cached_property
+    @named
+    def impact_steps(self) -> IntArray:
+        """Steps of all recorded impacts, in order of their numbers."""
+        found = [e for e in self.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+        parts = [np.array(chunk.batch[STEP].to_numpy()) for chunk in self.chunks(found)]
+        return np.concatenate([np.empty(0, np.int64), *parts])
 
     @named
     def given_bodies(self, index: int, row: int, place: range) -> BodyColumns:

@@ -79,11 +79,12 @@ def summary(recording: Recording) -> dict[str, Any]:
 
 
 def _of_engine(recording: Recording) -> dict[str, Any]:
-    """Return the number of judged bodies of another engine's run, and the violated laws with their first frames."""
+    """Describe another engine's run: its judged bodies, and the violated laws with their first frames."""
     if not recording.engine:
         return {}
     judged = recording.closing.get("audit.judged", recording.info["bodies"])
     return {
+        "contact_forces": recording.records_contacts,
         "judged": int(judged),
         "laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text")),
     }

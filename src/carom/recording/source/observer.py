@@ -258,7 +258,7 @@ def header_of_source(
     forces = {GRAVITY.name: setup.constant != 0.0, UNIFORM_FIELD.name: bool(setup.gravity.any())}
     return Header(
         title=called(title),
-        description=f"Recorded from {setup.engine}. carom recorded only its states and cannot rerun it.",
+        description=f"Recorded from {setup.engine}, which carom cannot rerun.",
         scene_toml=f"# Recorded from {setup.engine}: there is no carom scene.\n",
         seed=0,
         run_id=run_id,
