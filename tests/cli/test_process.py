@@ -77,7 +77,7 @@ def test_a_signal_that_ends_processes_closes_the_recording(number: signal.Signal
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("after", [0.3, 0.5, 1.2, 2.5])  # on a busy machine 0.1 s is before carom's first line
+@pytest.mark.parametrize("after", [0.5, 1.5])  # on a busy machine 0.1 s is before carom's first line
 def test_an_interrupt_while_the_command_starts_is_one_line(after: float, tmp_path: Path) -> None:
     run = start(tmp_path, *LONG)
     time.sleep(after)
@@ -188,9 +188,7 @@ def test_a_run_without_standard_streams_keeps_them_out_of_its_recording(tmp_path
     ("encoding", "arguments"),
     [
         ("ascii", ["explain", "two-spheres"]),
-        pytest.param("ascii", ["scenes"], marks=pytest.mark.slow),
-        pytest.param("ascii", ["sweep", "--help"], marks=pytest.mark.slow),
-        pytest.param("latin-1", ["explain", "two-spheres"], marks=pytest.mark.slow),
+        ("latin-1", ["sweep", "--help"]),
     ],
 )
 def test_other_encodings_than_utf_8_are_printed_without_what_they_lack(
@@ -242,7 +240,7 @@ def test_a_scene_that_does_not_fit_into_the_address_space_is_refused_in_one_sent
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("limit", [1_200_000, 1_350_000, 1_550_000])
+@pytest.mark.parametrize("limit", [1_200_000, 1_550_000])
 def test_a_dense_heap_that_uses_up_the_address_space_ends_with_a_sentence_and_a_readable_file(
     limit: int, tmp_path: Path
 ) -> None:

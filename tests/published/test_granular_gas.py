@@ -49,13 +49,13 @@ def test_a_cooling_gas_follows_haffs_law() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("restitution", [1.0, 0.9])
 def test_rough_spheres_share_their_energy_as_boltzmanns_equation_says(restitution: float) -> None:
-    # Runs begin without spin and with equal temperatures, in turn; collisions 25 to 75 of a sphere are averaged. 2 %:
-    # runs scatter by 2.5 %, so the mean of 32 is good to 0.45 %, three times that; a packing of 0.02 and 500 spheres
-    # add 0.7 % (docs/validation.md).
-    rows = [rough_ratio(restitution, float(seed % 2), until=75.0, seed=seed) for seed in range(32)]
+    # Runs begin without spin and with equal temperatures, in turn; collisions 25 to 75 of a sphere are averaged. 2.6 %:
+    # runs scatter by 2.5 %, so the mean of 16 is good to 0.63 %, three times that; a packing of 0.02 and 500 spheres
+    # add 0.7 % (docs/validation.md). Maxwellian distributions would differ by 3.4 and 4.8 %.
+    rows = [rough_ratio(restitution, float(seed % 2), until=75.0, seed=seed) for seed in range(16)]
     measured = np.mean([run[run[:, 0] > 25.0, 1].mean() for run in rows])
     boltzmann = rough_gas(restitution, spheres=20_000, until=75.0, seed=0)
-    assert measured == pytest.approx(boltzmann[boltzmann[:, 0] > 25.0, 1].mean(), rel=0.02)
+    assert measured == pytest.approx(boltzmann[boltzmann[:, 0] > 25.0, 1].mean(), rel=0.026)
 
 
 @pytest.mark.slow

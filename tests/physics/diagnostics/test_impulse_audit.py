@@ -78,7 +78,7 @@ def test_random_scenes_are_accounted_for(document: Document) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=400, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
 @given(document=documents())
 def test_many_random_scenes_are_accounted_for(document: Document) -> None:
     space = audited(scene_from(document))

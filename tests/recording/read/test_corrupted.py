@@ -10,7 +10,7 @@ import damage_bytes
 import damage_rows
 from carom.scene.schema import Scene
 
-AT_ONCE = 40  # files a process: Rerun keeps some 2 MB of every stream that wrote one
+AT_ONCE = 20  # files a process: Rerun keeps some 2 MB of every stream that wrote one
 
 
 @pytest.fixture(scope="module")
@@ -38,9 +38,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("part", "count"), [(0, 3), *(pytest.param(part, AT_ONCE, marks=pytest.mark.slow) for part in (1, 2))]
-)
+@pytest.mark.parametrize(("part", "count"), [(0, 3), pytest.param(1, AT_ONCE, marks=pytest.mark.slow)])
 def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_gigabyte(
     part: int, count: int, seed: int, recorded: Path, tmp_path: Path
 ) -> None:
@@ -55,7 +53,8 @@ def test_damaged_files_are_refused_or_saved_without_a_traceback_a_hang_or_a_giga
     assert int(end.removeprefix("end ")) < 1000  # MB; 230 of it are the libraries
 
 
-@pytest.mark.parametrize("count", [2, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [4])
 def test_rows_of_another_kind_are_refused_or_shown_without_a_traceback_a_hang_or_a_gigabyte(
     count: int, seed: int, recorded: Path, tmp_path: Path
 ) -> None:
