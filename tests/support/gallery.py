@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -18,6 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PIL import Image
+
+from carom_command import carom
 
 PAGE = Path(__file__).parents[2] / "docs" / "gallery.md"
 FOLDER = PAGE.parent / "gallery"
@@ -54,7 +55,8 @@ def make(entry: Entry, folder: Path, done: set[str]) -> Path:
     for command in entry.commands:
         if command not in done:
             done.add(command)
-            subprocess.run([sys.executable, "-m", *shlex.split(command)], cwd=folder, check=True, stdout=sys.stderr)
+            ended = carom(*shlex.split(command)[1:], cwd=folder)
+            assert ended.returncode == 0, f"{command}: {ended.stderr}"
     return folder / f"{entry.name}.png"
 
 
