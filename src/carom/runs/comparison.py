@@ -154,7 +154,11 @@ class StaticCheck:
         # /scene states the circumstances of the run, such as its command, which differ from those of the replay
         circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
         self._header = replace(
-            header, record_impacts=scene.record.impacts, group=groups_of(scene), properties=circumstances
+            header,
+            record_impacts=scene.record.impacts,
+            group=groups_of(scene),
+            properties=circumstances,
+            drawing_rules=recording.drawing_rules,
         )
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:

@@ -90,7 +90,7 @@ def _compile_encoding() -> None:
     encoding.middle_of(rows, values)
     encoding.pick_strongest(rows, values, each, rows)
     encoding.draw_edges(contacts, single, values, box, palette.STAGE_COLOURS, strips, numbers, np.empty(3))
-    ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each)
+    ImpactPlan(everything=False, oriented=True, turned=True).choose(position, each, each, each, values)
     torques = encoding.TorqueList(position, each, numbers, values)
     encoding.draw_arrows(torques, points, values, values, 1.0, encoding.Arrows(single, single))
     encoding.list_torques(torques)

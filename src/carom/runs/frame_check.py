@@ -13,7 +13,7 @@ from carom.event import Event
 from carom.physics.frame import Frame
 from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
-from carom.recording.read.frame_rows import RecordedRows
+from carom.recording.read.frame_rows import RecordedRows, arrow_floors
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
 from carom.recording.schema import paths
@@ -82,8 +82,11 @@ class FrameCheck:
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = TimeScale(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
+        header = replace(header, drawing_rules=recording.drawing_rules)
         header = header if recording.records_contacts else replace(header, record_impacts="none")
-        self._encoder = BatchEncoder(header, recording.origin, references, everything=True)
+        # the floors of a part of a run depend on the frames before it
+        floors = arrow_floors(recording, int(steps[0])) if len(steps) and steps[0] > 0 else None
+        self._encoder = BatchEncoder(header, recording.origin, references, floors_before=floors, everything=True)
         self._arrows = references
         self._steps, self._begin, self.all_frames = steps, begin, all_frames
         self._first_step = int(recording.fingerprints()[STEP][0].as_py())  # has at least one frame

@@ -114,7 +114,7 @@ class ImpactCheck:
         before, counted = self._before or (None, None)
         count = self._count_at(frame.step)
         impacts = impacts[largest(impacts, MOST_IMPACTS)]  # the number that a recorded run keeps between two frames
-        kept = None if self._plan is None else _room(self._plan, frame, len(impacts))
+        kept = None if self._plan is None else _room(self._plan, frame, impacts)
         if kept is not None:
             self.arrows[frame.step] = int(kept.arrows[0])
         self._since, self._missed, self._before = [], 0, (frame, count)
@@ -239,11 +239,12 @@ class ImpactCheck:
         return None
 
 
-def _room(plan: ImpactPlan, frame: Frame, impacts: int) -> Kept:
+def _room(plan: ImpactPlan, frame: Frame, impacts: Records) -> Kept:
     """Return the numbers of impacts and contacts since the previous frame that a plan records."""
     contacts = 0 if frame.contact_rows is None else len(frame.contact_rows)
-    counts = (np.array([count]) for count in (len(frame.contacts), contacts, impacts))
-    return plan.choose(frame.position[None], *counts)
+    edges, rows, number = (np.array([count]) for count in (len(frame.contacts), contacts, len(impacts)))
+    hardest = np.array([impacts["normal_impulse"].max(initial=0.0)])
+    return plan.choose(frame.position[None], edges, rows, number, hardest)
 
 
 def _within(numbers: IntArray, interval: _Interval) -> slice:

@@ -208,6 +208,8 @@ def _simulate(
     header = header_of(space)
     if properties is not None:
         header = replace(header, properties=properties)
+    if continued is not None:
+        header = replace(header, drawing_rules=continued.recording.drawing_rules)
     if member is not None:
         header = replace(header, member=member, properties={**header.properties, "command": member.command})
     recorder = FrameRecorder(path, header, live=live, continued=continued)

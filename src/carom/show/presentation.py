@@ -15,6 +15,7 @@ from carom.recording.layout.bodies_view import FIELD
 from carom.recording.layout.camera import FEW, CameraMotion
 from carom.recording.layout.canvas import Additions, Canvas
 from carom.recording.layout.plot_views import CurveOutline
+from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.moment import tolerance
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves, recorded_scene
 from carom.recording.read.recording import Recording
@@ -253,7 +254,8 @@ def _steps(
     if all(np.any(recorded == frame.step) for frame in step.added):
         return [], references
     before = None if step.before is None else step.before.checkpoint
-    encoder = BatchEncoder(header, recording.origin, references, before=before, everything=True)
+    floors = arrow_floors(recording, int(recorded[recorded < step.added[0].step].max(initial=0)))
+    encoder = BatchEncoder(header, recording.origin, references, before=before, floors_before=floors, everything=True)
     found = [rows for rows in encoder.rows(step.added) if rows.path not in _ONCE and len(rows.steps)]
     return [*found, *_states_after(recording, step.added[-1].step)], dict(encoder.arrow_references)
 

@@ -27,7 +27,7 @@ from carom.recording.rrd.container import Container
 from carom.recording.rrd.framing import CHUNK
 from carom.recording.rrd.messages import Chunk, Entry, decode
 from carom.recording.write.contact_encoder import BatchContacts
-from carom.recording.write.impact_plan import ImpactPlan, impact_rows
+from carom.recording.write.impact_plan import ImpactPlan, Kept, impact_rows
 from carom.recording.write.rows import Rows
 from carom.runs.impact_check import LEFT_OUT
 from carom.runs.replay import replay
@@ -403,15 +403,20 @@ def test_impacts_and_contacts_too_large_for_float32_are_those_of_a_replay(tmp_pa
     assert part.contacts(impact["time"])["energy_lost"].to_pylist() == [np.inf]
 
 
+def planned(plan: ImpactPlan, frames: list[Frame]) -> Kept:
+    """Return how many impacts of each frame a plan keeps."""
+    contacts, position = BatchContacts(frames), np.stack([frame.position for frame in frames])
+    return plan.choose(position, contacts.edges, contacts.contacts, contacts.impacts, contacts.hardest())
+
+
 def kept(plan: ImpactPlan, frames: list[Frame]) -> list[NDArray[np.int64]]:
     """Return which impacts of each frame a plan keeps."""
-    contacts, position = BatchContacts(frames), np.stack([frame.position for frame in frames])
-    counts = plan.choose(position, contacts.edges, contacts.contacts, contacts.impacts).impacts
-    return np.split(contacts.strongest_impacts(counts)[1], np.cumsum(counts)[:-1])
+    counts = planned(plan, frames).impacts
+    return np.split(BatchContacts(frames).strongest_impacts(counts)[1], np.cumsum(counts)[:-1])
 
 
-def plan_for(everything: bool = False) -> ImpactPlan:
-    return ImpactPlan(everything=everything, oriented=True, turned=True)
+def plan_for(everything: bool = False, exceeds: bool = True) -> ImpactPlan:
+    return ImpactPlan(everything=everything, oriented=True, turned=True, exceeds=exceeds)
 
 
 def test_all_impacts_are_kept_while_they_are_cheap() -> None:
@@ -430,6 +435,35 @@ def test_when_impacts_are_dear_the_largest_of_each_frame_are_kept_in_order_of_ti
         impulses = frame.impacts["normal_impulse"]
         assert impulses[rows].min() > len(impulses) - len(rows)
         assert np.all(np.diff(rows) > 0)
+
+
+def harder(frame: Frame, times: float) -> Frame:
+    """Return a frame whose impacts are some times as hard."""
+    assert frame.impacts is not None
+    frame.impacts["normal_impulse"] *= times
+    return frame
+
+
+def test_a_much_harder_impact_gets_a_frame_of_its_instant_after_the_first_ones_spent_the_budget() -> None:
+    frames = frames_with_impacts(200, 50)
+    late = {120: 2.0, 150: 2.1, 180: 20.0}  # how much harder the impacts before these frames are
+    for place, times in late.items():
+        harder(frames[place], times)
+    scenes = planned(plan_for(), frames).scenes
+    assert scenes[0] > 10 and scenes[1] == 0, "the budget is spent at once"
+    assert np.flatnonzero(scenes[1:]).tolist() == [119, 179], "the one in the middle is hardly harder than the first"
+    plan = plan_for()
+    batches = [planned(plan, frames[:121]).scenes, planned(plan, frames[121:]).scenes]
+    assert np.concatenate(batches).tolist() == scenes.tolist(), "however frames are batched"
+    assert not planned(plan_for(exceeds=False), frames).scenes[1:].any(), "as older recordings are compared"
+
+
+def test_impacts_that_grow_steadily_get_few_frames_beyond_the_budget() -> None:
+    growth = 1.05
+    frames = [harder(frame, growth**k) for k, frame in enumerate(frames_with_impacts(200, 50))]
+    scenes = planned(plan_for(), frames).scenes
+    most = np.log(growth**200) / np.log(1.25)  # each is 1.25 times as hard as the one before
+    assert most / 2 < np.count_nonzero(scenes[1:]) <= most
 
 
 def test_everything_is_kept_if_the_scene_says_so() -> None:

@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 
 from carom.arrays import FloatArray
 from carom.recording.read.entities import EVENTS, flat, optional_text
+from carom.recording.read.frame_rows import arrow_floors
 from carom.recording.read.recorded_impacts import RecordedImpacts, impacts_until
 from carom.recording.read.recording import Recording
 from carom.recording.rrd.messages import Chunk
@@ -44,6 +45,7 @@ class Continuation:
         self.clock = TimeScale(float(recording.info["time_scale"]))
         self.arrow_references = {name: float(value) for name, value in recording.arrow_references.items()}
         self.last_state = recording.states_at(step)
+        self.arrow_floors = arrow_floors(recording, step)
 
     @cached_property
     def impacts(self) -> RecordedImpacts:

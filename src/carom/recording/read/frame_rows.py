@@ -77,6 +77,13 @@ class _Rows:
         return self._chunks[entry.offset]
 
 
+def arrow_floors(recording: Recording, step: int) -> dict[str, float]:
+    """Return the magnitudes below which arrows are not drawn in the frame of a step, by the entity of the arrows."""
+    with reading(recording.path):
+        found = {path: _Rows(recording, path).at(step, paths.FLOOR) for path in paths.WITH_FLOOR}
+    return {path: float(values[0]) for path, values in found.items() if values is not None and len(values)}
+
+
 class DrawnPaths(NamedTuple):
     """Drawn positions and orientations of some bodies in all frames."""
 

@@ -168,6 +168,7 @@ def header_of_recording(recording: Recording) -> Header:
         shapes=() if paths.SHAPES in static else None,
         planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
+        drawing_rules=recording.drawing_rules,
     )
 
 

@@ -135,6 +135,11 @@ class Statics:
         return self._entities.properties("arrows")
 
     @property
+    def drawing_rules(self) -> int:
+        """The rules of what is drawn, see `Header.drawing_rules`."""
+        return int(self.info.get("drawing_rules", 1))
+
+    @property
     def versions(self) -> dict[str, str]:
         """Versions of the packages that recorded it."""
         stamped = ((key.partition("version."), value) for key, value in self.properties.items())

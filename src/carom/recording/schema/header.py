@@ -146,6 +146,7 @@ class Header:
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
     exact: bool = False  # whether every frame has a checkpoint
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
+    drawing_rules: int = 2  # of what is drawn (docs/recording.md, The rules of drawing); 1 in older recordings
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""

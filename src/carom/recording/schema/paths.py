@@ -44,6 +44,9 @@ START = "state/start"  # in a clip: the exact state before its first frame
 STATIC_STATE = "state/bodies"
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
+FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn
+WITH_FLOOR = (TORQUE, ANGULAR_ACCELERATION, FORCE_NORMAL)
+
 CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:translations")  # of drawn bodies
 
 

@@ -19,6 +19,7 @@ from carom.recording.read.recorded_impacts import RecordedImpacts
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import FORCE_FRICTION, FORCE_NORMAL, IMPACT_ENERGY, IMPACTS
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.arrow_floors import ArrowFloors
 from carom.recording.write.encoding_kernels import EdgeColumns, FrameContacts
 from carom.recording.write.impact_frames import Instant, instants
 from carom.recording.write.impact_plan import ImpactPlan, impact_rows, largest
@@ -40,6 +41,15 @@ class BatchContacts:
         self.frames = [_contacts_of(frame) for frame in batch]
         counts = [(len(frame.pairs), len(frame.rows), len(frame.impacts)) for frame in self.frames]
         self.edges, self.contacts, self.impacts = np.array(counts, dtype=np.int64).T.copy()
+
+    def largest(self) -> FloatArray:
+        """Return the largest normal impulse of each frame's contacts in N s, (frames,); 0 without any."""
+        impulses = (frame.rows["normal_impulse"] for frame in self.frames)
+        return np.array([each.max(initial=0.0, where=np.isfinite(each)) for each in impulses])
+
+    def hardest(self) -> FloatArray:
+        """Return the largest normal impulse of each frame's impacts in N s, (frames,); 0 without any."""
+        return np.array([frame.impacts["normal_impulse"].max(initial=0.0) for frame in self.frames])
 
     def parts(self, each: IntArray) -> Iterator[tuple[FrameContacts, slice]]:
         """Yield the arrays of each frame, and its slice of an array with that many elements per frame."""
@@ -139,6 +149,8 @@ def force_rows(
     longest: float,
     origin: FloatArray,
     friction: bool,
+    floors: FloatArray,
+    columns: Sequence[ComponentColumn] = (),
 ) -> Iterable[Rows]:
     """Draw the normal and the friction impulses on body j as arrows at the contact point.
 
@@ -154,9 +166,13 @@ def force_rows(
         (3,) m, of the drawing.
     friction
         Whether friction is modelled.
+    floors
+        (frames,) N s; arrows of smaller impulses have no length.
+    columns
+        Further columns of the normal impulses.
     """
     rows = contacts.strongest_contacts(drawn)
-    middle = np.repeat(middle, drawn)
+    middle, floors = np.repeat(middle, drawn), np.repeat(floors, drawn)
     at = single(np.stack([rows["x"], rows["y"], rows["z"]], axis=1) - origin)
     ends = np.stack([rows["i"], rows["j"]], axis=1).astype(np.uint32)
     normal = np.stack([rows["nx"], rows["ny"], rows["nz"]], axis=1) * rows["normal_impulse"][:, None]
@@ -164,20 +180,21 @@ def force_rows(
     for path, impulse in ((FORCE_NORMAL, normal), (FORCE_FRICTION, tangential)):
         if path == FORCE_FRICTION and not friction:
             continue
-        arrows = _drawn(impulse, middle, longest)
-        columns = [
+        arrows = _drawn(impulse, middle, longest, floors)
+        found = [
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows, drawn),
             vector_column(rr.Arrows3D.descriptor_origins(), at, drawn),
             any_column("bodies", ends.ravel(), 2 * drawn),
+            *(columns if path == FORCE_NORMAL else ()),
         ]
-        yield frame_rows(path, index, columns, array_bytes(arrows, at, ends))
+        yield frame_rows(path, index, found, array_bytes(arrows, at, ends))
 
 
-def _drawn(impulse: FloatArray, middle: FloatArray, longest: float) -> SingleArray:
+def _drawn(impulse: FloatArray, middle: FloatArray, longest: float, floors: FloatArray) -> SingleArray:
     """Return arrows (k, 3) m of impulses (k, 3) N s, by the law of `carom.recording.layout.drawing`."""
     size = np.sqrt(np.einsum("ki,ki->k", impulse, impulse))
     length = longest * part_of_longest(size, middle)
-    scale = np.divide(length, size, out=np.zeros_like(size), where=size > 0.0)
+    scale = np.divide(length, size, out=np.zeros_like(size), where=(size > 0.0) & (size >= floors))
     return single(impulse * scale[:, None])
 
 
@@ -195,6 +212,8 @@ class ContactEncoder:
         (3,) m, of the drawing.
     references
         Magnitudes in the middle of the scales; the first frame with something to draw adds unknown ones.
+    floors
+        Magnitudes below which arrows are not drawn.
     before
         The impacts before the first frame.
     everything
@@ -206,6 +225,7 @@ class ContactEncoder:
         header: Header,
         origin: FloatArray,
         references: drawing.References,
+        floors: ArrowFloors,
         before: RecordedImpacts,
         *,
         everything: bool,
@@ -213,6 +233,7 @@ class ContactEncoder:
         self._header = header
         self._origin = origin
         self._references = references
+        self._floors = floors
         self._plan = ImpactPlan.of(header, everything=everything)
         self._count, self._recorded = before.count, before.recorded
         self._shows_bodies = not everything
@@ -237,24 +258,27 @@ class ContactEncoder:
         for frame in batch:
             self._look(frame)
         self._contacts, self._middle = contacts, contacts.middles()
-        self._kept = self._plan.choose(position, contacts.edges, contacts.contacts, contacts.impacts)
+        counts = contacts.edges, contacts.contacts, contacts.impacts
+        self._kept = self._plan.choose(position, *counts, contacts.hardest())
         self._impacts, self._chosen = contacts.strongest_impacts(self._kept.impacts)
         columns, size = contact_columns(contacts, self._middle, self._header.radius)
         if self._header.engine:
             more, size_of_more = _columns_of_engine(contacts, self._origin)
             columns, size = [*columns, *more], size + size_of_more
-        counts = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
-        self._before = np.concatenate(([self._count], counts[:-1]))
-        self._count = int(counts[-1])
-        return [*columns, any_column("impact_count", counts)], size + counts.nbytes
+        numbers = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
+        self._before = np.concatenate(([self._count], numbers[:-1]))
+        self._count = int(numbers[-1])
+        return [*columns, any_column("impact_count", numbers)], size + numbers.nbytes
 
     def rows(self, index: Index) -> Iterable[Rows]:
         """Return arrows and impacts of the last encoded batch."""
         header, kept, impacts = self._header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
+        floors = self._floors.raised(FORCE_NORMAL, self._contacts.largest())
         # written even without arrows, to clear the contacts of the previous frame
         yield from force_rows(
-            index, self._contacts, self._middle, kept.arrows, longest, self._origin, header.has_friction
+            *(index, self._contacts, self._middle, kept.arrows, longest),
+            *(self._origin, header.has_friction, floors, self._floors.columns(floors)),
         )
         self._recorded += len(impacts)
         if len(impacts):

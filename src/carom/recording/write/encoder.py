@@ -36,6 +36,7 @@ from carom.recording.schema.paths import (
 )
 from carom.recording.schema.series import Sample, recorded
 from carom.recording.write import encoding_kernels as encoding
+from carom.recording.write.arrow_floors import ArrowFloors
 from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder, contact_columns, force_rows
 from carom.recording.write.encoding_kernels import Arrows, TorqueList
 from carom.recording.write.impact_frames import STEPPING, Instant, spin_rows
@@ -69,7 +70,7 @@ class BatchEncoder:
         Of the recording.
     origin
         (3,) m, of the drawing.
-    arrow_references, last_state, before, impacts_before
+    arrow_references, last_state, before, impacts_before, floors_before
         For a resumed run: the state after the previous rows, and the number of impacts in them.
     everything
         Whether to encode every impact, for a comparison with a recording.
@@ -84,17 +85,19 @@ class BatchEncoder:
         before: Checkpoint | None = None,
         *,
         impacts_before: RecordedImpacts = NO_IMPACTS,
+        floors_before: Mapping[str, float] | None = None,
         everything: bool = False,
     ) -> None:
         self.header = header
         self.origin = origin
         self.arrow_references = drawing.References(arrow_references or {})
+        self._floors = ArrowFloors(header, floors_before or {})
         self._last_state = dict(last_state or {})
         self._recorded = tuple(recorded(header))
         self.curves = {series.path: CurveOutline() for series in self._recorded}
         self._before: Frame | Checkpoint | None = before
         self._contacts = (
-            ContactEncoder(header, origin, self.arrow_references, impacts_before, everything=everything)
+            ContactEncoder(header, origin, self.arrow_references, self._floors, impacts_before, everything=everything)
             if header.records_contacts
             else None
         )
@@ -164,8 +167,8 @@ class BatchEncoder:
         did, more = contact_columns(contacts, middle, self.header.radius)
         yield Rows(CONTACTS, index, [*edges, *did], size + more)
         longest = arrow_length(self.header, FORCE_NORMAL)
-        rubs = self.header.has_friction
-        yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs)
+        rubs, floors = self.header.has_friction, self._floors.alone(contacts.largest())
+        yield from force_rows(index, contacts, middle, contacts.contacts, longest, self.origin, rubs, floors)
         twice = Index(NO_STEPS, np.repeat(index.times, 2), np.repeat(numbers, 2), np.repeat(ends, 2))
         energies = np.concatenate([one.energies for one in found])
         for series in self._recorded:
@@ -240,9 +243,10 @@ class BatchEncoder:
     def _arrow_rows(
         self, path: str, index: Index, batch: Sequence[Frame], torques: TorqueList, points: SingleArray
     ) -> Rows:
-        """Return arrows of one kind."""
-        each, body, magnitude = torques.each, torques.body, torques.magnitude
+        """Return arrows of one kind, without those of rounding noise."""
         inertia = np.ones(self.header.bodies) if path == TORQUE else self.header.inertia
+        torques, floors = self._above_floor(path, torques, inertia)
+        each, body, magnitude = torques.each, torques.body, torques.magnitude
         if len(body) and path not in self.arrow_references.chosen:
             k = int(np.flatnonzero(each)[0])
             first = magnitude[: each[k]] / inertia[body[: each[k]]]
@@ -254,8 +258,23 @@ class BatchEncoder:
             vector_column(rr.Arrows3D.descriptor_vectors(), arrows.vector, each),
             vector_column(rr.Arrows3D.descriptor_origins(), arrows.origin, each),
             any_column("body", body, each),
+            *self._floors.columns(floors),
         ]
         return frame_rows(path, index, columns, array_bytes(*arrows, body))
+
+    def _above_floor(self, path: str, torques: TorqueList, inertia: FloatArray) -> tuple[TorqueList, FloatArray]:
+        """Keep the torques τ whose τ/I are not below the floors of the arrows; return also these, (frames,)."""
+        frame = np.repeat(np.arange(len(torques.each)), torques.each)
+        with np.errstate(over="ignore"):
+            size = torques.magnitude / inertia[torques.body]
+        largest = np.zeros(len(torques.each))
+        np.maximum.at(largest, frame, np.where(np.isfinite(size), size, 0.0))
+        floors = self._floors.raised(path, largest)
+        kept = size >= floors[frame]
+        if kept.all():
+            return torques, floors
+        each = np.bincount(frame[kept], minlength=len(largest))
+        return TorqueList(torques.torque, each, torques.body[kept], torques.magnitude[kept]), floors
 
     def _natural_unit(self, path: str, frame: Frame) -> float:
         """Return the torque that stops a body in one step, or its angular acceleration, as a scale for arrows."""

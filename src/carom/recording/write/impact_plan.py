@@ -145,6 +145,7 @@ FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
 SHARE = 0.22  # of everything else in the file; with data not counted here, a fifth of the whole
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
+_HARDER = 1.25  # times as hard as every impact with a frame: an impact that gets a frame beyond the budget
 _SCENE = 600  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
 _CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
 _SCALARS = 500  # bytes of a frame's scalars
@@ -194,27 +195,36 @@ class ImpactPlan:
     are kept, at least one per frame. The choice depends on the frames but not on the batches, so that the same run
     always has the same rows.
 
+    Impacts get frames of their instants from a budget, which the first ones of a crowded scene spend. A much harder one
+    gets a frame nevertheless: at most ten for each decade of impulses, whatever the length of the run.
+
     Parameters
     ----------
     everything
         Whether to keep all impacts and draw arrows at all contacts, whatever their size.
     oriented, turned
         Whether bodies have orientations and torques.
+    exceeds
+        Whether much harder impacts get frames beyond the budget; not by the first rules of drawing.
     """
 
-    def __init__(self, *, everything: bool, oriented: bool, turned: bool) -> None:
+    def __init__(self, *, everything: bool, oriented: bool, turned: bool, exceeds: bool = True) -> None:
         self._everything, self._columns = everything, _BodyColumns(oriented, turned)
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
+        self._exceeds, self._hardest = exceeds, 0.0  # N s, of the impacts with frames
         self._before: SingleArray | None = None  # (n, 3) m, as drawn in the frame before
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:
         """Return the plan of a recording; it keeps everything if the scene or the caller requests it."""
         everything = everything or header.record_impacts == "all"
-        return cls(everything=everything, oriented=header.has_orientation, turned=header.has_torque)
+        oriented, turned = header.has_orientation, header.has_torque
+        return cls(everything=everything, oriented=oriented, turned=turned, exceeds=header.drawing_rules > 1)
 
-    def choose(self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray) -> Kept:
+    def choose(
+        self, position: FloatArray, edges: IntArray, contacts: IntArray, impacts: IntArray, hardest: FloatArray
+    ) -> Kept:
         """Decide for the next frames.
 
         Parameters
@@ -223,6 +233,8 @@ class ImpactPlan:
             (frames, n, 3) m.
         edges, contacts, impacts
             (frames,) their numbers.
+        hardest
+            (frames,) N s, the largest normal impulse of an impact.
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
@@ -231,6 +243,11 @@ class ImpactPlan:
         kept = Kept(*np.empty((3, len(position)), dtype=np.int64))
         counts = _Counts(position.shape[1], moved, edges, contacts, impacts)
         _spend(SHARE, self._everything, self._columns, counts, self._budget, kept)
+        for f in np.flatnonzero(hardest > self._hardest).tolist() if self._exceeds else ():
+            if kept.scenes[f] == 0 and hardest[f] > _HARDER * self._hardest:
+                kept.scenes[f] = 1
+            if kept.scenes[f]:
+                self._hardest = max(self._hardest, float(hardest[f]))
         return kept
 
 

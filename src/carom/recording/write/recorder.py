@@ -335,6 +335,7 @@ class FrameRecorder:
             self._encoder = BatchEncoder(
                 *(self.header, origin, continued.arrow_references, continued.last_state, continued.last()),
                 impacts_before=continued.impacts,
+                floors_before=continued.arrow_floors,
             )
             self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:

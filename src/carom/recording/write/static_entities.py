@@ -99,6 +99,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
     properties |= {f"data_notes.{k}": "\n".join(notes) for k, notes in enumerate(header.data_notes) if notes}
     if header.check_interval is not None:
         properties["check_interval"] = header.check_interval
+    if header.drawing_rules > 1:
+        properties["drawing_rules"] = header.drawing_rules
     if header.promises:
         properties["promises"] = True
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}

@@ -1,0 +1,109 @@
+"""Torques and impulses that are rounding noise beside the largest of the run have no arrows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import carom
+from carom.arrays import FloatArray
+from carom.physics.space import Space
+from carom.recording.read.frame_rows import RecordedRows
+from carom.recording.read.recording import Recording
+from carom.recording.schema import paths
+from carom.recording.schema.header import Header
+from carom.runs import run
+from carom.runs.replay import replay
+from carom.runs.resume import resume
+from carom.scene.schema import Scene
+from small_scenes import scene_of
+
+NOISE = 1e-12  # m, by which the second pair meets off centre: its torques are 1e-12 of those of the first
+OF_LARGEST = 1e-9
+FIRST, SECOND = 0.5, 1.5  # s, of the impacts
+
+
+def two_pairs(duration: float = 2.0) -> Scene:
+    """Two pairs of rough spheres; the first meets off centre, the second as good as head on."""
+    bodies = []
+    for row, (offset, time) in enumerate(((0.5, FIRST), (NOISE, SECOND))):
+        apart = float(np.sqrt(1.0 - offset**2)) / 2.0  # of the centres along x when they touch, halved
+        for side in (-1.0, 1.0):
+            position = [side * (apart + time), side * offset / 2.0, 10.0 * row]
+            bodies.append({"position": position, "velocity": [-side, 0.0, 0.0], "radius": 0.5, "mass": 1.0})
+    return scene_of(
+        bodies,
+        gravity={"constant": 0.0},
+        contact={"restitution": 1.0, "static_friction": 0.3, "kinetic_friction": 0.3},
+        time={"duration": duration, "fixed_dt": 0.05},
+        record={"every": "step", "check_every": 1, "impacts": "all"},
+    )
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return carom.run(two_pairs(), tmp_path_factory.mktemp("pairs") / "pairs.rrd")
+
+
+def lengths(recording: Recording, path: str) -> dict[int, FloatArray]:
+    """Return the lengths (m) of the arrows of an entity, by the step of each frame that has some."""
+    rows, found = RecordedRows(recording), {}
+    for step in recording.fingerprints()["step"].to_pylist():
+        vectors: Any = rows.at(path, step)[0].batch["Arrows3D:vectors"][0].values
+        if len(vectors):
+            found[step] = np.linalg.norm(np.array(vectors.to_pylist()), axis=1)
+    return found
+
+
+def test_torques_of_rounding_have_no_arrows_once_a_larger_one_was_recorded(recording: Recording) -> None:
+    for path in (paths.TORQUE, paths.ANGULAR_ACCELERATION):
+        assert [len(each) for each in lengths(recording, path).values()] == [2], "of the first pair only"
+    friction = lengths(recording, paths.FORCE_FRICTION)
+    assert len(friction) == 2, "both impacts have friction"
+    first, second = friction.values()
+    assert first.min() > 0.0 and second.max() == 0.0
+
+
+def test_each_frame_holds_the_floor_of_its_arrows(recording: Recording) -> None:
+    rows, steps = RecordedRows(recording), recording.fingerprints()["step"].to_pylist()
+    floors = np.array([rows.at(paths.FORCE_NORMAL, step)[0].batch["floor"][0].values[0].as_py() for step in steps])
+    largest = np.zeros(len(steps))
+    for impact in recording.impacts(replay=True).to_pylist():
+        at = np.searchsorted(recording.fingerprints()["time"].to_numpy(), impact["time"] - 1e-12)
+        largest[at] = max(largest[at], impact["normal_impulse"])
+    assert floors == pytest.approx(OF_LARGEST * np.maximum.accumulate(largest), rel=1e-15)
+
+
+def test_a_replay_from_any_time_and_a_resumed_run_have_the_same_arrows(recording: Recording, tmp_path: Path) -> None:
+    whole = replay(recording)
+    assert whole.same and whole.not_compared == []
+    assert replay(recording, 1.0).same, "the largest torque is before the window"
+    short = carom.run(two_pairs(1.0), tmp_path / "short.rrd")
+    longer = resume(short, 2.0)
+    for path in (paths.TORQUE, paths.FORCE_FRICTION):
+        one, other = lengths(recording, path), lengths(longer, path)
+        assert one.keys() == other.keys() and all(one[step].tolist() == other[step].tolist() for step in one)
+    assert replay(longer).same
+
+
+def test_an_older_recording_keeps_its_arrows_when_it_is_replayed_or_resumed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    header_of = run.header_of
+
+    def by_first_rules(space: Space) -> Header:
+        return replace(header_of(space), drawing_rules=1)
+
+    with monkeypatch.context() as older:
+        older.setattr(run, "header_of", by_first_rules)
+        recording = carom.run(two_pairs(1.0), tmp_path / "older.rrd")
+    assert "drawing_rules" not in recording.info
+    result = replay(recording)
+    assert result.same and result.not_compared == []
+    longer = resume(recording, 2.0)
+    assert [len(each) for each in lengths(longer, paths.TORQUE).values()] == [2, 2], "noise, too"
+    assert replay(longer).same
