@@ -269,7 +269,10 @@ def bundled(tmp_path_factory: pytest.TempPathFactory) -> Bundled:
     return run
 
 
-LONG = ("asteroid-belt", "cloud-collapse", "marbles-in-a-box", "planet-with-gravel", "rubble-collision")  # seconds each
+LONG = (  # seconds each
+    *("asteroid-belt", "cloud-collapse", "hopper"),
+    *("marbles-in-a-box", "planet-with-gravel", "rubble-collision"),
+)
 SHORT = [name for name in bundled_scenes() if name not in LONG]
 
 
