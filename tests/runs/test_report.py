@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,7 @@ from carom.runs.replay import replay
 from carom.runs.report import Report, report, worst_moment
 from carom.scene.schema import Scene
 from carom.scene.wording import escaped
+from carom.show.picture import Shot
 from edited_recordings import changed, mapped
 from small_scenes import cloud
 
@@ -137,7 +139,13 @@ def test_a_run_that_gained_energy_is_about_that(tmp_path: Path) -> None:
 
 def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two balls that start inside each other: the overlap gives a warning, and breaks a promise if there is one."""
-    monkeypatch.setattr(reports, "try_to_render", lambda *_: "not now")
+    shots = list[Shot]()
+
+    def only_look(recording: Recording, given: Sequence[Shot]) -> str:
+        shots[:] = given
+        return "not now"
+
+    monkeypatch.setattr(reports, "try_to_render", only_look)
     document = {
         "title": "Two balls",
         "description": "Look at the overlap.\nIt is deep.",
@@ -154,6 +162,7 @@ def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, mo
     time, why = worst_moment(recording)
     assert time == 1.0 and why == "the deepest overlap, 70% of the smaller radius, body 0 and body 1"
     made = report(recording, tmp_path / "warned.zip")
+    assert [(shot.view, shot.request.event) for shot in shots] == [("bodies", "overlap"), ("close-up", "overlap")]
     with zipfile.ZipFile(made.path) as packed:
         text = packed.read("README.md").decode()
     order = (
@@ -172,6 +181,10 @@ def test_the_subject_of_a_report_is_the_worst_that_went_wrong(tmp_path: Path, mo
     time, why = worst_moment(recording)
     assert time == 1.0
     assert why == "the promise max_overlap was broken: 0.7, at most 0.1, body 0 and body 1"
+    report(recording, tmp_path / "missed.zip")
+    assert [shot.request.event for shot in shots] == ["overlap", "overlap"], "a close-up of the two that broke it"
+    report(recording, tmp_path / "start.zip", 0.0)
+    assert [(shot.view, shot.request.at) for shot in shots] == [("bodies", 0.0)]
 
     broken = Event(2, 2.0, "WARN", "Energy rose.", "energy-rise")
     not_finite = Event(3, 3.0, "WARN", "Two bodies are not finite.", "law-not-finite")

@@ -34,14 +34,14 @@ from carom.scene.units.dimension import ENERGY, TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import command, counted, escaped
 from carom.show.picture import Shot, try_to_render
-from carom.show.request import Request
+from carom.show.request import Request, pair_of_extreme
 
 FRAMES = 120  # largest number in the clip, half of them before the time in question
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
 MOST_WARNINGS = 50
-PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # names of views; the second is made for an impact
+PICTURES = {"bodies": "picture.png", "close-up": "close-up.png"}  # by the names of views
 NOT_FINITE = "law-not-finite"  # detected by the audit of another engine; a run of carom fails instead
 LAWS = ("energy", "law-")  # beginnings of the kinds of events about violated laws
 WORST = {  # subjects of a report if nothing went wrong
@@ -91,9 +91,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         excerpt(recording, moment, cut, FRAMES, ROOM)
         small = Recording.open(cut)
         replayed = _replay(small)
-        hardest = why.startswith(WORST["impact"].partition("{")[0])
-        shown = Request(event="impact") if hardest else Request(moment)
-        shots = [Shot(shown, view, folder / name) for view, name in list(PICTURES.items())[: 2 if hardest else 1]]
+        shown, has_pair = _shown(small, moment, why)
+        shots = [Shot(shown, view, folder / name) for view, name in list(PICTURES.items())[: 2 if has_pair else 1]]
         missing = try_to_render(small, shots)
         pictures = {shot.out_png.name: shot.out_png for shot in shots if shot.out_png.exists()}
         surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
@@ -110,6 +109,18 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
             path.unlink()
             raise RecordingError(f"{recording.path}: a bundle with a single frame would have {size / 1e6:.3g} MB")
         return Report(path, size, moment, why, small.frames, replayed, missing, not (small.engine or small.is_partial))
+
+
+def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool]:
+    """Return what the pictures of a report show at a time (s), and whether two bodies that meet there are its subject.
+
+    They are if an extreme of the run was there, or if the run failed there while bodies touched.
+    """
+    for name in sorted(WORST, key=lambda name: name not in why):  # both may be at this time
+        if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
+            return Request(event=name), True
+    contacts = recording.steps("contacts")["contacts"] if recording.info["collides"] else [0]
+    return Request(moment), recording.outcome.startswith("failed") and float(contacts[-1]) > 0.0
 
 
 def worst_moment(recording: Recording) -> tuple[float, str]:
