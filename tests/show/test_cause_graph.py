@@ -1,5 +1,6 @@
 """The graph of an answer is legible: no label covers another, whatever its shape."""
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -31,6 +32,15 @@ def test_labels_of_the_graph_do_not_overlap_and_are_inside_the_view(pairs: list[
     for box in boxes:
         assert box.width / 2 <= box.x <= AREA.width - box.width / 2
         assert box.height / 2 <= box.y <= AREA.height - box.height / 2
+
+
+def test_impulses_beside_each_other_are_apart_in_a_picture_of_1000_pixels() -> None:
+    edges = [GraphEdge(k + 1, 0, "0.0166", palette.ORANGE, 0.5) for k in range(3)]
+    shown = CauseGraph([f"ball {k}" for k in range(4)], [palette.SKY] * 4, 1, edges, AREA)
+    labels = list(shown.labels(shown.places()).values())
+    smaller = 1000 / 1600  # of the usual window: places move together, letters keep their size
+    near = [replace(box, x=box.x * smaller, y=box.y * smaller) for box in labels]
+    assert len(near) == 3 and not any(one.overlaps(other) for one, other in combinations(near, 2))
 
 
 def test_what_is_asked_about_is_below_its_causes_and_every_impulse_of_a_chain_is_named() -> None:

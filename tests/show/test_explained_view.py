@@ -15,7 +15,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette, paths
 from carom.scene.schema import Scene
 from carom.show import close_up, movie
-from carom.show.annotations import names_fit
+from carom.show.annotations import field_arrows, names_fit
 from carom.show.legend import LEGEND
 from carom.show.presentation import Presentation, asked
 from carom.show.request import Request
@@ -99,6 +99,19 @@ def test_an_arrow_shows_where_the_field_pulls_and_its_size(slope: Recording, bou
     labels: Any = statics[f"{FIELD}/labels"]
     assert labels.labels.as_arrow_array().to_pylist() == ["gravity, 9.81 m/s²", "x", "y", "z"]
     assert FIELD not in dict(asked(bounce, Request()).supplement.statics)
+
+
+def test_the_arrow_and_the_axes_of_a_field_are_on_the_side_where_they_cover_less(slope: Recording) -> None:
+    header, area = header_of_recording(slope), Area(800.0, 500.0)
+    eye = View(np.zeros(3), 10.0, CameraMotion.STILL, np.array([0.0, -1.0, 0.0]))
+    down = np.array([0.0, 0.0, -9.81])
+    left = 0.36 * area.aspect * eye.height()  # the half of the picture is 0.5 of it
+    for upper, lower in ((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)):
+        rows = [(-upper, 0.34), (-lower, -0.36)]  # where a path and a ball are: opposite of where nothing is
+        drawn = np.array([[side * left, 0.0, up * eye.height()] for side, up in rows])
+        arrows: Any = dict(field_arrows(header, eye, area, down, drawn, np.array([0.0, 0.3])))[FIELD]
+        origins = np.array(arrows.origins.as_arrow_array().to_pylist())
+        assert np.sign(origins[[0, 1], 0]).tolist() == [upper, lower]
 
 
 def test_names_stand_beside_bodies_only_where_they_do_not_overlap(bounce: Recording) -> None:

@@ -1,5 +1,6 @@
 """The panels show what happened: impacts, contacts that last, or decades after an explosion."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,12 +8,18 @@ import pytest
 import rerun.blueprint as rrb
 
 import carom
+from carom.recording.layout.blueprint import blueprint
+from carom.recording.layout.camera import CameraFit
 from carom.recording.layout.canvas import Canvas, views_of
 from carom.recording.layout.plot_views import DECADES, CurveOutline, grows_by_decades
 from carom.recording.read.recorded_scene import header_of_recording, recorded_curves
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
+from carom.recording.schema.series import recorded
+from carom.scene.forces import FORCES
+from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
+from carom.scene.units.dimension import OF_UNIT
 from carom.show import panels
 from carom.show.panels import decades
 from carom.show.presentation import Presentation, asked
@@ -107,3 +114,21 @@ def test_the_number_at_the_end_of_the_time_axis_is_inside_a_picture(ball: Record
             axis: Any = view.properties["TimeAxis"]
             end = axis.view_range.as_arrow_array().to_pylist()[0]["end"]
             assert 1.3e9 * 1.04 < end < 1.3e9 * 1.2
+
+
+def test_every_plot_of_every_bundled_scene_names_the_unit_of_the_scene(ball: Recording) -> None:
+    parts: Any = dict.fromkeys(("spins", "has_friction", "stabilises", "promises"), True)
+    everything = replace(header_of_recording(ball), forces=frozenset(kind.name for kind in FORCES), **parts)
+    named = set[str]()
+    for units in {str(scene.unit_system): scene.unit_system for scene in map(Scene.load, bundled_scenes())}.values():
+        header = replace(everything, units=units)
+        series = {each.path: each.unit for each in recorded(header) if each.plot} | {paths.IMPACTS: "N s"}
+        layout = blueprint(header, CameraFit(np.ones(1), np.zeros((1, 3))))
+        plots: list[Any] = [view for view in views_of(layout.root_container) if isinstance(view, rrb.TimeSeriesView)]
+        for plot in plots:
+            (unit,) = {series.pop(str(path)) for path in plot.contents}
+            title, end = str(plot.name), "" if unit == "1" else units.labelled("", OF_UNIT[unit])
+            assert title.endswith(end) and ("(" in title) == bool(end)
+            named.add(title)
+        assert not series, "each has a plot"
+    assert {"Energy (J)", "dt (s)", "Impulse of impacts (N s)", "dt (day)"} < named

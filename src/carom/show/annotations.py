@@ -23,14 +23,35 @@ _LENGTH = 0.16  # of the field's arrow, in heights of the view; axes are 0.6 tim
 _AXES = np.array([0xD42A1EFF, 0x0FA35AFF, 0x4A66F0FF], dtype=np.uint32)  # x, y, z
 
 
-def field_arrows(header: Header, view: View, aspect: float, field: FloatArray, theme: str) -> Iterator[Static]:
-    """Draw a uniform field, (3,) m/s², as an arrow at the left border of the view, and the axes of space below it."""
+def field_arrows(
+    header: Header, view: View, area: Area, field: FloatArray, drawn: FloatArray, radius: FloatArray
+) -> Iterator[Static]:
+    """Draw a uniform field as an arrow at the upper border of the view, and the axes of space at the lower border.
+
+    Each is on the left, unless it would cover less on the right.
+
+    Parameters
+    ----------
+    field
+        (3,) m/s².
+    drawn, radius
+        (k, 3) and (k,) m, of bodies and points of their paths.
+    """
     height, size = view.height(), float(np.linalg.norm(field))
     right, up = view.axes()
     length = _LENGTH * height
-    left = view.target - 0.36 * aspect * height * right
-    top, corner = left + 0.42 * height * up, left - 0.36 * height * up
+    text = f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}"
+    places, sizes = view.on_screen(drawn), view.radius_on_screen(drawn, radius)[:, None]
+    reach = np.array([_LETTER * (len(text) + 1) / area.height, _LENGTH])  # half of the label and of the arrow
+    origins = []
+    for middle, extent, start in ((0.84 - _LENGTH, reach, 0.84), (-0.72, np.full(2, 1.5 * _LENGTH), -0.72)):
+        sides = [np.array([side * 0.72 * area.aspect, middle]) for side in (-1.0, 1.0)]
+        covered = [np.all(np.abs(places - side) < extent + sizes, axis=1).sum() for side in sides]
+        x = sides[int(covered[1] < covered[0])][0]
+        origins.append(view.target + 0.5 * height * (x * right + start * up))
+    top, corner = origins
     vectors = np.vstack([length * field / size, 0.6 * length * np.eye(3)])
+    theme = area.theme
     ink, arrow = palette.INKS[theme], palette.legible([palette.FIELD], theme)
     yield (
         FIELD,
@@ -41,7 +62,7 @@ def field_arrows(header: Header, view: View, aspect: float, field: FloatArray, t
             radii=line_radii(0.05 * length, 1.0),
         ),
     )
-    texts = [f"gravity, {header.units.text(size, dimension.ACCELERATION, '.4g')}", "x", "y", "z"]
+    texts = [text, "x", "y", "z"]
     ends = np.vstack([top + 0.5 * vectors[0], corner + 1.15 * vectors[1:]])
     yield (
         f"{FIELD}/labels",

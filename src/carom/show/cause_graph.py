@@ -78,11 +78,12 @@ class CauseGraph:
     asked: int
     edges: Sequence[GraphEdge]
     area: Area
+    heading: str = "Impulses"  # what the texts of edges are, with their unit
 
     def view(self) -> rrb.Spatial2DView:
         """Lay out the graph."""
         return rrb.Spatial2DView(
-            name="Impulses: wide and bright is large",
+            name=f"{self.heading}: wide and bright is large",
             origin=GRAPH,
             background=rrb.Background(color=palette.BACKGROUND, kind=rrb.BackgroundKind.SolidColor),
             visual_bounds=rrb.VisualBounds2D(x_range=[0.0, self.area.width], y_range=[0.0, self.area.height]),

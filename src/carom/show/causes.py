@@ -208,18 +208,19 @@ def _graph(recording: Recording, causes: Causes, colours: ColourArray) -> CauseG
             GraphEdge(
                 nodes.index(edge.i),
                 nodes.index(edge.j),
-                recording.units.text(edge.impulse, IMPULSE, ".3g"),
+                f"{recording.units.shown(edge.impulse, IMPULSE):.3g}",
                 int(drawing.COLOURS[level]),
                 float(_WIDTHS[level] / _WIDTHS[-1]),
             )
             for edge, level in zip(edges, levels, strict=True)
         ],
         area=WINDOW.area(2 / 5, _SHARES[0] / sum(_SHARES)),
+        heading=recording.units.labelled("Impulses", IMPULSE),
     )
 
 
 def _layout(view: View, graph: CauseGraph) -> rrb.Blueprint:
     text = rrb.TextDocumentView(name="Why", origin=_TEXT)
     panels = rrb.Vertical(graph.view(), text, row_shares=list(_SHARES))
-    title = "Causes: white wires for the bodies in question, faint colours for bodies without effect"
+    title = "Causes: white wires in question, faint without effect"
     return beside_bodies(title, [_CONE, _OTHERS, _ASKED, _TRAILS, _EDGES], view, panels)

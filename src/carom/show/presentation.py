@@ -188,7 +188,9 @@ def presentation(
     seen = staging.camera.view(area.aspect, narrow=area.rendered)
     field = _field(recording, header)
     if field is not None and seen.motion is CameraMotion.STILL:
-        statics += field_arrows(header, seen, area.aspect, field, canvas.theme)
+        past = np.zeros((0, 3)) if staging.trails is None else staging.trails.until(moment)
+        visible, radius = np.concatenate([paused.position, past]), np.pad(header.radius, (0, len(past)))
+        statics += field_arrows(header, seen, area, field, visible, radius)
     spins = None if close is None else close.spin
     words = legend(*(header, by, fixed, references, paused.frame), spins=spins, field=field, theme=canvas.theme)
     statics += [*words.statics(), *arrow_styles(header, canvas.theme)]

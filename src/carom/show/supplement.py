@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from carom.arrays import ColourArray, SingleArray
+from carom.arrays import ColourArray, FloatArray, SingleArray
 from carom.recording.layout.bodies_view import TRAILS
 from carom.recording.layout.camera import FEW, CameraFit
 from carom.recording.read.frame_rows import drawn_paths
@@ -87,6 +87,10 @@ class Trails:
         position, past = self._position.astype(np.float64), self._times <= until
         camera.look(position[past])
         camera.look(position[~past], inside=False)
+
+    def until(self, time: float) -> FloatArray:
+        """Return the points of the paths up to a time (s), (k, 3) m."""
+        return np.asarray(self._position[self._times <= time].reshape(-1, 3), dtype=np.float64)
 
     def statics(self) -> Iterable[Static]:
         """Yield the colours of the bodies."""
