@@ -164,12 +164,12 @@ def test_a_full_disk_leaves_a_manifest_that_says_so(tmp_path: Path) -> None:
     write_scene(tmp_path)
     disk = tmp_path / "disk"
     disk.mkdir()
-    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=20m", "tmpfs", disk], check=True)
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=10m", "tmpfs", disk], check=True)
     try:
         ended = carom_process(
-            "sweep", "spheres.toml", *durations(40.0), "--workers", "1", "-o", "disk/out", cwd=tmp_path
+            "sweep", "spheres.toml", *durations(16.0), "--workers", "1", "-o", "disk/out", cwd=tmp_path
         )
-        assert_the_small_ones_are_there(disk / "out", ended, 40.0)
+        assert_the_small_ones_are_there(disk / "out", ended, 16.0)
     finally:
         subprocess.run(["umount", disk], check=True)
 

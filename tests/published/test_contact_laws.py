@@ -39,7 +39,7 @@ def test_spheres_reverse_the_slip_as_measured_by_foerster(e: float, mu: float, b
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("speed", [5e-5, 1e-4, 1e-3, 1e-2])
+@pytest.mark.parametrize("speed", [5e-5, 1e-3, 1e-2])
 def test_ice_of_saturns_rings_rebounds_as_measured_by_bridges(speed: float) -> None:
     # Bridges, Hatzes & Lin, Nature 309, 333 (1984): e = 0.32 v^-0.234 with v in cm/s, and 1 below 0.0077 cm/s. The
     # exact impact leaves rounding, and the power law has e = 0.3201 at 1 cm/s.
@@ -71,7 +71,7 @@ def test_a_ball_rolls_to_rest_in_the_distance_that_its_rolling_friction_gives() 
             [ball],
             plane=[{}],
             gravity={"constant": 0.0, "uniform": [0, 0, -g]},
-            contact={"static_friction": 0.5, "kinetic_friction": 0.5, **law},
+            contact={"static_friction": 0.5, "kinetic_friction": 0.5, "timing": "end-of-step", **law},
             time={"duration": 1.2 * v / (5 / 7 * mu * g), "fixed_dt": dt},
         )
     )
@@ -85,7 +85,7 @@ def test_a_gas_of_viscoelastic_spheres_cools_with_the_exponent_five_thirds() -> 
     # T^{-1/p} is a straight line in time. Seeds scatter by 0.05 about 1.68; a constant coefficient gives 2.00 ± 0.01.
     # 0.15: three times the scatter.
     law = {"law": "viscoelastic", "viscoelastic": {"restitution": 0.9, "speed": 1.5}}
-    space = gas(5, 0.05, 0, contact={"static_friction": 0.0, **law}, time={"cfl": 0.03})
+    space = gas(5, 0.05, 0, contact={"static_friction": 0.0, "timing": "end-of-step", **law}, time={"cfl": 0.03})
     times, temperatures = [0.0], [1.0]
     while temperatures[-1] > 0.01:
         space.compute_dynamics(50)

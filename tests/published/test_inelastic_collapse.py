@@ -72,8 +72,8 @@ def test_beads_above_the_threshold_part_after_as_many_collisions_as_they_must(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("timing", ["end-of-step", "time-of-impact"])
-@pytest.mark.parametrize("sweeps", [1, 8, pytest.param(1000, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("restitution", [0.0, 0.02, 0.05, 0.0715])
+@pytest.mark.parametrize("sweeps", [1, 1000])
+@pytest.mark.parametrize("restitution", [0.0, 0.0715])
 def test_beads_below_the_threshold_collapse_into_one_and_the_run_goes_on(
     restitution: float, sweeps: int, timing: str
 ) -> None:

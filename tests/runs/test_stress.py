@@ -53,7 +53,8 @@ def run_through(space: Space) -> None:
 
 @pytest.mark.parametrize("name", cases())
 def test_an_extreme_meets_its_criteria(name: str) -> None:
-    space = extreme(name)
+    # boulders of a pile come to rest in the first half of the run
+    space = extreme(name, *(["time.duration=15000"] if name == "pile-1000" else []))
     run_through(space)
     assert space.time == space.scene.time.duration
     missed = [str(verdict) for verdict in judge(space.scene, space.extremes, space.time) if not verdict.met]

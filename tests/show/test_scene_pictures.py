@@ -19,12 +19,9 @@ SIZE = (1600, 1000)
 SHARES = (3.0, 2.2, 2.0, 1.7)  # widths of the views of bodies, graph, close-up, and of the legend
 IMPACTS = {  # scenes with impacts, cut off after a hard one
     "two-spheres": 1.7,
-    "newtons-cradle": 0.8,
     "rack-break": 0.06,
-    "marbles-in-a-box": 0.8,
     "elastic-gas": 0.5,
     "planet-with-gravel": 300.0,
-    "rubble-collision": 600.0,
     "cloud-collapse": 2000.0,
 }
 SUN = """

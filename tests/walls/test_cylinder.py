@@ -51,6 +51,7 @@ def bounces(x: FloatArray, v: FloatArray, duration: float) -> FloatArray:
         v = v - 2.0 * (v @ n) * n
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_elastic_bounces_follow_the_closed_solution_and_keep_energy_and_angular_momentum() -> None:
     x, v = np.array([0.3, 0.0, -0.2]), np.array([0.7, 0.1, 1.1])
     space = Space(drum(SMOOTH, WEIGHTLESS, 20.0, position=x.tolist(), velocity=v.tolist()))
@@ -64,6 +65,7 @@ def test_elastic_bounces_follow_the_closed_solution_and_keep_energy_and_angular_
     assert end.velocity[0] @ end.velocity[0] == pytest.approx(v @ v, rel=1e-13)
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_elastic_bounces_under_gravity_keep_the_energy() -> None:
     space = Space(drum(SMOOTH, HEAVY, 5.0, position=[0.5, 0.0, 0.3], velocity=[0.0, 0.3, 0.0]))
     errors = [abs(frame.energy.integration_error) / frame.energy.scale for frame in space.run()]
@@ -71,6 +73,7 @@ def test_elastic_bounces_under_gravity_keep_the_energy() -> None:
     assert np.hypot(*space.state.position[0, [0, 2]]) < R - r + 1e-9
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rolling_ball_oscillates_with_the_period_of_the_closed_solution() -> None:
     angle = 0.05
     start = [(R - r) * math.sin(angle), 0.0, -(R - r) * math.cos(angle)]
@@ -83,6 +86,7 @@ def test_a_rolling_ball_oscillates_with_the_period_of_the_closed_solution() -> N
     assert max(position for t, position in x if t > 2.0 * period) > 0.998 * start[0]
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_fast_ball_rolls_around_the_inside_without_losing_contact() -> None:
     speed = 1.2 * math.sqrt(27.0 / 7.0 * G * (R - r))  # at the bottom; the least one that stays at the top is 1/1.2
     rolling = {"velocity": [speed, 0, 0], "angular_velocity": [0, speed / r, 0]}
@@ -96,6 +100,7 @@ def test_a_fast_ball_rolls_around_the_inside_without_losing_contact() -> None:
     assert energies[-1] == pytest.approx(energies[0], rel=1e-3)
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_ball_at_the_bottom_stays_at_rest() -> None:
     space = Space(drum(ROUGH, HEAVY, 1.0, position=[0, 0, -(R - r)]))
     for _ in space.run():
@@ -103,6 +108,7 @@ def test_a_ball_at_the_bottom_stays_at_rest() -> None:
     assert np.abs(space.state.position[0] - [0, 0, -(R - r)]).max() < 1e-12
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_run_is_recorded_replayed_and_shows_the_wall(tmp_path: Path) -> None:
     file = tmp_path / "drum.rrd"
     carom.run(drum(ROUGH, HEAVY, 0.5, position=[0.5, 0.0, 0.0]), file)

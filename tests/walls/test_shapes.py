@@ -37,6 +37,7 @@ def end_of(wall: dict[str, Any], duration: float, gravity: FloatArray = DOWN, **
     return space
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 @pytest.mark.parametrize(
     ("wall", "x", "y", "touching", "normal"),
     [
@@ -60,6 +61,7 @@ def test_a_ball_that_falls_on_a_wall_bounces_at_the_time_and_along_the_normal_of
     assert np.abs(space.state.position[0] - expected).max() < 1e-12  # one impact: only rounding
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_bounces_in_a_sphere_keep_energy_and_angular_momentum() -> None:
     x, v = np.array([0.3, -0.1, 0.2]), np.array([0.7, 0.4, -1.1])
     hollow = {"sphere": {"radius": 1.0}}
@@ -69,12 +71,14 @@ def test_bounces_in_a_sphere_keep_energy_and_angular_momentum() -> None:
     assert np.linalg.norm(state.position[0]) < 0.9 + 1e-12
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_ball_runs_through_a_funnel() -> None:
     space = end_of(FUNNEL, 3.0, position=[0.7, 0.2, 1.0])
     assert space.state.position[0, 2] < -1.0
     assert abs(space.state.position[0]).max() < 100.0
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_ball_passes_beside_a_disc_and_bounces_off_its_lower_side() -> None:
     plate = {"disc": {"radius": 1.0}}
     beside = end_of(plate, 1.0, position=[1.1 + 1e-9, 0.0, HEIGHT])

@@ -66,7 +66,7 @@ def test_balls_dropped_on_each_other_overlap_by_less_than_a_tenth_of_a_radius(co
 
 
 @pytest.mark.slow
-@settings(max_examples=25, deadline=None, derandomize=True)
+@settings(max_examples=12, deadline=None, derandomize=True)
 @given(
     masses=st.lists(st.floats(-3, 6).map(lambda power: 10.0**power), min_size=2, max_size=7),
     sweeps=st.one_of(st.sampled_from(["auto", "as-needed", "quick"]), st.integers(1, 12)),

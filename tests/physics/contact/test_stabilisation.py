@@ -126,7 +126,7 @@ def test_only_pushes_undo_the_overlaps_that_impacts_leave() -> None:
 def test_a_frictionless_column_that_falls_into_a_box_finds_rest() -> None:
     # Ten layers on average. Pushed apart by whole overlaps the column never rested: a kinetic energy of 0.13 m g d each
     # for ever, fed by pushes, and overlaps of 1.4 radii.
-    count, width = 300, 5.0
+    count, width = 110, 3.0
     size = [width, width, count * np.pi / 6 / (0.2 * width**2)]
     space = Space(
         Scene.from_dict(

@@ -45,8 +45,8 @@ def way(time: float, speed: float) -> float:
     ("accuracy", "speed"),
     [
         (1e-5, 2.0),
-        *(pytest.param(10.0**-digits, 2.0, marks=pytest.mark.slow) for digits in (2, 4, 6, 7, 8)),
-        *(pytest.param(3e-6, speed, marks=pytest.mark.slow) for speed in (1.1, 1.7, 2.3, 3.1, 4.7)),
+        *((10.0**-digits, 2.0) for digits in (2, 4, 8)),
+        *((3e-6, speed) for speed in (1.7, 4.7)),
     ],
 )
 def test_a_ball_that_slides_and_then_rolls_keeps_the_accuracy_and_the_expected_error(
