@@ -36,6 +36,11 @@ def few_bodies(module: Any) -> Ratios:
     return ratios
 
 
+def few_contacts(module: Any) -> Ratios:
+    """Measure steps of few bodies in contact, or in a medium, beside MuJoCo."""
+    return {f"{row['scene']} / MuJoCo": row["µs"]["carom"] / row["µs"]["MuJoCo"] for row in module.compare(rounds=9)}
+
+
 def gravity(module: Any) -> Ratios:
     """Measure the direct sum beside REBOUND's, and the tree beside pytreegrav's at its error."""
     ratios = {
@@ -66,7 +71,13 @@ def heap(module: Any) -> Ratios:
     }
 
 
-PARTS: tuple[Callable[[Any], Ratios], ...] = (few_bodies, gravity, step, heap)  # each of a benchmark of that name
+PARTS: tuple[Callable[[Any], Ratios], ...] = (
+    few_bodies,
+    few_contacts,
+    gravity,
+    step,
+    heap,
+)  # each of a benchmark of that name
 
 
 def measured() -> Ratios:
