@@ -23,14 +23,16 @@ ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.slow  # it compiles all kernels of these scenes
-def test_plain_kernels_have_the_stored_bits() -> None:
+def test_plain_kernels_have_the_stored_bits(tmp_path: Path) -> None:
+    # No optimisation of the compiler moves a bit: with few of them it takes a fraction of the time.
+    quick = {"NUMBA_OPT": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
     tests = [
         f"tests/golden/test_golden.py::test_the_bits_of_a_scene_are_the_stored_ones_by_every_method[{name}]"
         for name in SCENES
     ]
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", *tests],
-        env=os.environ | {"CAROM_PLAIN": "1"},
+        env=os.environ | quick | {"CAROM_PLAIN": "1"},
         cwd=ROOT,
         capture_output=True,
         text=True,
