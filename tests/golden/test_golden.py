@@ -10,6 +10,7 @@ from collections.abc import Iterable
 import pytest
 
 from golden.fingerprints import change_of, golden_scenes, moved, stored
+from small_scenes import walls_as_slow
 
 THREADS = 2  # they were stored with one: the bits are the same on any number
 STORED = stored()
@@ -28,7 +29,7 @@ def usual(name: str) -> list[str]:
     return methods if name.startswith("golden/") else methods[:1] + methods[1 + sorted(STORED).index(name) % 3 :: 3]
 
 
-@pytest.mark.parametrize("name", sorted(STORED))
+@pytest.mark.parametrize("name", walls_as_slow(sorted(STORED)))
 def test_the_bits_of_a_scene_are_the_stored_ones_by_every_method(name: str) -> None:
     assert not (differing := changes(name, usual(name))), differing
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,12 @@ from carom.scene.schema.contact import Sweeps
 from carom.scene.start import HalfSpaces, InitialBodies
 
 FloatArray = NDArray[np.float64]
+
+
+def walls_as_slow(names: Iterable[str]) -> list[Any]:
+    """Return scenes as parameters, of which those with a [[wall]] are slow: their kernels compile for a minute."""
+    walled = {name for name, path in bundled_scenes().items() if "[[wall]]" in path.read_text(encoding="utf-8")}
+    return [pytest.param(name, marks=pytest.mark.slow if name in walled else ()) for name in names]
 
 
 def bundled(quick: tuple[str, ...]) -> list[Any]:

@@ -16,7 +16,7 @@ from carom.scene.scene_file import bundled_scenes
 from carom.scene.schema import Scene
 from golden.fingerprints import AS_WRITTEN, load, moved, stored
 from scene_strategies import documents, scene_from
-from small_scenes import cloud
+from small_scenes import cloud, walls_as_slow
 
 ROUNDING = 1e-12  # some 100 impulses a body and 100 iterations each, of 1e-16: the worst case found has 2e-14
 STORED = stored()
@@ -41,7 +41,7 @@ def check(name: str, overrides: str) -> None:
     assert error is not None and error.value <= ROUNDING, f"{name}, {overrides}: {error}"
 
 
-@pytest.mark.parametrize("name", sorted(bundled_scenes()))
+@pytest.mark.parametrize("name", walls_as_slow(sorted(bundled_scenes())))
 def test_in_every_bundled_scene_impulses_and_forces_are_all_that_changes_velocities(name: str) -> None:
     check(name, AS_WRITTEN)
 
