@@ -129,7 +129,10 @@ _SHAPES = frozenset(  # positions and sizes of drawn bodies, planes and walls; t
 )
 _DRAWING = ("schema_version", "title", "colour_by", "body_colouring", "arrow_length.")  # keys that change no number
 _OTHERS = ("__properties/", paths.MAGNIFIED, paths.START)  # the circumstances of the run, the layout, a clip's start
-_SINCE_SCHEMA_3 = ("records_contacts", "states_at_impacts", "arrow_length.world/forces/", "world/forces/")
+_SINCE_SCHEMA_3 = (
+    *("records_contacts", "states_at_impacts", "drawing_rules"),
+    *("arrow_length.world/forces/", "world/forces/"),
+)
 
 
 class StaticCheck:
@@ -158,7 +161,6 @@ class StaticCheck:
             record_impacts=scene.record.impacts,
             group=groups_of(scene),
             properties=circumstances,
-            drawing_rules=recording.drawing_rules,
         )
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
