@@ -173,9 +173,11 @@ class StaticCheck:
         recorded, found = self._recorded(), list[Mismatch]()
         reach = self._reach()
         expected = self._expected(reach or 1.0)
-        series = {each.path for each in all_series(self._header.extensions)}
+        entries = self._recording.store.entries
+        # series added since, which `FrameCheck` lists
+        added = {each.path for each in all_series(self._header.extensions)} - {entry.entity_path for entry in entries}
         for path, components in expected.items():
-            if path in series and path not in recorded:  # added since; `FrameCheck` lists it
+            if path in added:
                 continue
             others = dict(recorded.get(path, {}))
             for name, value in components.items():
