@@ -7,6 +7,7 @@ import html.parser
 import http.server
 import json
 import os
+import re
 import subprocess
 import threading
 from collections.abc import Iterator, Sequence
@@ -25,6 +26,7 @@ from carom_command import carom
 from needs import BROWSER, PICTURES
 from scripted_run import ScriptedRun
 
+PHONE = 360  # pixels of width, of a small phone
 TITLE = "</title><script>document.title = 'taken'</script> & <b>$rows</b>"
 SCENE = "#:schema scene.json\n# A ride.\n#\n# Look for: <b>circles</b>\n# that cross.\n# Change: nothing.\nseed = 1\n"
 BETWEEN = 'body 1 "<img src=x onerror=alert(1)>" and body 2'
@@ -106,6 +108,38 @@ def test_the_page_has_the_summary_and_pictures_with_a_link_for_each_moment(run: 
     ):
         assert text in page.text
     assert page.text.index("t = 1.5 s: something at step 30") < page.text.index("A ride."), "warnings first"
+
+
+def test_every_picture_says_in_words_what_it_shows(run: Path) -> None:
+    other = record(run.parent / "other.rrd", "Another")
+    assert carom("publish", run.name, other.name, "-o", "class", cwd=run.parent).returncode == 0
+    for path in sorted((run.parent / "class").glob("*.html")):
+        page = Texts(path.read_text(encoding="utf-8"))
+        images = [attributes for tag, attributes in page.tags if tag == "img"]
+        texts = [str(image.get("alt")) for image in images]
+        assert all(texts) and len(set(texts)) == len(texts), "no two pictures have the same text"
+        close = [str(image["src"]) for image in images if str(image.get("alt")).endswith(", close up")]
+        assert close == [
+            str(image["src"]) for image in images if "close-up" in str(image["src"]) and path.name != "index.html"
+        ]
+
+
+def test_pages_fit_a_phone(run: Path) -> None:
+    """What a style sheet can do wrong is a width in pixels, a line that may not wrap, or a page scaled down."""
+    assert carom("publish", run.name, cwd=run.parent).returncode == 0
+    folder = run.parent / "my run-page"
+    page = Texts((folder / "index.html").read_text(encoding="utf-8"))
+    (scale,) = [tag["content"] for name, tag in page.tags if name == "meta" and tag.get("name") == "viewport"]
+    assert scale == "width=device-width, initial-scale=1"
+    style = (folder / "index.css").read_text(encoding="utf-8")
+    rules = {name.strip(): body for name, body in re.findall(r"([^{}]+)\{([^{}]*)\}", style)}
+    assert "nowrap" not in style and {"width: 100%", "height: auto"} <= {*re.split(r";\s*|\s{2,}", rules["img"])}
+    wide = {
+        name: float(rem) for name, body in rules.items() for rem in re.findall(r"[^-]min-width: ([0-9.]+)rem", body)
+    }
+    assert all(16 * rem < PHONE - 2 * 16 for rem in wide.values()), "in one column beside the margins of the page"
+    assert not re.findall(r"[^-]width: [0-9.]+(px|rem)", style.replace("max-width", "").replace("min-width", ""))
+    assert "overflow-x: auto" in rules[".wide,\npre"], "tables and scenes scroll in themselves"
 
 
 def test_several_recordings_get_a_page_each_and_a_card_in_the_index(run: Path) -> None:
@@ -295,6 +329,10 @@ def test_a_browser_opens_the_page_and_a_moment_in_the_viewer(published: str) -> 
         assert page.title() == TITLE
         widths = page.eval_on_selector_all("img", "images => images.map((image) => image.naturalWidth)")
         assert widths == 5 * [1000]
+        page.set_viewport_size({"width": PHONE, "height": 640})
+        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE, "no need to scroll sideways"
+        assert page.eval_on_selector_all("img", "images => images.every((image) => image.clientWidth > 300)")
+        page.set_viewport_size({"width": 800, "height": 500})
         page.click("figure:nth-of-type(2) a")
         wait_until_loaded(page, errors)
         shown = settled(page)

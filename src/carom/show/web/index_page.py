@@ -108,9 +108,9 @@ def _write(path: Path, template: str, title: str, **texts: str) -> None:
 
 def _figure(figure: Figure) -> str:
     link = html.escape(figure.link)
-    shown = [f'<a href="{link}">{_image(picture, figure.heading)}</a>' for picture in figure.pictures] or [
-        f'<a href="{link}">Open this moment in the viewer</a>'
-    ]
+    texts = (figure.heading, f"{figure.heading}, close up")
+    images = [_image(picture, text) for picture, text in zip(figure.pictures, texts, strict=False)]
+    shown = [f'<a href="{link}">{image}</a>' for image in images or ["Open this moment in the viewer"]]
     caption = f"<h2>{html.escape(figure.heading)}</h2><p>{_separated(figure.details)}</p>"
     return f'<figure><figcaption>{caption}</figcaption><div class="pictures">{"".join(shown)}</div></figure>'
 
