@@ -353,6 +353,7 @@ def header_of(space: Space) -> Header:
         units=scene.unit_system,
         check_interval=space.check_interval,
         promises=scene.promise is not None,
+        drives=any(wall.moves for wall in scene.wall),
         shortest_dt_hint=space.first_dt,
         record_impacts=scene.record.impacts if space.records_contacts else "none",
         box=space.box,

@@ -73,6 +73,16 @@ class HalfSpaces:
         return self.normal
 
     @property
+    def moves(self) -> bool:
+        """Whether the surface of one of them moves."""
+        return False
+
+    @property
+    def spin(self) -> FloatArray:
+        """The angular velocity of each, (p, 3) rad/s."""
+        return np.zeros((len(self), 3))
+
+    @property
     def curves(self) -> bool:
         """Whether one of them is a wall, which need not be flat."""
         return False

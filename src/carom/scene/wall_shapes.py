@@ -42,6 +42,8 @@ class WallShape:
     fields: tuple[str, ...]  # of p
     parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units, by these names
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
+    axis: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None  # of its section: a point in m and the direction
+    # of the axis of a surface of revolution, about which the wall may rotate
 
 
 def shape_called(name: str) -> WallShape:

@@ -37,8 +37,8 @@ class Cylinder(Section):
 
 def parameters(section: Cylinder) -> Mapping[str, float]:
     """Return the radius, a point of the axis, its direction, and a direction across it."""
-    axis = unit_vector(section.axis)
-    values = (section.radius, *section.point, *axis.tolist(), *across(axis).tolist())
+    direction = unit_vector(section.axis)
+    values = (section.radius, *section.point, *direction.tolist(), *across(direction).tolist())
     return dict(zip(FIELDS, values, strict=True))
 
 
@@ -53,12 +53,17 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
     return p.side_x, p.side_y, p.side_z, p.radius, 0.0
 
 
+def axis(section: Cylinder) -> tuple[FloatArray, FloatArray]:
+    """Return a point and the direction of the axis."""
+    return np.array(section.point), unit_vector(section.axis)
+
+
 def mesh(section: Cylinder, centre: FloatArray, reach: float) -> Mesh:
     """Return a prism of the length of the scene."""
-    axis, point = unit_vector(section.axis), np.array(section.point)
-    middle = (axis * (centre - point)).sum()
+    point, direction = axis(section)
+    middle = (direction * (centre - point)).sum()
     ends = ((section.radius, middle - reach), (section.radius, middle + reach))
-    return mesh_of_revolution(point, axis, ends)
+    return mesh_of_revolution(point, direction, ends)
 
 
-WALL = WallShape(Cylinder, nearest, mesh, FIELDS, parameters)
+WALL = WallShape(Cylinder, nearest, mesh, FIELDS, parameters, axis=axis)

@@ -55,10 +55,15 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
     return nx / distance, ny / distance, nz / distance, distance, math.inf
 
 
+def axis(section: Disc) -> tuple[FloatArray, FloatArray]:
+    """Return a point and the direction of the axis."""
+    return np.array(section.centre), unit_vector(section.normal)
+
+
 def mesh(section: Disc, centre: FloatArray, reach: float) -> Mesh:
     """Return the whole plate."""
     profile = ((0.0, 0.0), (section.radius, 0.0))
-    return mesh_of_revolution(np.array(section.centre), unit_vector(section.normal), profile)
+    return mesh_of_revolution(*axis(section), profile)
 
 
-WALL = WallShape(Disc, nearest, mesh, FIELDS, parameters, thin=True)
+WALL = WallShape(Disc, nearest, mesh, FIELDS, parameters, thin=True, axis=axis)

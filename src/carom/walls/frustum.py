@@ -57,10 +57,11 @@ class Frustum(Section):
 
 def parameters(section: Frustum) -> Mapping[str, float]:
     """Return the first circle, the axis, a direction across it, and the segment from circle to circle."""
-    axis = unit_vector(section.axis)
+    direction = unit_vector(section.axis)
     rho, h = section.end_radius - section.radius, section.height
     slant = math.sqrt(rho * rho + h * h)
-    values = (section.radius, *section.point, *axis.tolist(), *across(axis).tolist(), rho / slant, h / slant, slant)
+    directions = (*direction.tolist(), *across(direction).tolist())
+    values = (section.radius, *section.point, *directions, rho / slant, h / slant, slant)
     return dict(zip(FIELDS, values, strict=True))
 
 
@@ -91,10 +92,15 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
     return nx, ny, nz, distance, rho
 
 
+def axis(section: Frustum) -> tuple[FloatArray, FloatArray]:
+    """Return a point and the direction of the axis."""
+    return np.array(section.point), unit_vector(section.axis)
+
+
 def mesh(section: Frustum, centre: FloatArray, reach: float) -> Mesh:
     """Return the whole surface."""
     ends = ((section.radius, 0.0), (section.end_radius, section.height))
-    return mesh_of_revolution(np.array(section.point), unit_vector(section.axis), ends)
+    return mesh_of_revolution(*axis(section), ends)
 
 
-WALL = WallShape(Frustum, nearest, mesh, FIELDS, parameters, thin=True)
+WALL = WallShape(Frustum, nearest, mesh, FIELDS, parameters, thin=True, axis=axis)

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from carom.arrays import FloatArray
-from carom.extend import LENGTH, Mesh, Positive, Real, Section, WallShape, mesh_of_revolution
+from carom.extend import LENGTH, Mesh, Positive, Real, Section, WallShape, mesh_of_revolution, unit_vector
 
 POINTS = 25  # of the drawn sphere, from pole to pole
 FIELDS = ("radius", "x", "y", "z")
@@ -24,6 +24,15 @@ class Sphere(Section):
 
     radius: Annotated[Positive, LENGTH] = Field(description="m, more than 0")
     centre: Annotated[tuple[Real, Real, Real], LENGTH] = Field((0.0, 0.0, 0.0), description="m, [x, y, z]")
+    axis: tuple[Real, Real, Real] = Field(
+        (0.0, 0.0, 1.0), description="[x, y, z], of a rotation by wall.motion; any length but 0"
+    )
+
+    @model_validator(mode="after")
+    def _has_a_direction(self) -> Self:
+        if not any(self.axis):
+            raise ValueError("axis = [0, 0, 0] has no direction; give that of the rotation, such as [0, 0, 1]")
+        return self
 
 
 def parameters(section: Sphere) -> Mapping[str, float]:
@@ -40,6 +49,11 @@ def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, 
     return 0.0, 0.0, 1.0, p.radius, 0.0
 
 
+def axis(section: Sphere) -> tuple[FloatArray, FloatArray]:
+    """Return the centre and the direction of the axis."""
+    return np.array(section.centre), unit_vector(section.axis)
+
+
 def mesh(section: Sphere, centre: FloatArray, reach: float) -> Mesh:
     """Return the whole sphere."""
     angles = np.linspace(0.0, np.pi, POINTS)
@@ -47,4 +61,4 @@ def mesh(section: Sphere, centre: FloatArray, reach: float) -> Mesh:
     return mesh_of_revolution(np.array(section.centre), np.array([0.0, 0.0, 1.0]), list(profile))
 
 
-WALL = WallShape(Sphere, nearest, mesh, FIELDS, parameters)
+WALL = WallShape(Sphere, nearest, mesh, FIELDS, parameters, axis=axis)

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray, dtype_of
 from carom.physics.aligned import CACHE_LINE
+from carom.physics.contact.moving_walls import SurfaceVelocity
 from carom.physics.contact.rolling import AngularImpulse, RollingFields
 from carom.physics.jit.decorators import inline
 from carom.physics.jit.instructions import from_front
@@ -45,6 +46,14 @@ class ContactRecord(Protocol):
 
 class RollingContactRecord(RollingFields, ContactRecord, Protocol):
     """A contact whose law resists rolling."""
+
+
+class SlidingWallContactRecord(SurfaceVelocity, ContactRecord, Protocol):
+    """A contact in a scene with moving walls."""
+
+
+class RollingWallContactRecord(SurfaceVelocity, RollingContactRecord, Protocol):
+    """A contact in such a scene whose law resists rolling."""
 
 
 class ContactStateRecord(Protocol):
@@ -209,6 +218,8 @@ class SettingsRecord(Protocol):
 
 CONTACT = dtype_of(ContactRecord, size=2 * CACHE_LINE)
 ROLLING_CONTACT = dtype_of(RollingContactRecord, size=4 * CACHE_LINE)
+CONTACT_ON_MOVING_WALL = dtype_of(SlidingWallContactRecord, size=4 * CACHE_LINE)
+ROLLING_ON_MOVING_WALL = dtype_of(RollingWallContactRecord, size=4 * CACHE_LINE)
 CONTACT_STATE = dtype_of(ContactStateRecord, size=2 * CACHE_LINE)
 BODY_STATE = dtype_of(BodyStateRecord, size=2 * CACHE_LINE)
 PUSHED_BODY = dtype_of(PushedBodyRecord, size=CACHE_LINE)

@@ -12,6 +12,7 @@ import numpy as np
 
 from carom.arrays import FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import ContactRecord, ContactStateRecord, ends_of
+from carom.physics.contact.moving_walls import set_surface_velocity
 from carom.physics.contact.solids import tangent_plane
 from carom.physics.jit.decorators import inline, long_kernel
 from carom.physics.jit.instructions import from_front
@@ -86,10 +87,12 @@ def update_geometry(
         (i, j), contact, state = ends_of(pairs, c), contacts[c], states[c]
         if j >= n:
             p, (px, py, pz) = j - n, vector(x, i)
-            nx, ny, nz, _ = tangent_plane(surface, offset, p, px, py, pz)
+            nx, ny, nz, distance = tangent_plane(surface, offset, p, px, py, pz)
             contact.nx, contact.ny, contact.nz = -nx, -ny, -nz
             contact.arm_i, contact.arm_j = radius[i], 0.0
-            state.overlap = radius[i] - height_above(surface, offset, p, px, py, pz)
+            height = -distance + nx * px + ny * py + nz * pz
+            state.overlap = radius[i] - height
+            set_surface_velocity(contact, surface, p, (px - height * nx, py - height * ny, pz - height * nz))
             continue
         dx, dy, dz = between(x, i, j)
         dx, dy, dz = nearest_image(dx, dy, dz, box)

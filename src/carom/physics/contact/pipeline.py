@@ -14,11 +14,11 @@ An integrator that ends its steps at impacts calls `begin_batch`, `resolve_meeti
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from carom.arrays import FloatArray, IntArray, Records
+from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.errors import PhysicsError
 from carom.physics.aligned import Buffer
 from carom.physics.bodies import Bodies
@@ -28,6 +28,7 @@ from carom.physics.contact.contact_tap import ContactTap, Impulses
 from carom.physics.contact.graph import OrderedContacts, empty_graph
 from carom.physics.contact.impact_log import NO_IMPACTS, Impacts
 from carom.physics.contact.law import Materials
+from carom.physics.contact.moving_walls import set_velocities_in_drift, work_of_contacts, work_of_impacts
 from carom.physics.contact.near_pairs import NearPairs
 from carom.physics.contact.reactions import Torques, supported_acceleration
 from carom.physics.contact.snapshot import ContactSnapshot, SnapshotSource
@@ -105,7 +106,7 @@ class ContactPipeline:
     ) -> None:
         sleep = load("model", "sleep") if contact.sleep else None
         self.settings = contact
-        self._bodies = bodies
+        self._bodies, self._solids = bodies, planes
         self._field = field
         self._team = team
         self._needs = requirements
@@ -147,6 +148,7 @@ class ContactPipeline:
         if self._needs.torque.modelled:
             self._torques.remember()
         self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to none of its contacts
+        self.work_of_walls = 0.0  # J, that moving walls did on bodies in the step
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step's contacts
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
@@ -217,7 +219,7 @@ class ContactPipeline:
         """
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.ledger_apart = NO_ENTRIES
+        self.ledger_apart, self.work_of_walls = NO_ENTRIES, 0.0
         self._first_kick = kick
         self._lost = NO_ENTRIES
         if self._fell_asleep:  # contacts that fell asleep after the last step are no longer computed
@@ -238,6 +240,7 @@ class ContactPipeline:
                 self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self.solver.audited
+            self._add_work_of_walls(self.solver.contacts)
             if self.tap:
                 self.tap.add_hold(self.contacts.pairs, self.solver)
 
@@ -255,6 +258,8 @@ class ContactPipeline:
         self.impacts = self.event_drift.drift(
             kick, dt, *self._near.margins(dt), held, self.solver.pressed, asleep, damping, strength
         )
+        if self._solids.moves and len(self.impacts):
+            self.work_of_walls += work_of_impacts(self.impacts.log, self._solids.surface, len(self._bodies))
         if self.tap:
             self.tap.add_drift(self.impacts)
 
@@ -459,9 +464,17 @@ class ContactPipeline:
             profile.mark("resting")
         else:
             self._impulses = ImpulseCache.empty()
+        self._add_work_of_walls(solver.recorded)
+        self._add_work_of_walls(solver.contacts)
         if self.sweeps >= self.most_sweeps and still_closing(contact) not in self.warned:
             self._too_few_sweeps = solver.is_closing(dt)
         profile.mark("response")
+
+    def _add_work_of_walls(self, impulses: RecordArray[Any]) -> None:
+        """Add the work of moving walls by the impulses of the present contacts, (m,) records."""
+        if self._solids.moves:
+            pairs, contacts = self.solver.system.pairs, cast(RecordArray[Any], self.solver.contacts)
+            self.work_of_walls += work_of_contacts(pairs, contacts, impulses, self._solids.surface, len(self._bodies))
 
     def _is_at_rest(self) -> bool:
         """Return whether contacts may be at rest: without a force that presses them together, all are impacts."""
@@ -473,6 +486,10 @@ class ContactPipeline:
         """Hold the contacts after a kick and before a drift (0: no drift); times in s. Return the number of sweeps."""
         solver, pairs = self.solver, self.contacts.pairs
         place = solver.order.place
+        if drift > 0.0 and self._solids.moves:
+            system, contacts = solver.system, cast(RecordArray[Any], solver.contacts)
+            moving = system.position, system.velocity, self._solids.surface
+            set_velocities_in_drift(system.pairs, contacts, *moving, drift)
         self._impulses.carry_to(pairs, place, kick, solver.contacts, self._team)
         if kick > 0.0:  # Euler's step ends without a kick, so the next one starts from the impulses of the first kick
             self._impulses = ImpulseCache(pairs, place, solver.contacts, kick)
@@ -497,6 +514,8 @@ class ContactPipeline:
         self.solver.statistics()
         if self.event_drift:
             self._count_impacts()
+            if self._solids.moves:
+                work_of_impacts(self.event_drift.log[:0], self._solids.surface, 0)
         if self._lasts:
             for drift in (1.0, 0.0):
                 self._hold_contacts(1.0, 1.0, drift, 0.0, 1.0)

@@ -17,10 +17,12 @@ import numpy as np
 from carom import registry
 from carom.arrays import FloatArray, IntArray, RecordArray, Records
 from carom.physics.contact.constraints import ContactStateRecord, ends_of
+from carom.physics.contact.moving_walls import MOTION
 from carom.physics.jit.decorators import chosen_by_type, identity_of, inline, kernel, leaf, long_kernel
 from carom.physics.jit.instructions import from_front
 from carom.physics.vector import Vector, vector
 from carom.scene.schema import Scene
+from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
 from carom.scene.wall_shapes import shape_called
 
@@ -36,6 +38,16 @@ class SolidsWithWalls(HalfSpaces):
     """The half-spaces and walls of a scene with walls; ``normal`` and ``offset`` have rows of zeros for walls."""
 
     records: Records  # (p,)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the surface of a wall moves; its records then have the fields `MOTION`."""
+        return MOTION[0] in (self.records.dtype.names or ())
+
+    @property
+    def spin(self) -> FloatArray:
+        """The angular velocity of each, (p, 3) rad/s."""
+        return np.stack([self.records[name] for name in MOTION[:3]], axis=1) if self.moves else super().spin
 
     @property
     def surface(self) -> FloatArray:
@@ -66,6 +78,9 @@ def solids_of(scene: Scene) -> HalfSpaces:
     shapes = sorted({*registry.HOUSE["walls"], *(wall.shape for wall in scene.wall)})
     parameters = [shape_called(wall.shape).parameters(wall.section) for wall in scene.wall]
     names = _fields_of(shapes)
+    motions = np.array([_motion_of(wall) for wall in scene.wall])
+    if motions.any():
+        names = [*names, *MOTION]
     kinds = [("kind", np.int64), *((name, np.float64) for name in (*_PLANE, *names))]
     records = np.zeros(len(flat) + len(scene.wall), np.dtype([(_mark_of(shapes), np.float64), *kinds], align=True))
     for name, values in zip(_PLANE, (*flat.normal.T, flat.offset), strict=True):
@@ -74,6 +89,8 @@ def solids_of(scene: Scene) -> HalfSpaces:
         records["kind"][row] = 1 + shapes.index(wall.shape)
         for name, value in values.items():
             records[name][row] = value
+    for name, column in zip(MOTION, motions.T if motions.any() else (), strict=False):
+        records[name][len(flat) :] = column
     zeros = np.zeros((len(scene.wall), 3))
     return SolidsWithWalls(
         name=[*flat.name, *scene.wall_names],
@@ -81,6 +98,15 @@ def solids_of(scene: Scene) -> HalfSpaces:
         offset=np.concatenate((flat.offset, zeros[:, 0])),
         records=records,
     )
+
+
+def _motion_of(wall: Wall) -> FloatArray:
+    """Return the angular velocity in rad/s of a wall, and a point of its axis in m, (6,); zeros if it is at rest."""
+    axis = shape_called(wall.shape).axis
+    if wall.motion is None or wall.motion.rotation == 0.0 or axis is None:
+        return np.zeros(len(MOTION))
+    point, direction = axis(wall.section)
+    return np.concatenate((wall.motion.rotation * direction, point))
 
 
 def _mark_of(shapes: list[str]) -> str:

@@ -16,6 +16,7 @@ from carom.errors import PhysicsError
 from carom.event import Event
 from carom.physics.bodies import Bodies
 from carom.physics.checkpoint import Books, Checkpoint
+from carom.physics.contact.moving_walls import ENTRY
 from carom.physics.contact.pipeline import ContactPipeline
 from carom.physics.diagnostics.energy import Energy, EnergyAccount, EnergyBaseline
 from carom.physics.diagnostics.energy_monitor import EnergyMonitor, MonitorState, Suspects
@@ -51,7 +52,7 @@ class BalanceAudit:
     constant
         J, the gravitational energy between fixed bodies.
     losses
-        The ledger's entries for forces without a potential.
+        The ledger's entries for forces without a potential, and for moving walls.
     """
 
     def __init__(
@@ -124,6 +125,10 @@ class BalanceAudit:
         """Book the energy (J) dissipated by a force without a potential, and its impulses (N s and N m s)."""
         self.ledger = self.ledger.plus_loss(entry, loss)
         self._momentum.receive(impulse, angular_impulse)
+
+    def book_work(self, entry: str, work: float) -> None:
+        """Book work (J) done on the bodies in an entry of the ledger."""
+        self.ledger = self.ledger.plus_loss(entry, -work)
 
     def exchanged(self, entry: str) -> FloatArray:
         """Return the energy dissipated by a force without a potential so far, and the expected momenta, (7,)."""
@@ -213,7 +218,8 @@ class Bookkeeper:
         self._world = world
         self.extremes = self._beginning(Extremes())
         constant = forces.potential_of_fixed_bodies()
-        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, forces.losses)
+        losses = [*forces.losses, *([ENTRY] if world.planes.moves else [])]
+        self.audit = BalanceAudit(scene, bodies, world.names, forces.uniform, constant, losses)
         self.activity = Activity(len(bodies), scene.anchored or bool(forces.uniform.any()))
         without_kicks = integrator(scene).controls_error and world.contact is None
         audited = scene.expect.contact_audit is not None and not without_kicks
@@ -368,6 +374,8 @@ class Bookkeeper:
         clock = self._world.clock
         if len(contact.ledger_apart):
             self.audit.book(contact.ledger_apart)
+        if self._world.planes.moves:
+            self.audit.book_work(ENTRY, contact.work_of_walls)
         if contact.statistics.contacts:
             if self.extremes.contacts is None:
                 graph = contact.snapshot.graph

@@ -32,7 +32,7 @@ TERMS = tuple(LedgerRecord.__annotations__)
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """Energy moved by contacts and by forces without a potential since the start of the run, in joules.
+    """Energy moved by contacts, forces without a potential and moving walls since the start of the run, in joules.
 
     Contacts are summed from the impulses themselves. Dissipation is positive when energy leaves the bodies,
     stabilisation when it enters them.
@@ -41,7 +41,7 @@ class Ledger:
     restitution: float = 0.0  # removed by normal impulses
     friction: float = 0.0  # removed by tangential impulses
     stabilisation: float = 0.0  # added by pushing overlapping bodies apart (Baumgarte bias or split)
-    forces: NamedEnergies = ()  # removed by forces without a potential, by entry
+    forces: NamedEnergies = ()  # removed by forces without a potential and by moving walls, by entry
 
     def entry(self, name: str) -> float:
         """Return an entry by its name in the recording, in joules."""

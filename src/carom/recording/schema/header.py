@@ -79,6 +79,7 @@ _FLAGS = {
     "contact": "collides",
     "friction": "has_friction",
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
+    "wall.motion": "drives",  # likewise, by the work of moving walls
     "spin": "spins",
     "stabilisation": "stabilises",
 }
@@ -131,6 +132,7 @@ class Header:
     shortest_dt_hint: float  # s, the finest step to expect; 0 if unknown
     check_interval: float | None = None  # s, between checks of energy and momentum; None if they are at the frames
     promises: bool = False  # whether it promises an accuracy
+    drives: bool = False  # whether a wall moves
     record_impacts: Literal["auto", "all", "none"] = "none"  # applies to the contact table, too
     box: FloatArray | None = None  # (3,) m, size of a periodic domain, `ENDLESS` along axes that do not repeat
     units: UnitSystem = SI  # units of the recorded and of the printed numbers

@@ -82,7 +82,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
         "seed": _whole,
         "duration": _number,
         "arrow_length.*": _number,
-        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises"), _flag),
+        **dict.fromkeys(("spins", "has_*", "gravitates", "collides", "stabilises", "promises", "drives"), _flag),
         **dict.fromkeys(("body_colouring", "records_contacts", "states_at_impacts"), _flag),
     },
     "run": {"version.*": _text, "command": _text, "git": _text, "platform": _text, "cpu": _text},

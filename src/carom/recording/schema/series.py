@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
 
-BLUE, RED, GREEN, PURPLE, GREY = (LINES[name] for name in ("blue", "red", "green", "purple", "grey"))
+BLUE, RED, GREEN, PURPLE, GREY, ORANGE = (LINES[name] for name in ("blue", "red", "green", "purple", "grey", "orange"))
 THIN, THICK = 2.0, 4.0  # widths of curves in points of the screen; thinner curves would be blended with the background
 
 
@@ -57,6 +57,7 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 )
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
+_MOTION = "wall.motion"  # key of the scene, which a wall must have, for the work of moving walls
 IMPULSES = Plot("Impulse of impacts", "N s")  # one point for each recorded impact, from its own row
 
 
@@ -174,6 +175,9 @@ SERIES = (
            lambda s: s.energy.ledger.stabilisation, "added by the correction of overlaps since the "
                "start", "stabilisation"),
     *(_loss(kind) for kind in FORCES if kind.loss),
+    Series("energy/ledger/walls", "J", "moving walls", ORANGE, _TAKEN,
+           lambda s: s.energy.ledger.entry("walls"), "removed by moving walls since the start; negative if they drive "
+               "the bodies", _MOTION),
     Series("energy/integration_error", "J", "integration error", RED, None,
            lambda s: s.energy.integration_error, "change of the total that the ledger does not explain"),
     Series("energy/relative_error", "1", "integration error / energy scale", RED, _ERROR,
@@ -325,7 +329,7 @@ def contents(header: Header, needs: Requirements) -> Iterator[Content]:
     for path, name in needed:
         if name == _TABLE:
             continue
-        there = name is None or parts[name]
+        there = name is None or (header.models(name) if name == _MOTION else parts[name])
         yield Content(path, there, (name or "always") if there else f"no {name}")
     yield from _contact_data(header)
     for path, why in _ALWAYS.items():

@@ -103,6 +103,8 @@ def identity(header: Header, clock: TimeScale, origin: FloatArray) -> dict[str, 
         properties["drawing_rules"] = header.drawing_rules
     if header.promises:
         properties["promises"] = True
+    if header.drives:
+        properties["drives"] = True
     properties |= {kind.present: True for kind in FORCES if kind.name in header.forces}
     properties |= {f"{PROPERTY}{part}": package for part, package in header.extensions.items()}
     if header.has_torque:

@@ -106,6 +106,8 @@ class EventDrivenDrift:
     ----------
     trajectories
         The bodies and planes of a drift.
+    log
+        Buffer for the impacts of a call.
     """
 
     def __init__(
@@ -127,7 +129,7 @@ class EventDrivenDrift:
         self._bodies, self.field, self.anchored, self._forces = bodies, field, anchored, forces
         self._search, self._team = search, team
         self.bending = bending
-        self._log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
+        self.log = np.empty(LOG_ROWS, dtype=ROLLING_IMPACT if has_torque(materials.rows.dtype) else IMPACT)
         zeros = np.zeros(n, dtype=np.int64)
         self.trajectories = Trajectories(
             body=np.zeros(n, dtype=TRAJECTORY),
@@ -153,7 +155,7 @@ class EventDrivenDrift:
         drift = self.trajectories.drift
         drift["slow"] = SLOW if anchored else SLOW_IN_SPACE
         drift["field_x"], drift["field_y"], drift["field_z"] = self.bending
-        self._kernels = _Kernels.of(self.trajectories, self._log)
+        self._kernels = _Kernels.of(self.trajectories, self.log)
         self._compile()
 
     def _compile(self) -> None:
@@ -236,8 +238,8 @@ class EventDrivenDrift:
         drift["exhausted"] = drift["strays"] = 0
         pairs = np.empty((MOST_TOUCHING * len(bodies) + 1 if pair else 0, 2), dtype=np.int64)
         pairs[:1] = pair or 0
-        count = resolve_touching(T, pairs, self._log)
-        return Impacts.of(self._log[:count].copy())
+        count = resolve_touching(T, pairs, self.log)
+        return Impacts.of(self.log[:count].copy())
 
     def step_by_impacts(self, span: float) -> float:
         """Return the longest step (s) that the next impact allows; infinite if there is none within a span (s)."""
@@ -273,8 +275,8 @@ class EventDrivenDrift:
         logs: list[Records] = []
         again = True
         while again:
-            count = self._kernels.resolve(neighbours, T, self._log)
-            logs.append(self._log[:count].copy())
+            count = self._kernels.resolve(neighbours, T, self.log)
+            logs.append(self.log[:count].copy())
             again = T.drift["queued"][0] > 0
         return Impacts.of(logs[0] if len(logs) == 1 else np.concatenate(logs))
 

@@ -51,6 +51,7 @@ from carom.physics.contact.law import (
     normal_loss,
     restitution,
 )
+from carom.physics.contact.moving_walls import slip_at_wall
 from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.exponential import exponentials
@@ -344,6 +345,8 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
         wjx, wjy, wjz = vector(omega, j)
         wx, wy, wz = ri * wix + rj * wjx, ri * wiy + rj * wjy, ri * wiz + rj * wjz
         ux, uy, uz = slip_velocity((vx - vn * nx, vy - vn * ny, vz - vn * nz), (nx, ny, nz), (wx, wy, wz))
+        if j >= n:
+            ux, uy, uz = slip_at_wall(T.surface, j - n, (entry.x, entry.y, entry.z), (ux, uy, uz))
         Kt = inverse_tangent_mass(Kn, ri, rj, T.inverse_inertia[i], T.inverse_inertia[j])
         fx, fy, fz, entry.friction_loss = friction_of_impact(material, Jn, ux, uy, uz, Kt)
         if fx != 0.0 or fy != 0.0 or fz != 0.0:

@@ -15,6 +15,7 @@ import numpy as np
 
 from carom.arrays import BoolArray, FloatArray, IntArray, RecordArray
 from carom.physics.contact.constraints import BodyStateRecord, ContactRecord, ends_of
+from carom.physics.contact.moving_walls import slip_on_wall
 from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, from_front, prefetch_record
 from carom.physics.jit.vectors import where
@@ -246,7 +247,8 @@ def slip(
     """Return the slip u of two bodies, in m/s, given v_t."""
     ri, rj = contact.arm_i, contact.arm_j
     wx, wy, wz = ri * a.wx + rj * b.wx, ri * a.wy + rj * b.wy, ri * a.wz + rj * b.wz
-    return slip_velocity((tx, ty, tz), (contact.nx, contact.ny, contact.nz), (wx, wy, wz))
+    ux, uy, uz = slip_velocity((tx, ty, tz), (contact.nx, contact.ny, contact.nz), (wx, wy, wz))
+    return slip_on_wall(contact, ux, uy, uz)
 
 
 @inline

@@ -14,6 +14,7 @@ from carom.physics.contact.constraints import (
     BODIES_PER_BLOCK,
     BODY_STATE,
     CONTACT,
+    CONTACT_ON_MOVING_WALL,
     CONTACT_STATE,
     ISLAND,
     MEASURED,
@@ -22,6 +23,7 @@ from carom.physics.contact.constraints import (
     PUSHED_BODY,
     RECORDED,
     ROLLING_CONTACT,
+    ROLLING_ON_MOVING_WALL,
     ROLLING_RECORDED,
     SEARCH,
     SETTINGS,
@@ -376,7 +378,7 @@ class Workspace:
     spin
         As in `ConstraintSystem`.
     records
-        Whether to keep the impulses of impacts.
+        Whether to keep the impulses of impacts; the work of moving walls needs them.
     """
 
     def __init__(
@@ -390,9 +392,11 @@ class Workspace:
     ) -> None:
         count = len(bodies.ends.velocity)
         self._ends, self._position, self._planes = bodies.ends, bodies.position, planes
-        self._materials, self._box, self._spin, self._records = materials, box, spin, records
+        self._materials, self._box, self._spin, self._records = materials, box, spin, records or planes.moves
         rolls = has_torque(materials.rows.dtype)
         contact = ROLLING_CONTACT if rolls else CONTACT
+        if planes.moves:
+            contact = ROLLING_ON_MOVING_WALL if rolls else CONTACT_ON_MOVING_WALL
         self._contacts = Buffer(contact), Buffer(contact)
         self._held = Buffer(np.bool_)
         self._small_change = Buffer(np.float64)

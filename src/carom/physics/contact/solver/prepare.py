@@ -38,6 +38,7 @@ from carom.physics.contact.law import (
     exerts_torque,
     inverse_tangent_mass,
 )
+from carom.physics.contact.moving_walls import clear_surface_velocity
 from carom.physics.contact.rolling import (
     angular_impulse,
     angular_impulses_of,
@@ -102,6 +103,7 @@ def _clear(contact: ContactRecord, state: ContactStateRecord) -> None:
     set_angular_impulse(contact, 0.0, 0.0, 0.0)
     set_change_of_angular_impulse(contact, 0.0, 0.0, 0.0)
     set_spin_before(contact, 0.0, 0.0, 0.0)
+    clear_surface_velocity(contact)
     state.rest_speed = state.approach_speed = 0.0
     state.normal_before = state.slip_x = state.slip_y = state.slip_z = 0.0
     clear_terms(state)

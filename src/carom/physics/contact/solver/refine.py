@@ -47,6 +47,7 @@ from carom.physics.contact.constraints import (
 )
 from carom.physics.contact.geometry import smaller_arm
 from carom.physics.contact.law import material_index, sticks
+from carom.physics.contact.moving_walls import slope_on_wall
 from carom.physics.contact.rolling import set_change_of_angular_impulse
 from carom.physics.contact.solver.block import CHANGE, VELOCITY
 from carom.physics.contact.solver.body_state import (
@@ -311,6 +312,7 @@ def _project(piece: int, system: ConstraintSystem) -> None:
             i, j = ends_of(system.pairs, c)
             body_i, body_j = system.bodies[i], system.bodies[j]
             tx, ty, tz = contact.delta_x, contact.delta_y, contact.delta_z
+            slope = slope_on_wall(contact, slope, tx, ty, tz)
             accumulate_impulse(contact, body_i, body_j, spins, normal, tx, ty, tz)
     results = system.piece_results[piece]
     results.step_limit, results.slope = 1.0, slope

@@ -49,6 +49,7 @@ from carom.physics.contact.constraints import (
     ends_of,
 )
 from carom.physics.contact.law import exerts_torque, lasting_friction, material_index, sliding_friction, sticks
+from carom.physics.contact.moving_walls import has_surface_velocity, slope_on_wall
 from carom.physics.contact.rolling import (
     accumulate_angular_impulse,
     angular_impulse,
@@ -118,7 +119,8 @@ def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int])
         One element if impulses exert torques, otherwise empty. Its type makes Numba compile a kernel for each case.
     """
     lo, hi = system.pieces[piece, 0], system.pieces[piece, 1]  # with `contacts_of`, blocks would take 3 % longer
-    blocks = 0 if exerts_torque(system.materials[0]) else whole_blocks(piece, system)
+    one_by_one = exerts_torque(system.materials[0]) or has_surface_velocity(system.contacts[0])
+    blocks = 0 if one_by_one else whole_blocks(piece, system)
     totals = 0.0, np.inf, 0.0
     for block in range(blocks):
         totals = solve_block(system, lo + block * WIDTH, totals, turning)
@@ -167,6 +169,7 @@ def _solve_each(
             material = system.materials[material_index(i, j, count, places)]
             tx, ty, tz = friction(state, material, keeps_sliding, normal, tx, ty, tz)
             dx, dy, dz = tx - ox, ty - oy, tz - oz
+            slope = slope_on_wall(contact, slope, dx, dy, dz)
             contact.friction_x, contact.friction_y, contact.friction_z = tx, ty, tz
             contact.delta_x, contact.delta_y, contact.delta_z = dx, dy, dz
             largest = max(largest, abs(dx), abs(dy), abs(dz))

@@ -1,0 +1,224 @@
+"""Walls whose surface moves along itself, such as a rotating drum.
+
+The shape of such a wall stays where it is, so its contacts and times of impact are those of a wall at rest. Only the
+slip differs: at the contact point p, the surface of a wall that rotates at Ω about an axis through c has the velocity
+
+    s = Ω × (p - c),    u = v_t + s - ρ_i ω_i × n
+
+Friction λ_t and an angular impulse Λ act on the wall, and their opposites on the body. The ledger books what both
+dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
+
+    W = -λ_t·s - Λ·Ω
+
+on the body, which is an entry of its own. Records of contacts have s, and records of solids Ω and c, only in scenes
+with such walls. Without these fields the functions below change nothing, by the type of the record, when Numba compiles
+a kernel.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+from carom.arrays import FloatArray, IntArray, RecordArray
+from carom.physics.contact.rolling import angular_impulse
+from carom.physics.jit.decorators import chosen_by_type, inline, kernel
+from carom.physics.vector import Vector, vector
+
+if TYPE_CHECKING:
+    from carom.physics.contact.constraints import ImpulseRecord, SlidingWallContactRecord
+    from carom.physics.contact.impact_log import ImpactRecord
+
+ENTRY = "walls"  # of the ledger, with the sign of a loss: -W
+MOTION = ("motion_spin_x", "motion_spin_y", "motion_spin_z", "motion_x", "motion_y", "motion_z")  # Ω and c, of a solid
+
+
+class SurfaceVelocity(Protocol):
+    """Fields of contacts in a scene with moving walls."""
+
+    surface_x: float  # m/s, s of the wall; 0 between bodies
+    surface_y: float
+    surface_z: float
+
+
+def slip_on_wall(contact: object, ux: float, uy: float, uz: float) -> tuple[float, float, float]:
+    """Return the slip u in m/s, given the slip on a wall at rest; it is called with vectors of doubles, too."""
+    return ux, uy, uz
+
+
+def slope_on_wall(contact: object, slope: float, tx: float, ty: float, tz: float) -> float:
+    """Return a sum of impulses times velocities in J with λ_t·s added, which velocities of bodies do not contain."""
+    raise NotImplementedError("only kernels call it")
+
+
+def set_surface_velocity(contact: object, surface: FloatArray, solid: int, point: Vector) -> None:
+    """Set s of a contact, if it has this field.
+
+    Parameters
+    ----------
+    contact
+        A record of a contact with a wall.
+    surface, solid
+        The solids, and the number of the wall.
+    point
+        m, the point of the wall that touches.
+    """
+    raise NotImplementedError("only kernels call it")
+
+
+def clear_surface_velocity(contact: object) -> None:
+    """Set s of a contact to 0, if it has this field."""
+    raise NotImplementedError("only kernels call it")
+
+
+def slip_at_wall(surface: FloatArray, solid: int, point: Vector, slip: Vector) -> Vector:
+    """Return the slip u in m/s at a point (m) of a wall, given the slip on a wall at rest."""
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(slip_on_wall)
+def _slip_on_wall(contact: Any, ux: Any, uy: Any, uz: Any) -> Any:
+    if "surface_x" not in contact.fields:
+        return lambda contact, ux, uy, uz: (ux, uy, uz)
+    return lambda contact, ux, uy, uz: (ux + contact.surface_x, uy + contact.surface_y, uz + contact.surface_z)
+
+
+@chosen_by_type(slope_on_wall)
+def _slope_on_wall(contact: Any, slope: Any, tx: Any, ty: Any, tz: Any) -> Any:
+    if "surface_x" not in contact.fields:
+        return lambda contact, slope, tx, ty, tz: slope
+    return lambda contact, slope, tx, ty, tz: (
+        slope + (tx * contact.surface_x + ty * contact.surface_y + tz * contact.surface_z)
+    )
+
+
+@chosen_by_type(set_surface_velocity)
+def _set_surface_velocity(contact: Any, surface: Any, solid: Any, point: Any) -> Any:
+    if "surface_x" not in contact.fields:
+        return lambda contact, surface, solid, point: None
+
+    def put(contact: Any, surface: FloatArray, solid: int, point: Vector) -> None:
+        contact.surface_x, contact.surface_y, contact.surface_z = velocity_of_wall(surface, solid, point)
+
+    return put
+
+
+@chosen_by_type(clear_surface_velocity)
+def _clear_surface_velocity(contact: Any) -> Any:
+    if "surface_x" not in contact.fields:
+        return lambda contact: None
+
+    def put(contact: Any) -> None:
+        contact.surface_x = contact.surface_y = contact.surface_z = 0.0
+
+    return put
+
+
+@chosen_by_type(slip_at_wall)
+def _slip_at_wall(surface: Any, solid: Any, point: Any, slip: Any) -> Any:
+    if MOTION[0] not in getattr(surface.dtype, "fields", ()):
+        return lambda surface, solid, point, slip: slip
+
+    def on_moving(surface: FloatArray, solid: int, point: Vector, slip: Vector) -> Vector:
+        (ux, uy, uz), (sx, sy, sz) = slip, velocity_of_wall(surface, solid, point)
+        return ux + sx, uy + sy, uz + sz
+
+    return on_moving
+
+
+@inline
+def velocity_of_wall(surface: Any, solid: int, point: Vector) -> Vector:
+    """Return s in m/s at a point (m) of a wall; ``surface`` has the fields `MOTION`."""
+    wall, (x, y, z) = surface[solid], point
+    wx, wy, wz = wall.motion_spin_x, wall.motion_spin_y, wall.motion_spin_z
+    dx, dy, dz = x - wall.motion_x, y - wall.motion_y, z - wall.motion_z
+    return wy * dz - wz * dy, wz * dx - wx * dz, wx * dy - wy * dx
+
+
+@kernel
+def set_velocities_in_drift(
+    pairs: IntArray,
+    contacts: RecordArray[SlidingWallContactRecord],
+    position: FloatArray,
+    velocity: FloatArray,
+    surface: Any,
+    drift: float,
+) -> None:
+    """Set s of contacts before a drift (s) to that at its middle, so that a rolling body follows the wall's motion.
+
+    The point of the wall moves on with the body. With s as the drift begins, a ball that rolls on a rotating disc would
+    spiral outwards, with an error of first order in dt.
+    """
+    n = len(position)
+    for c in range(len(pairs)):
+        i, j = pairs[c, 0], pairs[c, 1]
+        if j >= n:
+            contact = contacts[c]
+            nx, ny, nz = contact.nx, contact.ny, contact.nz
+            (x, y, z), (vx, vy, vz) = vector(position, i), vector(velocity, i)
+            vn, half = vx * nx + vy * ny + vz * nz, 0.5 * drift
+            x += contact.arm_i * nx + half * (vx - vn * nx)
+            y += contact.arm_i * ny + half * (vy - vn * ny)
+            z += contact.arm_i * nz + half * (vz - vn * nz)
+            sx, sy, sz = velocity_of_wall(surface, j - n, (x, y, z))
+            sn = sx * nx + sy * ny + sz * nz
+            contact.surface_x, contact.surface_y, contact.surface_z = sx - sn * nx, sy - sn * ny, sz - sn * nz
+
+
+@kernel
+def work_of_contacts(
+    pairs: IntArray,
+    contacts: RecordArray[SlidingWallContactRecord],
+    impulses: RecordArray[ImpulseRecord],
+    surface: Any,
+    bodies: int,
+) -> float:
+    """Return the work in J that moving walls do on bodies by the impulses of contacts.
+
+    Parameters
+    ----------
+    pairs, contacts
+        (m, 2) and (m,), with s.
+    impulses
+        (m,) records with λ_t and Λ; may be the contacts.
+    surface
+        The solids.
+    bodies
+        Their number; ends from it on are solids.
+    """
+    work = 0.0
+    for c in range(len(pairs)):
+        j = pairs[c, 1]
+        if j >= bodies:
+            contact, given, wall = contacts[c], impulses[c], surface[j - bodies]
+            work -= given.friction_x * contact.surface_x
+            work -= given.friction_y * contact.surface_y
+            work -= given.friction_z * contact.surface_z
+            lx, ly, lz = angular_impulse(given)
+            work -= lx * wall.motion_spin_x + ly * wall.motion_spin_y + lz * wall.motion_spin_z
+    return work
+
+
+@kernel
+def work_of_impacts(log: RecordArray[ImpactRecord], surface: Any, bodies: int) -> float:
+    """Return the work in J that moving walls do on bodies in impacts during a drift; see `work_of_contacts`."""
+    work = 0.0
+    for k in range(len(log)):
+        entry = log[k]
+        if entry.j >= bodies:
+            wall = surface[entry.j - bodies]
+            sx, sy, sz = velocity_of_wall(surface, entry.j - bodies, (entry.x, entry.y, entry.z))
+            work -= entry.friction_x * sx + entry.friction_y * sy + entry.friction_z * sz
+            lx, ly, lz = angular_impulse(entry)
+            work -= lx * wall.motion_spin_x + ly * wall.motion_spin_y + lz * wall.motion_spin_z
+    return work
+
+
+def has_surface_velocity(contact: object) -> bool:
+    """Return whether a contact has s; a constant in compiled kernels."""
+    raise NotImplementedError("only kernels call it")
+
+
+@chosen_by_type(has_surface_velocity)
+def _has_surface_velocity(contact: Any) -> Any:
+    moves = "surface_x" in contact.fields
+    return lambda contact: moves
