@@ -186,6 +186,7 @@ if TYPE_CHECKING:
     from carom.scene.wall_shapes import unit_vector as unit_vector
     from carom.scene.wording import Names as Names
     from carom.scene.wording import bodies_called as bodies_called
+    from carom.scene.wording import body_called as body_called
     from carom.scene.wording import command as command
     from carom.scene.wording import counted as counted
     from carom.scene.wording import nearest as nearest
@@ -256,7 +257,7 @@ SECTIONS = {  # purpose → module → names
         "carom.cli.terminal": "Terminal print_whole LiveLine bar replaying",
         "carom.cli.compiling": "announce_compilation",
         "carom.install": "needing",
-        "carom.scene.wording": "command counted nearest suggestion Names bodies_called",
+        "carom.scene.wording": "command counted nearest suggestion Names bodies_called body_called",
         "carom.recording.edit.bundle": "opened is_bundle",
     },
     "Tools: scenes and what they require": {

@@ -19,6 +19,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema.header import Scalar
 from carom.recording.source.law_audit import Fault, Tolerances
 from carom.recording.source.observer import Observer, header_of_source, not_finite
+from carom.recording.source.population import Population, ids_of
 from carom.recording.source.source import (
     Model,
     Setup,
@@ -136,6 +137,7 @@ class Recorder:
         self._ring: deque[tuple[int, StateMemory]] | None = None if last is None else deque(maxlen=int(last))
         first = source.state()
         self._setup = _checked(source, first)
+        self._ids = None if first.ids is None else ids_of(self._setup.engine, first.ids, len(self._setup))
         self._new = memory_of(source, first)
         self._free: StateMemory | None = None  # reusable memory
         self._sink: SnapshotWriter | None = None
@@ -272,8 +274,14 @@ class Recorder:
         return self._new() if self._sink is None else self._sink.spare()
 
     def _writer(self, path: Path, first: State, force: bool) -> SnapshotWriter:
-        setup = self._setup
-        observer = Observer(setup, first, self._tolerances, self._units)
+        setup, population = self._setup, None
+        if self._ids is not None:
+            population = Population(setup, self._source.model, self._ids)
+            present = population.find(first)
+            setup = population.whole
+            observer = Observer(present.setup, first, self._tolerances, self._units, present)
+        else:
+            observer = Observer(setup, first, self._tolerances, self._units)
         stamped: dict[str, Scalar] = {**environment(1), "engine": setup.engine}
         header = header_of_source(
             setup,
@@ -284,7 +292,7 @@ class Recorder:
             properties=stamped,
             units=self._units,
         )
-        return SnapshotWriter(path, observer, header, force, self._new, self._unrecorded)
+        return SnapshotWriter(path, observer, header, force, self._new, self._unrecorded, population)
 
     def _dump(self, path: Path, outcome: str, faults: Iterable[Fault]) -> None:
         """Write the frames in memory into their own file."""

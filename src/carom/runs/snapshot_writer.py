@@ -11,12 +11,16 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from carom.errors import RecordingError
 from carom.event import Event
 from carom.physics.frame import Frame
+from carom.recording.edit.widen import widen
 from carom.recording.schema.header import Header, Scalar
 from carom.recording.source.law_audit import Fault
 from carom.recording.source.observer import Observer, header_of_source
+from carom.recording.source.population import Population, Present, spread
 from carom.recording.source.source import State, StateMemory
 from carom.recording.write.recorder import FrameRecorder
 from carom.runs.environment import environment
@@ -50,6 +54,8 @@ class SnapshotWriter:
         Makes memory for a snapshot.
     unrecorded
         Takes what cannot be recorded.
+    population
+        Numbers the bodies where they come and go; None if they stay.
     """
 
     def __init__(
@@ -60,13 +66,16 @@ class SnapshotWriter:
         force: bool,
         new: Callable[[], StateMemory],
         unrecorded: Unrecorded,
+        population: Population | None = None,
     ) -> None:
         self._observer, self._new, self._unrecorded = observer, new, unrecorded
+        self._population, self._present = population, None if population is None else population.present
+        self._path, self._header = path, header
         self._noted = 0  # events of `unrecorded` that are in the recording
         self._stack = contextlib.ExitStack()
         self._stack.enter_context(claimed_output(path, force))
         self._recorder = FrameRecorder(path, header)
-        self._store = self._recorder.store_for(observer.bodies)
+        self._store = None if population is not None else self._recorder.store_for(observer.bodies)
         size = 104 * header.bodies
         room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
         self._stock = min(room, STOCK_BYTES // size)  # allocated in advance, by this thread
@@ -123,6 +132,8 @@ class SnapshotWriter:
             self._recorder.finish(outcome, observed_totals(self._observer, *self._last), events)
         finally:
             self._stack.close()
+        if self._population is not None and len(self._population.whole) > self._header.bodies:
+            widen(self._path)
         return sorted(audit.first.values(), key=lambda fault: fault.step)
 
     def _run(self) -> None:
@@ -140,13 +151,19 @@ class SnapshotWriter:
 
     def _record(self, step: int, state: State) -> None:
         try:
+            present = self._find_bodies(state)
+        except Exception as error:
+            self._unrecorded.add(step, state.time, error, "This state is not recorded.")
+            return
+        try:
             if state.contacts is not None:
                 self._observer.named(state.contacts)
         except (RecordingError, TypeError, ValueError) as error:
             self._unrecorded.add(step, state.time, error, "Its contacts are computed from distances.")
             state.contacts = None
         try:
-            frame = self._observer.frame(step, state, self._store)
+            frame = self._observer.frame(step, state, self._store if present is None else None)
+            frame = frame if present is None else spread(frame, present)
         except Exception as error:
             self._unrecorded.add(step, state.time, error, "This state is not recorded.")
             return
@@ -156,6 +173,29 @@ class SnapshotWriter:
             self._last = (step, state.time)
         except Exception as error:
             self._error = error
+
+    def _find_bodies(self, state: State) -> Present | None:
+        """Return the bodies of a state where they come and go, and observe these from now on; None if they stay."""
+        population, before = self._population, self._present
+        if population is None:
+            return None
+        present = population.find(state)
+        if present is not before:
+            if present.bodies > self._recorder.bodies:
+                whole = population.whole
+                self._recorder.extend(
+                    replace(
+                        self._header,
+                        names=whole.names,
+                        group=np.zeros(len(whole), dtype=np.int64),
+                        mass=whole.mass,
+                        radius=whole.radius,
+                        inertia=whole.inertia,
+                    )
+                )
+            self._observer = self._observer.continued(present, state)
+            self._present = present
+        return present
 
     def _notes_until(self, frame: Frame) -> list[Event]:
         """Return the notes since the last frame; those before the first frame get its time."""

@@ -93,8 +93,8 @@ def write_overlay(
     RecordingError
         If it cannot be written.
     """
-    radius = a.bodies.radius[a.shown]
-    origin = a.origin
+    radius = a.bodies.radius[a.shown][: len(b.shown)]  # some bodies may come in one run only
+    names, origin = list(a.bodies.name[: len(radius)]), a.origin
     clock = TimeScale(float(a.info["time_scale"]))
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)
@@ -104,9 +104,9 @@ def write_overlay(
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
         writer.log(paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP)
         writer.log(_TEXT, rr.TextDocument(_document(a, b, text, every), media_type=rr.MediaType.MARKDOWN))
-        colours = fixed_colours(a)
-        writer.log(_A, _spheres(radius, colours, list(a.bodies.name), FillMode.Solid))
-        writer.log(_B, _spheres(_HALO * radius, colours, list(a.bodies.name), FillMode.MajorWireframe))
+        colours = fixed_colours(a)[: len(radius)]
+        writer.log(_A, _spheres(radius, colours, names, FillMode.Solid))
+        writer.log(_B, _spheres(_HALO * radius, colours, names, FillMode.MajorWireframe))
         writer.log(_LINES, rr.LineStrips3D.from_fields(radii=rr.Radius.ui_points(1.5), colors=palette.VERMILION))
         for path, name, dimension, colour in _SERIES.values():
             writer.log(path, curve_style(_heading(name, dimension, a.units), colour))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ from carom.lab.diff.divergence import (
     verdict,
 )
 from carom.lab.diff.first_bits import FirstBits, first_bits
+from carom.lab.diff.other_lives import OtherLife, other_lives
 
 # The first impact at which two recordings differ.
 
@@ -227,6 +228,7 @@ class Diff:
     impacts: ImpactDivergence | None  # None if a recording has none
     first_bits: FirstBits | None = None  # None if the exact states of the first frame that differs are not in both
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
+    lives: Sequence[OtherLife] = ()  # bodies that exist at other times in one run than in the other
 
     @property
     def same(self) -> bool:
@@ -276,6 +278,7 @@ def diff(a: Recording, b: Recording) -> Diff:
         impacts=impact_divergence(a, b),
         first_bits=None if step is None else first_bits(a, b, step),
         engines=engines,
+        lives=other_lives(a, b),
     )
 
 
@@ -294,7 +297,7 @@ def overlay(a: Recording, b: Recording, found: Diff, out: Path) -> None:
     text = f"{found.verdict.text[0].upper()}{found.verdict.text[1:]}."
     curve = found.curve
     pairs = (
-        overlays.MatchedFrames(int(curve.step[k]), float(curve.time[k]), *matched.at(k)[:2])
+        overlays.MatchedFrames(int(curve.step[k]), float(curve.time[k]), *matched.everywhere(k)[:2])
         for k in range(len(curve.step))
     )
     series = {"rms": np.where(curve.seen, curve.rms, np.nan), "energy": np.abs(curve.energy)}

@@ -28,6 +28,7 @@ from carom.extend import (
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from carom import Recording
     from carom.extend import Names, UnitSystem
     from carom.lab.diff.diff import Diff, Impact, ImpactDivergence, ImpactPair
     from carom.lab.diff.first_bits import FirstBits
@@ -68,11 +69,11 @@ def diff(
         found = replace(compare(*recordings), paths=(a, b))
         if output is not None:
             overlay(*recordings, found, output)
-        names = names_of(recordings[0])
+        names = names_of(max(recordings, key=lambda recording: len(recording.bodies.name)))
         if as_json:
             say_json(_document(found, names, recordings[0].units))
         else:
-            _print(found, names, recordings[0].units, output)
+            _print(found, names, recordings, output)
     if not found.same:
         raise typer.Exit(1)
 
@@ -104,6 +105,7 @@ def _document(found: Diff, names: Names, units: UnitSystem) -> dict[str, Any]:
         "first_difference": None if first is None else {"step": int(curve.step[first]), "time": curve.time[first]},
         "first_bits": None if found.first_bits is None else _bits_document(found.first_bits, names),
         "impacts": None if found.impacts is None else _impacts_document(found.impacts, names),
+        **({"lives": [asdict(life) for life in found.lives]} if found.lives else {}),
         "growth": None if found.divergence is None else asdict(found.divergence),
         "size": curve.size,
         "curve": [dict(zip(keys, row, strict=True)) for row in rows],
@@ -142,11 +144,16 @@ def _impacts_document(found: ImpactDivergence, names: Names) -> dict[str, Any]:
     }
 
 
-def _print(found: Diff, names: Names, units: UnitSystem, output: Path | None) -> None:
+def _print(found: Diff, names: Names, recordings: tuple[Recording, Recording], output: Path | None) -> None:
     from carom.extend import Terminal
 
-    console = Terminal(soft_wrap=True)
-    console.print(_overview(found, names, units))
+    console, units = Terminal(soft_wrap=True), recordings[0].units
+    table = _overview(found, names, units)
+    for k, life in enumerate(found.lives[:KEYS]):
+        table.add_row("" if k else "bodies", life.text(units))
+    if len(found.lives) > KEYS:
+        table.add_row("", f"… and {len(found.lives) - KEYS} more")
+    console.print(table)
     if not found.same:
         console.print()
         console.print(_curve(found, units))

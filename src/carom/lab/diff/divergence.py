@@ -186,8 +186,13 @@ class FrameAlignment:
     def __init__(self, a: Recording, b: Recording) -> None:
         for recording in (a, b):
             recording.require_frames()
-        if list(a.shown) != list(b.shown):
+        shown = list(a.shown), list(b.shown)
+        changing = a.lives is not None or b.lives is not None
+        if shown[0] != shown[1] and not (changing and a.shows_all and b.shows_all):
             raise RecordingError(f"{a.path} and {b.path} contain different bodies and cannot be compared")
+        self._common = (
+            min(map(len, shown)) if changing else None
+        )  # bodies with numbers in both; None if all exist always
         self._a, self._b = _Frames(a), _Frames(b)
         self._of_bits = bool(a.engine) == bool(b.engine)
         box = a.info.get("box")
@@ -217,19 +222,34 @@ class FrameAlignment:
         return len(self._first)
 
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m)."""
+        """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m).
+
+        Where bodies come and go, these are the bodies that exist in both frames.
+        """
+        one, other, rounding = self.everywhere(k)
+        if self._common is None:
+            return one, other, rounding
+        both = np.isfinite(one).all(axis=1) & np.isfinite(other).all(axis=1)
+        return one[both], other[both], rounding
+
+    def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
+        """Return the same with the positions NaN of bodies that do not exist."""
         i, j, part = self._place(k)
         if part == 1.0:
-            exact = self._a.positions.exact(self._a.step[i]), self._b.positions.exact(self._b.step[j])
+            exact = self._a.exact(i, self._common), self._b.exact(j, self._common)
             if exact[0] is not None and exact[1] is not None:
                 return exact[0], self._near(exact[0], exact[1]), 0.0
-        one, other = self._a.positions.drawn(self._a.step[i]), self._b.positions.drawn(self._b.step[j])
-        rounding = _rounding(one - self._a.origin) + _rounding(other - self._b.origin)
+        one, other = self._a.drawn(i, self._common), self._b.drawn(j, self._common)
+        rounding = _rounding(self._existing(one) - self._a.origin) + _rounding(self._existing(other) - self._b.origin)
         if part < 1.0:
-            earlier = self._near(other, self._b.positions.drawn(self._b.step[j - 1]))
+            earlier = self._near(other, self._b.drawn(j - 1, self._common))
             rounding += 4.0 * part * (1.0 - part) * self._bend(j, earlier, other)
             other = earlier + part * (other - earlier)
         return one, self._near(one, other), rounding
+
+    def _existing(self, vectors: FloatArray) -> FloatArray:
+        """Leave out the bodies that do not exist, whose vectors are NaN."""
+        return vectors if self._common is None else vectors[np.isfinite(vectors).all(axis=1)]
 
     def curve(self) -> DistanceCurve:
         """Measure the difference in every frame."""
@@ -238,7 +258,7 @@ class FrameAlignment:
             one, other, floor[k] = self.at(k)
             rms[k] = _rms(other - one)
             reach = max(reach, float(np.max(np.abs(one), initial=0.0)))
-        first = self._a.positions.drawn(self._a.step[self._first[0]])
+        first, _, _ = self.at(0)
         return DistanceCurve(
             step=np.array([self._a.step[i] for i in self._first]),
             time=self._a.time[self._first],
@@ -277,10 +297,10 @@ class FrameAlignment:
         speed = (later - earlier) / h
         for third, near, side in ((j - 2, earlier, -1.0), (j + 1, later, 1.0)):
             if 0 <= third < len(time):
-                beyond = self._near(near, self._b.positions.drawn(self._b.step[third]))
+                beyond = self._near(near, self._b.drawn(third, self._common))
                 span = abs(time[third] - time[j if third > j else j - 1])
                 change = side * (beyond - near) / span - speed
-                largest = max(largest, _UNSEEN * 2.0 * _rms(change) / (h + span))
+                largest = max(largest, _UNSEEN * 2.0 * _rms(self._existing(change)) / (h + span))
         return largest * h * h / 8.0 if len(time) > 2 else float("inf")
 
     def _differs(self, k: int) -> bool:
@@ -308,6 +328,15 @@ class _Frames:
         table = recording.energy("total")
         self._energy = dict(zip(table["step"].to_pylist(), table["total"].to_pylist(), strict=True))
 
+    def drawn(self, frame: int, common: int | None) -> FloatArray:
+        """Return the drawn positions (m) of the first ``common`` bodies, by default of all."""
+        return self.positions.drawn(self.step[frame])[:common]
+
+    def exact(self, frame: int, common: int | None) -> FloatArray | None:
+        """Return their exact positions (m); None without a checkpoint."""
+        found = self.positions.exact(self.step[frame])
+        return None if found is None else found[:common]
+
     def energy(self, frame: int) -> float:
         """Total energy (J); NaN where it is missing from the recording."""
         return float(self._energy.get(self.step[frame], np.nan))
@@ -320,7 +349,9 @@ def _rounding(drawn: FloatArray) -> float:
 
 
 def _rms(vectors: FloatArray) -> float:
-    """Return the rms length; a vector with a NaN counts as infinitely long."""
+    """Return the rms length, 0 for none; a vector with a NaN counts as infinitely long."""
+    if not len(vectors):
+        return 0.0
     with np.errstate(invalid="ignore", over="ignore"):
         rms = float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
     return rms if np.isfinite(rms) else float("inf")

@@ -37,12 +37,13 @@ def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:
     if step not in a.checkpoint_times or step not in b.checkpoint_times:
         return None
     one, other = a.checkpoint(step), b.checkpoint(step)
-    differs, arrays = np.zeros(len(one.position), dtype=bool), list[str]()
+    n = min(len(one.position), len(other.position))  # bodies may come in one run only
+    differs, arrays = np.zeros(n, dtype=bool), list[str]()
     for name in ARRAYS:
         left, right = getattr(one, name), getattr(other, name)
         if left is None or right is None:
             continue
-        changed = (left.view(np.uint64) != right.view(np.uint64)).any(axis=1)
+        changed = (left[:n].view(np.uint64) != right[:n].view(np.uint64)).any(axis=1)
         differs |= changed
         arrays += [name.replace("_", " ")] if changed.any() else []
     if not arrays:

@@ -97,8 +97,8 @@ class ReboundSource:
         simulation = self._simulation
         if self._all != simulation.N:
             raise RecordingError(
-                f"rebound had {self._all} particles, but now has {simulation.N}; a recording has a fixed set of "
-                "bodies, so start another recording"
+                f"rebound had {self._all} particles, but now has {simulation.N}; where particles come and go, record "
+                "carom.record.rebound(simulation, changing=True)"
             )
         if not simulation.is_synchronized:
             simulation.synchronize()
@@ -109,9 +109,68 @@ class ReboundSource:
         into.state.time = simulation.t
 
 
-def rebound(simulation: Any, radius: float | None = None) -> ReboundSource:
-    """Return the source of a rebound.Simulation; see `Rebound`."""
-    return ReboundSource(simulation, radius)
+class ChangingReboundSource:
+    """The particles of a simulation in which particles merge, come or go; see `rebound`.
+
+    REBOUND moves particles in memory, and its names of particles are optional. This source therefore numbers them in
+    their field ``ap``, which REBOUND keeps for other packages.
+    """
+
+    def __init__(self, simulation: Any, radius: float | None = None) -> None:
+        particle = engine_package("rebound").Particle
+        fields = {"place": READ[0], "mass": "m", "radius": "r", "id": "ap"}
+        formats = [(np.float64, len(READ)), np.float64, np.float64, np.uint64]
+        offsets = [getattr(particle, name).offset for name in fields.values()]
+        self._row = np.dtype(
+            {"names": [*fields], "formats": formats, "offsets": offsets, "itemsize": _size_of(particle)}
+        )
+        self._simulation, self._radius, self._numbered = simulation, radius, 0
+        if any(particle.ap for particle in simulation.particles):
+            raise RecordingError(
+                "rebound: the field `ap` of a particle is used, by REBOUNDx or another package; carom needs it to "
+                "follow particles that come and go"
+            )
+        self.model = replace(ReboundSource(simulation, radius).model, collides=self._collides())
+
+    def state(self) -> State:
+        """Return the present particles."""
+        simulation = self._simulation
+        if not simulation.is_synchronized:
+            simulation.synchronize()
+        count = simulation.N - _variational(simulation)
+        memory = (ctypes.c_char * (self._row.itemsize * count)).from_address(
+            ctypes.addressof(simulation._particles.contents)
+        )
+        rows = np.frombuffer(memory, self._row)
+        new = rows["id"] == 0
+        rows["id"][new] = self._numbered + 1 + np.arange(np.count_nonzero(new))
+        self._numbered += int(np.count_nonzero(new))
+        size = rows["radius"].copy()
+        if self._radius is not None:
+            size[size == 0.0] = self._radius
+        position, velocity = rows["place"][:, :3].copy(), rows["place"][:, 3:].copy()
+        ids = rows["id"].astype(np.int64)
+        return State(simulation.t, position, velocity, ids=ids, mass=rows["mass"].copy(), radius=size)
+
+    def _collides(self) -> bool:
+        """Return whether particles touch each other."""
+        radii = [particle.r for particle in self._simulation.particles]
+        return _setting_name(self._simulation, "collision") != "none" and min(radii, default=0.0) > 0.0
+
+
+def rebound(simulation: Any, radius: float | None = None, *, changing: bool = False) -> Source:
+    """Return the source of a rebound.Simulation.
+
+    Parameters
+    ----------
+    simulation
+        A rebound.Simulation.
+    radius
+        m, drawn for particles without a radius; by default a hundredth of their extent.
+    changing
+        Whether particles merge, come or go while it is recorded. They are then numbered in their field ``ap``.
+    """
+    return ChangingReboundSource(simulation, radius) if changing else ReboundSource(simulation, radius)
 
 
 def _variational(simulation: Any) -> int:

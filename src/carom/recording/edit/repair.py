@@ -11,6 +11,7 @@ import pyarrow as pa
 import rerun.blueprint as rrb
 
 from carom.errors import DamageError, RecordingError
+from carom.recording.edit.widen import widen
 from carom.recording.layout.blueprint import blueprint
 from carom.recording.layout.camera import CameraFit
 from carom.recording.read.entities import FINGERPRINTS, join_rows, reading
@@ -147,12 +148,14 @@ def _rewrite(recording: Recording, out: Path, found: Salvage) -> Repaired:
         writer.send_property(PROPERTY, {"source": recording.path.name, "lost": "\n".join(lost)})
         if layout := recording.layout():
             writer.send_layout(StoredLayout(layout))
-        else:
+        elif recording.lives is None:
             with contextlib.suppress(RecordingError):  # too little is left for a layout
                 writer.send_layout(new_layout(recording))
                 added.append("layout")
         writer.flush()
     _refuse_unreadable(out, recording.path)
+    if recording.lives is not None:
+        widen(out)
     return Repaired(out, out.stat().st_size, frames, step, end, lost, added)
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The bodies that a recording shows, at the end of a step, in float64 and SI units."""
+    """The bodies that exist and that a recording shows, at the end of a step, in float64 and SI units."""
 
     state: Checkpoint  # of all bodies
     body: IntArray  # (n,) numbers of the shown bodies
@@ -91,14 +91,16 @@ def snapshots(
 
 def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
     """Yield the exact states of some frames of a run that cannot be repeated."""
-    own = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
+    body, mass, radius, others = _own(recording, np.zeros(len(recording.bodies.mass), np.bool_))
     kept = recording.checkpoint_times
     if missing := [int(step) for step in steps if step not in kept]:
         raise RecordingError(
             f"{recording.path} has no exact state at step {missing[0]} and cannot be rerun; record with exact=True"
         )
     for step in steps.tolist():
-        yield Snapshot(recording.checkpoint(step), *own)
+        there = recording.present(step)[body]
+        own = {name: values[there] for name, values in others.items()}
+        yield Snapshot(recording.checkpoint(step), body[there], mass[there], radius[there], own)
 
 
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:

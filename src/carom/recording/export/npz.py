@@ -13,10 +13,20 @@ if TYPE_CHECKING:
 
 
 def write_npz(path: Path, first: Snapshot, others: Iterator[Snapshot]) -> None:
-    """Write step and time (K,), values such as body and mass (n,), and vectors such as position (K, n, 3 or 4)."""
+    """Write step and time (K,), values such as body and mass (n,), and vectors such as position (K, n, 3 or 4).
+
+    Where bodies come and go, the n bodies are all of them, and their vectors are NaN where they do not exist.
+    """
     every = [first, *others]
-    stacked: dict[str, Any] = {name: np.stack([each.vectors[name] for each in every]) for name in first.vectors}
+    body, rows = np.unique(np.concatenate([each.body for each in every]), return_index=True)
+    stacked: dict[str, Any] = {}
+    for name, like in first.vectors.items():
+        stacked[name] = np.full((len(every), len(body), like.shape[1]), np.nan)
+        for found, each in zip(stacked[name], every, strict=True):
+            found[np.searchsorted(body, each.body)] = each.vectors[name]
     step, time = np.array([each.step for each in every]), np.array([each.time for each in every])
-    own = {"body": first.body, "mass": first.mass, "radius": first.radius, **first.others}
+    values = {"mass": [each.mass for each in every], "radius": [each.radius for each in every]}
+    values |= {name: [each.others[name] for each in every] for name in first.others}
+    own = {"body": body, **{name: np.concatenate(arrays)[rows] for name, arrays in values.items()}}
     with path.open("wb") as file:  # given a name, NumPy would append .npz
         np.savez(file, **{"step": step, "time": time, **own, **stacked})

@@ -159,6 +159,7 @@ class CameraFit:
         motion: CameraMotion | None = None,
         edge_on: FloatArray | None = None,
     ) -> None:
+        self._bodies = len(radius)
         self._shown = _shown(radius)
         first, radius = first[self._shown], radius[self._shown]
         near = _near(first)
@@ -204,7 +205,7 @@ class CameraFit:
     def see(self, batch: Sequence[Frame], origin: FloatArray) -> None:
         """Measure the frames of a batch; of many bodies, only the last."""
         chosen = batch if self.is_few else batch[-1:]
-        self.look(np.array([frame.position for frame in chosen]) - origin)
+        self.look(np.array([frame.position[: self._bodies] for frame in chosen]) - origin)
 
     def look(self, position: FloatArray, *, inside: bool = True) -> None:
         """Measure positions (n, 3) of one moment or (k, n, 3) of several.
@@ -335,7 +336,7 @@ class CameraFit:
             target = self._centre + up / float(axes[1] @ self.up) * self.up
         view = View(target, distance, motion, to_eye, self.up, slope, whole <= allowed)
         inside = np.count_nonzero(view.holds(self._first, self._first_radius, frame.aspect))
-        return replace(view, outside=self._count - int(inside))
+        return replace(view, outside=int(np.isfinite(self._begin).all(axis=1).sum()) - int(inside))
 
     def _around(self, motion: CameraMotion) -> tuple[FloatArray, FloatArray]:
         """Return centres (k, 3) and radii (k,) of the spheres that should be inside the view."""

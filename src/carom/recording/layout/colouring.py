@@ -22,7 +22,12 @@ def speed_colours(speed: FloatArray, reference: float) -> ColourArray:
 
 
 def speeds(velocity: FloatArray, mass: FloatArray) -> FloatArray:
-    """Return the speeds (n,) m/s in the frame of the centre of mass."""
+    """Return the speeds (n,) m/s in the frame of the centre of mass; NaN for bodies that do not exist."""
+    if np.isnan(velocity[:, 0]).any():
+        there = np.isfinite(velocity).all(axis=1)
+        found = np.full(len(velocity), np.nan)
+        found[there] = speeds(velocity[there], mass[there]) if there.any() else np.nan
+        return found
     return np.asarray(np.linalg.norm(velocity - np.average(velocity, axis=0, weights=mass), axis=1))
 
 

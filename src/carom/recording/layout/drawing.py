@@ -39,6 +39,8 @@ MOST_ELLIPSOIDS = 2000  # above this, wireframes cost the viewer 16 to 25 times 
 
 def shape(header: Header) -> str:
     """Return the shape of drawn bodies: "ellipsoids" or, for many bodies, "mesh" (with orientations) or "points"."""
+    if header.drawn_as:
+        return header.drawn_as
     if header.bodies <= MOST_ELLIPSOIDS:
         return "ellipsoids"
     return "mesh" if header.has_orientation else "points"

@@ -17,6 +17,7 @@ from carom.recording.rrd.messages import release_memory
 from carom.recording.schema import paths
 from carom.recording.schema.paths import STEP
 from carom.scene.units.dimension import TIME
+from carom.scene.wording import body_called
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -41,9 +42,10 @@ def bodies_at(recording: Recording, at: float | None) -> pa.Table:
     if checkpoint is None:
         window = recording.rerun(goal_of(recording, at))
         checkpoint, source = window.state_at(at), window.source
-    n = len(checkpoint.position)
-    states = state_table([checkpoint], slice(None))
-    columns = {"body": pa.array(np.arange(n)), "name": pa.array(recording.bodies.name)}
+    numbers = np.flatnonzero(recording.present(checkpoint.step))
+    states = state_table([checkpoint], numbers)
+    names = recording.bodies.name
+    columns = {"body": pa.array(numbers), "name": pa.array([names[number] for number in numbers.tolist()])}
     columns |= {name: states[name] for name in states.column_names if name not in (STEP, "time")}
     told = {"step": str(checkpoint.step), "time": repr(checkpoint.time), "source": source}
     return pa.table(columns).replace_schema_metadata(told)
@@ -72,6 +74,14 @@ def trajectory(recording: Recording, body: int | str, start: float, end: float, 
     if len(inside) == 0:
         raise RecordingError(f"{recording.path} has no frame from {recording.units.span(start, end, TIME, 'g')}")
     steps = frames[STEP].to_numpy()[inside]
+    if recording.lives is not None:
+        first, last = recording.lives[number]
+        inside = inside[(steps >= first) & (steps <= last)]
+        if len(inside) == 0:
+            name = body_called(number, recording.bodies.name[number])
+            span = recording.units.span(max(start, float(times[0])), min(end, float(times[-1])), TIME, "g")
+            raise RecordingError(f"{recording.path}: {name} does not exist from {span}")
+        steps = frames[STEP].to_numpy()[inside]
     if not replay:
         return _recorded_path(recording, number, steps, times[inside])
     window = recording.rerun(float(times[inside[0]]))

@@ -21,7 +21,7 @@ _KEPT = 3  # chunks kept in memory; neighbouring frames may be in different ones
 
 
 class RecordedPositions:
-    """Positions (n, 3) in m: drawn ones, or exact ones at checkpoints."""
+    """Positions (n, 3) in m: drawn ones, or exact ones at checkpoints; NaN for bodies that do not exist."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -44,7 +44,13 @@ class RecordedPositions:
         """Return the exact positions of the bodies that the recording shows; None without a checkpoint."""
         with reading(self._recording.path):
             values = self._exact.at(step, "position")
-            return None if values is None else values.reshape(-1, 3)[self._shown]
+            if values is None:
+                return None
+            position = values.reshape(-1, 3)
+            if self._recording.lives is not None and (present := self._exact.at(step, "present")) is not None:
+                position = np.full((len(self._recording.lives), 3), np.nan)
+                position[present.astype(np.int64)] = values.reshape(-1, 3)
+            return position[self._shown]
 
 
 class _Rows:
@@ -64,7 +70,7 @@ class _Rows:
                 rows = np.flatnonzero(chunk.batch[STEP].to_numpy() == step)
                 if len(rows) and component in chunk.components:
                     values = chunk.batch[component][int(rows[-1])].values
-                    while not pa.types.is_floating(values.type):
+                    while pa.types.is_nested(values.type):
                         values = values.flatten()
                     return np.asarray(values.to_numpy(), dtype=np.float64)
         return None

@@ -170,6 +170,7 @@ def header_of_recording(recording: Recording) -> Header:
         planes=recording.drawn_planes() if paths.PLANES in static else None,
         engine=recording.engine,
         drawing_rules=recording.drawing_rules,
+        drawn_as=str(info.get("drawn_as", "")),
     )
 
 

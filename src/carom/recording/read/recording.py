@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from carom.arrays import FloatArray, IntArray
+from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import DamageError, RecordingError
 from carom.recording.read.body_states import bodies_at, checkpoint_at, trajectory
 from carom.recording.read.entities import CHECKPOINT_TIMES, Values, reading
@@ -79,6 +79,30 @@ class Recording(FrameTables):
             raise DamageError("a radius, a moment of inertia or all masses of its bodies are 0")
         table = BodyTable(names, groups, mass, radius, inertia, lambda at: bodies_at(self, at))
         return table.among(self.shown, int(self.info["bodies"])) if self.is_partial else table
+
+    @cached_property
+    @named
+    def lives(self) -> IntArray | None:
+        """Steps (n, 2) of the first and the last frame with each body, where bodies came or went; otherwise None.
+
+        A body without a frame has -1 in both.
+        """
+        stored = self._entities.static(paths.LIVES, required=False)
+        if not stored:
+            return None
+        first, last = (np.asarray(stored[name]) for name in ("first_step", "last_step"))
+        n = int(self.info["bodies"])
+        if any(each.shape != (n,) or each.dtype != np.int64 for each in (first, last)):
+            raise DamageError("it does not state for each body when it came and went")
+        end = int(self.fingerprints()[STEP][-1].as_py()) if self.frames else -1
+        return np.stack([first, np.where((first >= 0) & (last < 0), end, last)], axis=1)
+
+    def present(self, step: int) -> BoolArray:
+        """Return a mask (n,) of the bodies that exist in the frame of a step."""
+        if self.lives is None:
+            return np.ones(int(self.info["bodies"]), dtype=bool)
+        first, last = self.lives.T
+        return np.asarray((first >= 0) & (first <= step) & (step <= last))
 
     def trajectory(
         self, body: int | str, start: float = -np.inf, end: float = np.inf, *, replay: bool = False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from typing import Any
 
@@ -43,6 +43,40 @@ _ORBITS = "orbit_"
 _ORBIT_ARRAYS = {"order": 1, "near": 1, "position": 3, "velocity": 3}  # numbers per body
 _SERIES = len(EqualSteps._fields)
 _FULL = 7  # contacts per body in a dense packing, including near ones
+
+
+_PRESENT = "present"
+_OF_BODIES = ("position", "velocity", "acceleration", "orientation", "angular_velocity")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartialCheckpoint(Checkpoint):
+    """The state of a run in which bodies come and go; NaN for the bodies that do not exist. Only these are stored."""
+
+    present: IntArray  # (k,) numbers of the bodies that exist
+
+    @property
+    def fingerprint(self) -> int:
+        """A fingerprint of the bodies that exist, which equals that of the frame."""
+        return self.among_present().fingerprint
+
+    def among_present(self) -> Checkpoint:
+        """Return the state of the bodies that exist."""
+        values = {field.name: getattr(self, field.name) for field in fields(Checkpoint)}
+        for name in _OF_BODIES:
+            values[name] = None if values[name] is None else values[name][self.present]
+        return Checkpoint(**values)
+
+
+def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoint:
+    """Give the state of the bodies that exist a place for each body of the run."""
+    values = {field.name: getattr(found, field.name) for field in fields(found)}
+    for name in _OF_BODIES:
+        if values[name] is not None:
+            wide = np.full((bodies, values[name].shape[1]), np.nan)
+            wide[present] = values[name]
+            values[name] = wide
+    return PartialCheckpoint(**values, present=present)
 
 
 def size(frame: Frame) -> int:
@@ -107,6 +141,8 @@ def _digest(row: Mapping[str, Values]) -> int:
 
 def _row_of(checkpoint: Checkpoint) -> dict[str, Values]:
     """Return the components of a checkpoint."""
+    if isinstance(checkpoint, PartialCheckpoint):
+        return {**_row_of(checkpoint.among_present()), _PRESENT: checkpoint.present.astype(np.uint32)}
     energy, ledger = checkpoint.energy, checkpoint.energy.ledger
     arrays: dict[str, NDArray[Any] | float | None] = {
         "position": checkpoint.position,
@@ -195,7 +231,8 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
         from a stranger may contain anything. Rows of old recordings have no digest, and are accepted without one.
     """
     try:
-        row = _Row(stored, bodies)
+        present = stored.get(_PRESENT)
+        row = _Row(stored, bodies if present is None else len(present))
         checkpoint = Checkpoint(
             step=step,
             time=row.number("time"),
@@ -220,7 +257,12 @@ def decode(step: int, stored: Mapping[str, NDArray[Any] | list[Any]], bodies: in
             digested = {name: values for name, values in stored.items() if name not in _NOT_DIGESTED}
             if [int(value) for value in stored[_DIGEST]] != [_digest(digested)]:
                 raise ValueError("it does not match its digest")
-        return checkpoint
+        if present is None:
+            return checkpoint
+        numbers = np.asarray(present, dtype=np.int64)
+        if len(np.unique(numbers)) < len(numbers) or not len(numbers) or numbers.max() >= bodies:
+            raise ValueError(f"{_PRESENT} names bodies that do not exist")
+        return spread(checkpoint, numbers, bodies)
     except (KeyError, IndexError, TypeError, ValueError, OverflowError, RecursionError, ValidationError) as error:
         reason = "its sums are inconsistent" if isinstance(error, ValidationError) else str(error)
         raise RecordingError(f"the checkpoint at step {step} is damaged: {reason}") from error

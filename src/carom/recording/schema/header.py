@@ -147,6 +147,7 @@ class Header:
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
     exact: bool = False  # whether every frame has a checkpoint
+    drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
     drawing_rules: int = 2  # of what is drawn (docs/recording.md, The rules of drawing); 1 in older recordings
 

@@ -42,6 +42,7 @@ MOMENTUM = "state/momentum"
 CHECKPOINT = "state/checkpoint"
 START = "state/start"  # in a clip: the exact state before its first frame
 STATIC_STATE = "state/bodies"
+LIVES = "state/lives"  # steps of the first and the last frame of each body, where bodies come and go
 GIVEN_STATE = "scene/bodies"  # the initial bodies of [[bodies]] tables
 
 FLOOR = "floor"  # component of arrows: the magnitude below which none is drawn

@@ -69,8 +69,7 @@ _KEYS: dict[str, dict[str, Callable[[Any], bool]]] = {
     "carom": {
         "title": _text,
         **dict.fromkeys(("units", "units.*"), _text),
-        "colour_by": _text,
-        "engine": _text,
+        **dict.fromkeys(("colour_by", "drawn_as", "engine"), _text),
         "plane_names": _text,
         "data_notes.*": _text,
         "bodies": _count,

@@ -140,10 +140,15 @@ class LawAudit:
         Of the bodies and planes.
     units
         Of the numbers, and of the numbers in messages of faults.
+    ends
+        (n + p,) the numbers of bodies and planes in names and faults; by default their indices.
     """
 
-    def __init__(self, setup: Setup, tolerances: Tolerances, names: Names, units: UnitSystem = SI) -> None:
+    def __init__(
+        self, setup: Setup, tolerances: Tolerances, names: Names, units: UnitSystem = SI, ends: IntArray | None = None
+    ) -> None:
         self._setup = setup
+        self._ends = np.arange(len(setup) + len(setup.planes)) if ends is None else ends
         self._tolerances = tolerances
         self._names = names
         self._units = units
@@ -206,6 +211,11 @@ class LawAudit:
             key = f"laws.{law}"
             yield f"{key}.frames", self.counts[law]
             yield from ((f"{key}.step", first.step), (f"{key}.time", first.time), (f"{key}.text", first.text))
+
+    def go_on(self, earlier: LawAudit) -> None:
+        """Continue the counts of the audit of other bodies."""
+        self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
+        self._typical, self._scale, self._allowed = earlier._typical, earlier._scale, earlier._allowed
 
     def note(self, fault: Fault) -> None:
         """Count a fault that another check reports."""
@@ -273,7 +283,7 @@ class LawAudit:
         if len(members) > 1 and not clusters.touched[worst]:
             meanwhile = "while they attracted each other"
         text = f"{what} of {called} changed by {share[worst]:.2%} {meanwhile}."
-        yield Fault(law, *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
+        yield Fault(law, *place, float(share[worst]), text, tuple(self._ends[members[:MOST_NAMED]].tolist()))
 
     def _energy(
         self,
@@ -318,7 +328,7 @@ class LawAudit:
         came = "came from nothing" if wrong[worst] > 0.0 else "was lost while nothing touched"
         much = self._units.text(abs(float(wrong[worst])), ENERGY, ".3g")
         text = f"Energy {came}: {much}, {share[worst]:.2%} of that of {self._called(members)}."
-        yield Fault("energy", *place, float(share[worst]), text, tuple(members[:MOST_NAMED].tolist()))
+        yield Fault("energy", *place, float(share[worst]), text, tuple(self._ends[members[:MOST_NAMED]].tolist()))
 
     def _book(self, clusters: Clusters, taken: FloatArray, back: FloatArray, owed: FloatArray) -> None:
         """Divide the energy absorbed by contacts among each cluster's bodies; without contacts, nothing is owed."""
@@ -345,7 +355,7 @@ class LawAudit:
         deepest = int(np.argmax(depth))
         if depth[deepest] > self._tolerances.overlap:
             text = f"{self._pair(near, deepest)} overlap by {depth[deepest]:.1%} of the smaller radius."
-            yield Fault("overlap", *place, float(depth[deepest]), text, tuple(near.pairs[deepest].tolist()))
+            yield Fault("overlap", *place, float(depth[deepest]), text, tuple(self._ends[near.pairs[deepest]].tolist()))
         still = STILL * self._typical + 2.0 * float(np.sqrt(setup.gravity @ setup.gravity)) * dt
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
@@ -365,7 +375,8 @@ class LawAudit:
             how = "passed through each other" if through[worst] else "touch, and this step did not separate them"
             speed = self._units.text(float(closing[worst]), VELOCITY, ".3g")
             text = f"Missed impact: {self._pair(near, worst)} {how}, closing at {speed}."
-            yield Fault("missed-impact", *place, float(closing[worst]), text, tuple(near.pairs[worst].tolist()))
+            ends = tuple(self._ends[near.pairs[worst]].tolist())
+            yield Fault("missed-impact", *place, float(closing[worst]), text, ends)
         met = (near.gap_before > 0.0) & ((near.gap_now <= 0.0) | (after < TUNNELLED * closing))
         met &= near.gap_before <= closing * dt  # otherwise another body reversed them
         self._impacts(near, np.where(met & known & (closing > still), closing, 0.0), found)
@@ -383,13 +394,13 @@ class LawAudit:
         )
 
     def _pair(self, near: Near, row: int) -> str:
-        text = self._names.pair(near.pairs[row].tolist())
+        text = self._names.pair(self._ends[near.pairs[row]].tolist())
         return text[0].upper() + text[1:]
 
     def _called(self, bodies: IntArray) -> str:
         if len(bodies) == len(self._setup) > 2:
             return "all bodies together"
-        return bodies_called(bodies.tolist(), self._names.bodies)
+        return bodies_called(self._ends[bodies].tolist(), self._names.bodies)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

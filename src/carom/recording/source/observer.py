@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.properties import LARGEST
 from carom.recording.source.engine_contacts import checked_contacts, has_forces, rows_of_contacts, rows_of_graph
 from carom.recording.source.law_audit import AuditFinding, Fault, LawAudit, Tolerances
+from carom.recording.source.population import Present
 from carom.recording.source.proximity import EngineMoment, Proximity
 from carom.recording.source.source import Setup, State
 from carom.scene.forces import GRAVITY, UNIFORM_FIELD
@@ -49,26 +51,52 @@ class Observer:
         Of the audit.
     units
         Of the numbers, and of the numbers in messages of faults.
+    present
+        Where bodies come and go, those that exist, of which ``setup`` has the constants.
     """
 
-    def __init__(self, setup: Setup, first: State, tolerances: Tolerances, units: UnitSystem = SI) -> None:
+    def __init__(
+        self,
+        setup: Setup,
+        first: State,
+        tolerances: Tolerances,
+        units: UnitSystem = SI,
+        present: Present | None = None,
+    ) -> None:
         self.setup = setup
         self.units = units
         self.extremes = Extremes()
-        self.names = Names(setup.names, setup.planes.name)
+        self.names = Names(setup.names, setup.planes.name) if present is None else present.names
+        self._ends = None if present is None else present.lasting_ends
         self.bodies = Bodies.at_start(_start(setup, first), spins=setup.spins, orients=setup.turns)
         anchored = bool(setup.fixed.any()) or len(setup.planes) > 0
         self._energies = EnergyAccount(self.bodies, setup.gravity, anchored)
         self._momenta = MomentumAccount(self.bodies, setup.gravity, bool(setup.box[0]), anchored)
         self._gravity = DirectGravity(setup.mass, setup.constant, setup.softening) if setup.constant else None
         self._proximity = Proximity(setup)
-        self.audit = LawAudit(setup, tolerances, self.names, units)
+        self.audit = LawAudit(setup, tolerances, self.names, units, self._ends)
+        self._tolerances = tolerances
         self._activity = Activity(len(setup), anchored or bool(setup.gravity.any()))
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
+        self._error = 0.0  # J, the integration error at the last frame
         self._pull: float | None = None  # J, gravitational energy at the last frame
         self._before: EngineMoment | None = None
         self._began = first.time
+        self._last_time: float | None = None  # s, of the last frame; None before the first one
+
+    def continued(self, present: Present, state: State) -> Observer:
+        """Return the observer of the bodies that exist from a state on.
+
+        The change of energy from the frame before is that of the bodies that came and went. It is no error, and no
+        energy that contacts absorbed. Momenta are compared with those of this state.
+        """
+        new = Observer(present.setup, state, self._tolerances, self.units, present)
+        new.extremes, new._ledger, new._last_time = self.extremes, self._ledger, self._last_time
+        new._lowest_error, new._gain, new._error = self._lowest_error, self._gain, self._error
+        new._activity.reopen(self._activity.phase, self._activity.impact_energy)
+        new.audit.go_on(self.audit)
+        return new
 
     def highlights(self) -> tuple[Event, ...]:
         """Return the extremes of the run as events, in order of time."""
@@ -78,18 +106,25 @@ class Observer:
         """Return the frame of a state; states must be finite and in order of time."""
         self._take(state)
         now, before = self._moment(state), self._before
-        dt = 0.0 if before is None else now.time - before.time
+        dt_known = self._last_time is not None
+        dt = 0.0 if self._last_time is None else now.time - self._last_time
         potentials, pull = self._potentials()
         seen, contacts, rows = self._judge(step, before or now, now, state.contacts, pull)
         self._ledger = Ledger(restitution=self._ledger.restitution + seen.taken + seen.unjudged)
         motion = TotalMotion.of(self.bodies)
         energy = self._energies.balance(motion, potentials, self._ledger)
+        if before is None and self._last_time is not None:  # bodies came or went
+            assert self._energies.baseline is not None, "the call above set it"
+            known = self._energies.baseline
+            self._energies.baseline = replace(known, initial=known.initial + energy.integration_error - self._error)
+            energy = self._energies.balance(motion, potentials, self._ledger)
+        self._error = energy.integration_error
         momentum = self._momenta.balance(motion, now.time - self._began)
         if before is not None:
             self._activity.add_step(len(contacts), seen.struck)
             self._activity.judge(energy)
         events = self._see(step, now.time, energy, momentum, contacts, seen)
-        self._before, self._pull = now, pull
+        self._before, self._pull, self._last_time = now, pull, now.time
         slot = None if store is None else store.keep()
         arrays = copies(self.bodies) if store is None or slot is None else store.kept(slot)
         position, velocity, acceleration, orientation, angular_velocity, _, _ = arrays
@@ -97,7 +132,7 @@ class Observer:
             step=step,
             time=now.time,
             dt=dt,
-            dt_limit=DT_LIMIT if before is not None else "start",
+            dt_limit=DT_LIMIT if dt_known else "start",
             position=position,
             velocity=velocity,
             acceleration=acceleration,
@@ -171,7 +206,8 @@ class Observer:
     ) -> tuple[AuditFinding, CollisionGraph, Records | None]:
         setup, near, rows = self.setup, self._proximity.between(before, now), None
         if setup.forces and known is not None:
-            rows = rows_of_contacts(self.named(known), step, now.time, now.time - before.time)
+            dt = now.time - (before.time if self._last_time is None else self._last_time)
+            rows = rows_of_contacts(self.named(known), step, now.time, dt)
             contacts = self._proximity.graph_of_rows(rows, now.position)
         else:
             contacts = self._proximity.graph(near, None if known is None else self.named(known))
@@ -208,13 +244,16 @@ class Observer:
             depth = np.where(known, np.maximum(relative, 0.0), 0.0)  # a small gap counts as contact
             worst = int(np.argmax(depth))
             deepest, pair = float(depth[worst]), (int(contacts.pairs[worst, 0]), int(contacts.pairs[worst, 1]))
+        hardest = seen.hardest_pair
+        if (ends := self._ends) is not None:
+            pair, hardest = (int(ends[pair[0]]), int(ends[pair[1]])), (int(ends[hardest[0]]), int(ends[hardest[1]]))
         return ContactStatistics(
             work=np.zeros((0, 3)),
             contacts=len(contacts),
             impacts=seen.impacts,
             struck=seen.struck,
             hardest=seen.hardest,
-            hardest_pair=seen.hardest_pair,
+            hardest_pair=hardest,
             deepest=deepest,
             deepest_pair=pair,
         )
@@ -222,7 +261,9 @@ class Observer:
     def _first_contact(self, step: int, time: float, contacts: CollisionGraph) -> list[Event]:
         if self.extremes.total_contacts or len(contacts) == 0:
             return []
-        text = f"First contact: {self.names.pair(contacts.pairs[contacts.first].tolist())}."
+        pair = contacts.pairs[contacts.first]
+        ends = pair if self._ends is None else self._ends[pair]
+        text = f"First contact: {self.names.pair(ends.tolist())}."
         return [Event(step, time, "INFO", text, "first-contact")]
 
     def _books(self) -> Books:
@@ -297,7 +338,7 @@ def not_finite(setup: Setup, step: int, state: State) -> Fault | None:
         wrong = ~(np.abs(array) <= LARGEST)
         if wrong.any():
             body, axis = (int(k) for k in np.argwhere(wrong)[0])
-            called = Names(setup.names, []).of(body)
+            called = Names(setup.names, []).of(body) if state.ids is None else f"the body with the id {state.ids[body]}"
             text = f"{name.replace('_', ' ').capitalize()} of {called} is {array[body, axis]:g} in component {axis}."
             return Fault("not-finite", step, state.time, float("inf"), text, (body,))
     return None

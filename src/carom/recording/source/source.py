@@ -100,6 +100,11 @@ class State:
     contacts: Any = (
         None  # (m,) `CONTACT` with forces, or (m, 2) indices of touching bodies, n + k for plane k; None: unknown
     )
+    # where bodies come and go, (n,) whole numbers that identify those of this state; None: those of the first state
+    ids: Any = None
+    mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
+    radius: Any = None  # ends, and another begins
+    names: Any = None  # (n,) with ids: names of the bodies; only those of new bodies are used
 
 
 class Source(Protocol):
@@ -176,7 +181,8 @@ def setup_of(model: Model, first: State) -> Setup:
     names = [f"body {k}" for k in range(n)] if model.names is None else [str(name) for name in model.names]
     if len(names) != n:
         raise RecordingError(f"{engine}: names has {len(names)} entries for {n} bodies")
-    collides = model.collides and bool(touches.any()) and (n > 1 or len(model.planes) > 0)
+    meets = n > 1 or len(model.planes) > 0 or first.ids is not None
+    collides = model.collides and bool(touches.any()) and meets
     return Setup(
         engine=engine,
         mass=heavy,
@@ -336,17 +342,34 @@ class StateMemory:
         """Copy a state. Raises RecordingError if its arrays have other shapes, or its time is no number."""
         own = self.state
         own.time = time_of(state)
+        if state.ids is not None:
+            self._take_bodies(state)
         for name in _ARRAYS:
             view = getattr(own, name)
             if view is not None:
                 values = getattr(state, name)
                 if np.shape(values) != view.shape:  # otherwise NumPy would broadcast the rows
                     raise RecordingError(
-                        f"{name} has the shape {np.shape(values)}, but had {view.shape}; a recording has a fixed set "
-                        "of bodies, so start another recording"
+                        f"{name} has the shape {np.shape(values)}, but had {view.shape}; where bodies come and go, "
+                        "give each state their ids"
                     )
                 view[:] = values
         own.contacts = None if state.contacts is None else np.array(state.contacts)
+
+    def _take_bodies(self, state: State) -> None:
+        """Copy what identifies the bodies of a state, and fit the memory to their number."""
+        own = self.state
+        for name in ("ids", "mass", "radius", "names"):
+            values = getattr(state, name)
+            setattr(own, name, None if values is None else np.array(values))
+        count = np.shape(state.position)[:1]
+        if count and count != own.position.shape[:1]:
+            there = [name for name in _ARRAYS if getattr(own, name) is not None]
+            like = {name: np.empty((*count, *getattr(own, name).shape[1:])) for name in there}
+            other = StateMemory.like(State(own.time, **like))
+            self.block = other.block
+            for name in like:
+                setattr(own, name, getattr(other.state, name))
 
     @property
     def bounded(self) -> bool:

@@ -230,7 +230,7 @@ class ContactEncoder:
         *,
         everything: bool,
     ) -> None:
-        self._header = header
+        self.header = header
         self._origin = origin
         self._references = references
         self._floors = floors
@@ -261,8 +261,8 @@ class ContactEncoder:
         counts = contacts.edges, contacts.contacts, contacts.impacts
         self._kept = self._plan.choose(position, *counts, contacts.hardest())
         self._impacts, self._chosen = contacts.strongest_impacts(self._kept.impacts)
-        columns, size = contact_columns(contacts, self._middle, self._header.radius)
-        if self._header.engine:
+        columns, size = contact_columns(contacts, self._middle, self.header.radius)
+        if self.header.engine:
             more, size_of_more = _columns_of_engine(contacts, self._origin)
             columns, size = [*columns, *more], size + size_of_more
         numbers = self._count + np.cumsum(contacts.impacts + [frame.impacts_left_out for frame in batch])
@@ -272,7 +272,7 @@ class ContactEncoder:
 
     def rows(self, index: Index) -> Iterable[Rows]:
         """Return arrows and impacts of the last encoded batch."""
-        header, kept, impacts = self._header, self._kept, self._impacts
+        header, kept, impacts = self.header, self._kept, self._impacts
         longest = drawing.arrow_length(header, FORCE_NORMAL)
         floors = self._floors.raised(FORCE_NORMAL, self._contacts.largest())
         # written even without arrows, to clear the contacts of the previous frame
@@ -304,7 +304,7 @@ class ContactEncoder:
                 continue
             chosen = self._chosen[first[f] : first[f] + self._kept.impacts[f]]
             chosen = chosen[largest(frame.impacts[chosen], int(self._kept.scenes[f]))]
-            found += instants(self._header, last, frame, frame.impacts, chosen, count + 1 + chosen)
+            found += instants(self.header, last, frame, frame.impacts, chosen, count + 1 + chosen)
         return found
 
     def _look(self, frame: Frame) -> None:

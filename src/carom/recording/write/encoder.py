@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,12 @@ class BatchEncoder:
             else None
         )
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
+
+    def extend(self, header: Header) -> None:
+        """Encode later frames with more bodies, drawn as those so far."""
+        self.header = replace(header, drawn_as=drawing.shape(self.header))
+        if self._contacts:
+            self._contacts.header = self.header
 
     @property
     def impacts(self) -> RecordedImpacts | None:

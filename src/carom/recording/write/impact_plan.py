@@ -238,6 +238,8 @@ class ImpactPlan:
         """
         if self._before is None:
             self._before = np.full(position.shape[1:], np.nan, dtype=np.float32)
+        if (new := position.shape[1] - len(self._before)) > 0:  # bodies came
+            self._before = np.concatenate((self._before, np.full((new, 3), np.nan, dtype=np.float32)))
         moved = np.empty(len(position), dtype=np.int64)
         count_moved(position, self._before, moved)
         kept = Kept(*np.empty((3, len(position)), dtype=np.int64))

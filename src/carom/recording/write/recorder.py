@@ -29,6 +29,7 @@ from carom.recording.schema.header import Header, Scalar
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.durable_sink import AddressReserve
 from carom.recording.write.encoder import BatchEncoder
+from carom.recording.write.lives import Lives
 from carom.recording.write.stream import BATCH_BYTES, Stream, frames_in_batch
 
 # A bounded queue from the physics thread to the recorder, read in batches. The reader sleeps until a batch is full or
@@ -188,6 +189,9 @@ class FrameRecorder:
         self._file = _new_file(self.path)  # an earlier recording is replaced once this one is complete
         self.header = header
         self.frames = 0  # sent so far
+        self.bodies = header.bodies  # so far, where bodies come
+        self._extended: dict[int, Header] = {}  # headers with more bodies, by their number
+        self._lives = Lives(header.bodies)
         self._continued = continued
         frame_bytes = 300 * header.bodies + 2000
         self._stream = Stream(self.path, header, file=self._file, batch_bytes=max(BATCH_BYTES, frame_bytes), live=live)
@@ -241,6 +245,11 @@ class FrameRecorder:
         self.begin(bodies.position)
         self._store = FrameStore(self._slots, bodies, self._queue.wait_for_room)
         return self._store
+
+    def extend(self, header: Header) -> None:
+        """Add bodies: later frames have those of a header that begins with the bodies of the header before."""
+        self._extended[header.bodies] = header
+        self.bodies = header.bodies
 
     def put(self, frame: Frame) -> None:
         """Hand over a frame; wait while the queue is full. Raises the error that stopped the recorder, if any."""
@@ -311,12 +320,16 @@ class FrameRecorder:
     def _write(self, batch: list[Frame], encoder: BatchEncoder) -> None:
         self._addresses.require(batch, self.path)
         for part in _unbroken(batch):
+            if (bodies := len(part[0].position)) != encoder.header.bodies:
+                encoder.extend(self._extended[bodies])
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
         known = encoder.arrow_references
         # sent now, so that a killed run has them
         self._stream.send_property("arrows", {name: known[name] for name in known if name not in self._references})
         self._references = set(known)
+        if self._lives.add(batch):
+            self._stream.send_bodies(encoder.header, self._clock, encoder.origin, self._lives)
         kept = self._plan.chosen(batch)
         if kept:
             self._stream.send(encoder.checkpoints(kept), self._clock)
@@ -339,9 +352,10 @@ class FrameRecorder:
             )
             self._encoder.curves |= recorded_curves(continued.recording, continued.step)
         else:
-            origin = np.average(position, axis=0, weights=self.header.mass)
+            there = np.isfinite(position).all(axis=1)  # where bodies come and go, not all of them exist
+            origin = np.average(position[there], axis=0, weights=self.header.mass[there])
             self._encoder = BatchEncoder(self.header, origin)
-        reach = float(np.max(np.abs(position - origin).max(axis=1) + self.header.radius))
+        reach = float(np.nanmax(np.abs(position - origin).max(axis=1) + self.header.radius))
         self._camera_fit = CameraFit.of_scene(self.header, origin, position - origin)
         self._stream.send_statics(self._clock, origin, reach)
         self._stream.flush()  # without a flush, the frames of a killed run could not be read
@@ -391,6 +405,8 @@ class FrameRecorder:
                     self._stream.send_event(event, self._clock)
                 self._stream.send_event(Event(last.step, last.time, level, f"end: {outcome}", "end"), self._clock)
                 self._look_again()
+                if self._lives.change:
+                    self._stream.send_bodies(encoder.header, self._clock, encoder.origin, self._lives)
             kept = {} if self.impacts is None else {f"impacts.{key}": n for key, n in asdict(self.impacts).items()}
             self._stream.send_property("outcome", {"outcome": outcome, "frames": self.frames, **kept, **summary})
         finally:
@@ -435,6 +451,11 @@ def _new_file(path: Path) -> Path:
 
 
 def _unbroken(batch: list[Frame]) -> list[list[Frame]]:
-    """Split a batch where the frame store wrapped around to its first slot."""
-    turn = next((k for k, frame in enumerate(batch) if k and frame.slot == 0), None)
-    return [batch] if turn is None else [batch[:turn], batch[turn:]]
+    """Split a batch where the frame store wrapped around to its first slot, and where bodies came."""
+    parts: list[list[Frame]] = []
+    for frame in batch:
+        if parts and frame.slot != 0 and len(frame.position) == len(parts[-1][-1].position):
+            parts[-1].append(frame)
+        else:
+            parts.append([frame])
+    return parts

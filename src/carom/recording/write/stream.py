@@ -17,11 +17,12 @@ from carom.errors import RecordingError
 from carom.event import Event
 from carom.recording.read.continuation import Continuation
 from carom.recording.rrd.messages import release_memory
-from carom.recording.schema import checkpoint_columns
+from carom.recording.schema import checkpoint_columns, paths
 from carom.recording.schema.header import Header, Scalar, application_id
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.durable_sink import FLUSH, DurableSink
 from carom.recording.write.encoder import event_rows
+from carom.recording.write.lives import Lives
 from carom.recording.write.rerun_compat import end_earlier_streams, rerun_chunks, send_layout
 from carom.recording.write.rows import Index, Rows, any_values, joined, kind_of
 from carom.recording.write.static_entities import identity, statics
@@ -210,6 +211,17 @@ class Stream:
             for stream in self._streams():
                 stream.log(path, archetype, static=True)
             self.payload_bytes += sum(batch.as_arrow_array().nbytes for batch in archetype.as_component_batches())
+
+    def send_bodies(self, header: Header, clock: TimeScale, origin: FloatArray, lives: Lives) -> None:
+        """Send the static data of the bodies so far, where bodies come and go; they replace earlier ones."""
+        self.send_property("carom", {"bodies": header.bodies})
+        if header.drawn_as:
+            self.send_property("carom", {"drawn_as": header.drawn_as})
+        changed = (paths.SCENE, paths.BODIES, paths.STATIC_STATE)
+        archetypes = [each for each in statics(header, clock, origin, 1.0) if each[0] in changed]
+        for path, archetype in [*archetypes, (paths.LIVES, any_values(lives.columns()))]:
+            for stream in self._streams():
+                stream.log(path, archetype, static=True)
 
     def send_property(self, name: str, values: Mapping[str, Scalar | FloatArray]) -> None:
         """Send a recording property, unless it is empty."""

@@ -1,0 +1,228 @@
+"""`Population`: the bodies of another engine's run in which bodies come and go, each with its number in the recording.
+
+A recording numbers all bodies that ever existed. A frame has a place for each of them; a body that does not exist has
+the position NaN, which is not drawn. Frames are computed for the present bodies, and then spread over these places.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from carom.arrays import BoolArray, FloatArray, IntArray, Records
+from carom.errors import RecordingError
+from carom.physics.diagnostics.fingerprint import fingerprint_of
+from carom.physics.frame import Frame
+from carom.recording.schema.checkpoint_columns import PartialCheckpoint
+from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of
+from carom.scene.wording import Names, SomeNames
+
+FIRST_PLANE = 1 << 40  # number of the first plane, where the number of bodies is not known yet
+
+
+@dataclass(frozen=True, slots=True)
+class Present:
+    """The bodies that exist at some time."""
+
+    numbers: IntArray  # (k,) their numbers in the recording
+    setup: Setup  # of these bodies
+    bodies: int  # number of bodies so far
+    names: Names  # of all bodies so far, and of planes with numbers from `FIRST_PLANE` on
+
+    @property
+    def ends(self) -> IntArray:
+        """(k + p,) numbers of the ends of contacts in a frame: of these bodies, and of the planes."""
+        return np.concatenate((self.numbers, self.bodies + np.arange(len(self.setup.planes))))
+
+    @property
+    def lasting_ends(self) -> IntArray:
+        """The same, with numbers of planes that do not change when bodies come."""
+        return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartialFrame(Frame):
+    """A frame with a place for each body of the run, of which only some exist."""
+
+    present: IntArray  # (k,) numbers of the bodies that exist
+
+    @property
+    def fingerprint(self) -> int:
+        """A fingerprint of the exact state of the bodies that exist."""
+        arrays = (self.position, self.velocity, self.orientation, self.angular_velocity)
+        return fingerprint_of(self.time, [None if each is None else each[self.present] for each in arrays])
+
+    @property
+    def checkpoint(self) -> PartialCheckpoint:
+        """The exact state, with NaN for bodies that do not exist."""
+        return PartialCheckpoint(
+            step=self.step,
+            time=self.time,
+            previous_dt=self.previous_dt,
+            position=self.position,
+            velocity=self.velocity,
+            acceleration=self.acceleration,
+            orientation=self.orientation,
+            angular_velocity=self.angular_velocity,
+            energy=self.energy,
+            contacts=None,
+            books=self.books,
+            present=self.present,
+        )
+
+
+class Population:
+    """Numbers the bodies of states by their ids.
+
+    A body whose mass or radius changes, as in a merger, ends, and another begins.
+
+    Parameters
+    ----------
+    setup
+        The constants of the first state.
+    model
+        The model from which they were made.
+    ids
+        (n,) of the bodies of the model.
+    """
+
+    def __init__(self, setup: Setup, model: Model, ids: IntArray) -> None:
+        n = len(setup)
+        self.whole = setup  # of all bodies so far
+        self._known = dict(enumerate(setup.names))  # names by number
+        self._names = Names(SomeNames("body", FIRST_PLANE, self._known), setup.planes.name)
+        self.present = Present(np.arange(n), setup, n, self._names)
+        self._given = np.stack([np.broadcast_to(each, n) for each in (model.mass, model.radius)], axis=1).astype(float)
+        self._ids = ids
+        self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # bodies so far by id
+
+    def find(self, state: State) -> Present:
+        """Return the bodies of a state; the same object as for the state before if none came or went.
+
+        Raises
+        ------
+        RecordingError
+            If an id occurs twice, or the mass or the radius of a new body is unknown.
+        """
+        engine, known = self.whole.engine, self.present
+        if state.ids is None:
+            raise RecordingError(f"{engine}: the state has no ids, though the first state had some")
+        ids = ids_of(engine, state.ids, len(state.position))
+        sizes = np.full((len(ids), 2), np.nan)  # kg, m; NaN where they are not given
+        for column, name in enumerate(("mass", "radius")):
+            if (values := getattr(state, name)) is not None:
+                sizes[:, column] = array_of(engine, name, values, (len(ids),))
+                if len(ids) and sizes[:, column].min() < 0.0:
+                    raise RecordingError(f"{engine}: {name}[{sizes[:, column].argmin()}] is negative")
+        if np.array_equal(ids, self._ids) and np.all(_same(sizes, self._given[known.numbers])):
+            return known
+        if not len(ids):
+            raise RecordingError(f"{engine}: there is no body in the state")
+        numbers = self._number(state, ids, sizes)
+        whole, self._ids = self.whole, ids
+        setup = replace(whole, **{name: getattr(whole, name)[numbers] for name in _COLUMNS})
+        setup = replace(setup, names=[whole.names[number] for number in numbers])
+        self.present = Present(numbers, setup, len(whole), self._names)
+        return self.present
+
+    def _number(self, state: State, ids: IntArray, sizes: FloatArray) -> IntArray:
+        """Return the numbers of the bodies of a state; add the new ones."""
+        whole = self.whole
+        before = dict(zip(self._ids.tolist(), self.present.numbers.tolist(), strict=True))
+        numbers = np.array([before.get(identity, -1) for identity in ids.tolist()])
+        numbers[~np.all(_same(sizes, self._given[numbers]), axis=1)] = -1
+        new = np.flatnonzero(numbers < 0)
+        unknown = new[np.isnan(sizes[new]).any(axis=1)]
+        if len(unknown):
+            raise RecordingError(
+                f"{whole.engine}: the body with the id {ids[unknown[0]]} is new; give its mass and its radius"
+            )
+        numbers[new] = len(whole) + np.arange(len(new))
+        names = list(whole.names)
+        for row in new.tolist():
+            identity = int(ids[row])
+            count = self._bodies_of_id[identity] = self._bodies_of_id.get(identity, 0) + 1
+            name = f"body {len(names)}" if state.names is None else str(state.names[row])
+            if count > 1 and identity in before:
+                name = f"{whole.names[before[identity]].partition(_AGAIN)[0]}{_AGAIN}{count})"
+            names.append(name)
+        mass, radius = sizes[new].T
+        heavy = np.where(mass > 0.0, mass, MASSLESS * whole.mass.max())
+        drawn = np.where(radius > 0.0, radius, whole.radius.min())
+        added = {
+            "mass": heavy,
+            "radius": drawn,
+            "inertia": np.maximum(SPHERE * heavy * drawn**2, np.finfo(np.float64).tiny),
+            "fixed": np.zeros(len(new), np.bool_),
+            "judged": np.ones(len(new), np.bool_),
+            "touches": radius > 0.0,
+        }
+        joined: dict[str, Any] = {name: np.concatenate((getattr(whole, name), each)) for name, each in added.items()}
+        self.whole = replace(whole, **joined, names=names)
+        self._known.update((number, names[number]) for number in range(len(whole), len(names)))
+        self._given = np.concatenate((self._given, sizes[new]))
+        return numbers
+
+
+_COLUMNS = ("mass", "radius", "inertia", "fixed", "judged", "touches")  # of a setup, one value for each body
+_AGAIN = " ("  # before the number of a body that has the id of an earlier one
+
+
+def ids_of(engine: str, ids: Any, count: int) -> IntArray:
+    """Return the ids of a state, (count,), each once."""
+    found = np.asarray(ids)
+    if found.shape != (count,) or not np.issubdtype(found.dtype, np.integer):
+        raise RecordingError(f"{engine}: ids must be {count} whole numbers, one for each body")
+    unique, counts = np.unique(found, return_counts=True)
+    if len(unique) < count:
+        raise RecordingError(f"{engine}: the id {unique[np.argmax(counts)]} occurs twice")
+    return found.astype(np.int64)
+
+
+def _same(sizes: FloatArray, known: FloatArray) -> BoolArray:
+    """Return a mask of the sizes that are not given or equal the known ones."""
+    return np.asarray(np.isnan(sizes) | (sizes == known))
+
+
+def spread(frame: Frame, present: Present) -> PartialFrame:
+    """Give a frame of present bodies a place for each body of the run."""
+    ends, n = present.ends, present.bodies
+
+    def wide(values: FloatArray | None, missing: FloatArray) -> FloatArray:
+        found = np.tile(missing, (n, 1))
+        found[present.numbers] = values
+        return found
+
+    nowhere, upright = np.full(3, np.nan), np.array([0.0, 0.0, 0.0, 1.0])
+    values: dict[str, Any] = {field.name: getattr(frame, field.name) for field in fields(frame)}
+    for name in ("position", "velocity", "acceleration", "angular_velocity"):
+        values[name] = None if values[name] is None else wide(values[name], nowhere)
+    if frame.orientation is not None:
+        values["orientation"] = wide(frame.orientation, upright)
+    pairs = ends[frame.contacts.pairs]
+    turned = pairs[:, 0] > pairs[:, 1]  # the numbers of the bodies need not be in the order of the state
+    order = np.lexsort(np.sort(pairs, axis=1).T[::-1])
+    graph, sign = frame.contacts, np.where(turned, -1.0, 1.0)
+    values["contacts"] = replace(
+        graph,
+        pairs=np.ascontiguousarray(np.sort(pairs, axis=1)[order]),
+        normals=(sign[:, None] * graph.normals)[order],
+        overlaps=graph.overlaps[order],
+        colours=graph.colours[order],
+    )
+    if frame.contact_rows is not None:
+        values["contact_rows"] = _renumbered(frame.contact_rows, ends)
+    return PartialFrame(**values | {"slot": None, "present": present.numbers})
+
+
+def _renumbered(rows: Records, ends: IntArray) -> Records:
+    """Return rows of contacts between other numbers, by pair."""
+    found = rows.copy()
+    i, j = ends[rows["i"]], ends[rows["j"]]
+    found["i"], found["j"] = np.minimum(i, j), np.maximum(i, j)
+    turned = i > j
+    for name in ("nx", "ny", "nz", "friction_x", "friction_y", "friction_z"):
+        found[name][turned] *= -1.0
+    return found[np.lexsort((found["j"], found["i"]))]

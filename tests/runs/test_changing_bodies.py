@@ -1,0 +1,235 @@
+"""Recordings of other engines in which bodies merge, come and go."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.csv as pc
+import pytest
+
+import carom
+from carom.errors import RecordingError
+from carom.lab.diff.diff import diff
+from carom.recording.edit.clip import clip
+from carom.recording.read.recording import Recording
+from carom_command import carom as command
+
+DT, MERGER, POUR, STEPS = 0.1, 10, 20, 30
+SINGLE = 1e-6  # relative, of float32
+
+
+class Toy:
+    """Three bodies above a floor that carries them, two of which merge; later one is poured."""
+
+    def __init__(self, gone: int = STEPS + 1) -> None:
+        self.ids, self.mass, self.radius = [7, 3, 5], [1.0, 2.0, 4.0], [0.1, 0.2, 0.3]
+        self.position = np.array([[0.0, 0.0, 0.1], [1.0, 0.0, 0.2], [3.0, 0.0, 0.3]])
+        self.velocity = np.array([[0.5, 0.0, 0.0], [-0.2, 0.0, 0.0], [0.0, 0.1, 0.0]])
+        self.steps, self._gone = 0, gone
+        floor = carom.record.Plane((0.0, 0.0, 1.0), 0.0, "floor")
+        self.model = carom.record.Model(engine="toy 1.0", mass=self.mass, radius=self.radius, planes=[floor])
+
+    def step(self) -> None:
+        self.steps += 1
+        self.position = self.position + DT * self.velocity
+        if self.steps == MERGER:  # into one body in the middle, which comes last: engines move bodies in memory
+            m = np.array(self.mass[:2])
+            ends = [(m @ each[:2] / m.sum(), each[2:]) for each in (self.position, self.velocity)]
+            self.position, self.velocity = (np.vstack((kept, merged)) for merged, kept in ends)
+            self.ids, self.mass, self.radius = [5, 3], [4.0, 3.0], [0.3, 9.0 ** (1 / 3) * 0.1]
+            self.position[1, 2] = self.radius[1]  # on the floor
+        if self.steps == POUR:
+            self.ids, self.mass, self.radius = [*self.ids, 9], [*self.mass, 0.5], [*self.radius, 0.05]
+            self.position = np.vstack((self.position, (0.0, 2.0, 0.05)))
+            self.velocity = np.vstack((self.velocity, np.zeros(3)))
+        if self.steps == self._gone:
+            self.ids, self.mass, self.radius = self.ids[1:], self.mass[1:], self.radius[1:]
+            self.position, self.velocity = self.position[1:], self.velocity[1:]
+
+    def state(self) -> carom.record.State:
+        n = len(self.ids)
+        weight = np.zeros(n, carom.record.CONTACT)
+        weight["i"], weight["j"], weight["normal"], weight["point"] = np.arange(n), n, (0, 0, -1), self.position
+        weight["force"] = 9.81 * np.array(self.mass)
+        return carom.record.State(
+            DT * self.steps,
+            self.position,
+            self.velocity,
+            contacts=weight,
+            ids=self.ids,
+            mass=self.mass,
+            radius=self.radius,
+        )
+
+
+def recorded(toy: Toy, path: Path) -> carom.record.Recorder:
+    with carom.record.Recorder(toy, path) as recorder:
+        for _ in range(STEPS):
+            toy.step()
+            assert recorder.frame()
+    return recorder
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    path = tmp_path_factory.mktemp("toy") / "toy.rrd"
+    recorder = recorded(Toy(), path)
+    assert recorder.problems == [] and recorder.faults == []
+    return Recording.open(path)
+
+
+def test_a_state_has_only_the_bodies_that_exist_and_a_merger_keeps_mass_and_momentum(recording: Recording) -> None:
+    present, sums = {}, {}
+    for step in (0, MERGER - 1, MERGER, POUR - 1, POUR, STEPS):
+        table = recording.bodies(DT * step)
+        present[step] = table["body"].to_pylist()
+        mass = recording.bodies.mass[present[step]]
+        sums[step] = (mass.sum(), mass @ table["vx"].to_numpy(), mass @ table["vy"].to_numpy())
+    assert present == {0: [0, 1, 2], 9: [0, 1, 2], 10: [2, 3], 19: [2, 3], 20: [2, 3, 4], 30: [2, 3, 4]}
+    assert sums[MERGER] == pytest.approx(sums[MERGER - 1], rel=1e-15)  # a few roundings
+    assert list(recording.bodies.name) == ["body 0", "body 1", "body 2", "body 1 (2)", "body 4"]
+    assert recording.lives is not None
+    assert recording.lives.tolist() == [[0, 9], [0, 9], [0, 30], [10, 30], [20, 30]]
+
+
+def test_a_path_ends_with_its_body(recording: Recording) -> None:
+    assert recording.trajectory(0)["step"].to_pylist() == list(range(MERGER))
+    assert recording.trajectory("body 4")["step"].to_pylist() == list(range(POUR, STEPS + 1))
+    with pytest.raises(RecordingError, match="body 4 does not exist from 0 to 1 s"):
+        recording.trajectory(4, 0.0, 1.0)
+
+
+def test_a_body_that_does_not_exist_is_drawn_nowhere(recording: Recording) -> None:
+    for step in range(STEPS + 1):
+        drawn = recording.drawn_positions(step)
+        assert drawn is not None and np.array_equal(np.isfinite(drawn[:, 0]), recording.present(step))
+
+
+def test_the_floor_carries_the_bodies_that_exist(recording: Recording) -> None:
+    for step in (5, 15, 25):
+        there = np.flatnonzero(recording.present(step)).tolist()
+        table = recording.contacts(DT * step)
+        assert table["i"].to_pylist() == there
+        assert table["j"].to_pylist() == [5] * len(there)  # the floor, after all bodies of the run
+        assert table["normal_force"].to_pylist() == pytest.approx(9.81 * recording.bodies.mass[there], rel=SINGLE)
+
+
+def test_what_bodies_bring_and_take_is_no_error_of_the_energy(recording: Recording) -> None:
+    energy = recording.energy("total", "integration_error")
+    total = energy["total"].to_numpy()
+    assert total[MERGER] < 0.2 * total[MERGER - 1]  # of the two only the motion of their centre is left
+    assert np.abs(energy["integration_error"].to_numpy()).max() < 1e-15 * total.max()
+
+
+def test_exports_have_the_bodies_that_exist(recording: Recording, tmp_path: Path) -> None:
+    for name in ("all.csv", "all.npz"):
+        assert command("export", str(recording.path), "--all", "-o", name, cwd=tmp_path).returncode == 0
+    rows = pc.read_csv(tmp_path / "all.csv")
+    at = rows.filter(np.array(rows["step"]) == MERGER)
+    assert (at["body"].to_pylist(), at["mass"].to_pylist()) == ([2, 3], [4.0, 3.0])
+    assert rows.num_rows == 3 * MERGER + 2 * (POUR - MERGER) + 3 * (STEPS + 1 - POUR)
+    with np.load(tmp_path / "all.npz", allow_pickle=False) as arrays:
+        there = np.array([recording.present(step) for step in range(STEPS + 1)])
+        assert np.array_equal(np.isfinite(arrays["position"][:, :, 0]), there)
+
+
+def test_clips_keep_the_lives_of_their_bodies(recording: Recording, tmp_path: Path) -> None:
+    clip(recording.path, tmp_path / "clip.rrd", 0.5, 1.5)
+    clip(recording.path, tmp_path / "some.rrd", 0.5, 2.5, bodies=[2, 3])
+    whole, some = Recording.open(tmp_path / "clip.rrd"), Recording.open(tmp_path / "some.rrd")
+    assert whole.bodies(0.5)["body"].to_pylist() == [0, 1, 2] and whole.bodies(1.5)["body"].to_pylist() == [2, 3]
+    drawn = some.drawn_positions(5)
+    assert drawn is not None and np.isfinite(drawn[:, 0]).tolist() == [True, False]
+    assert some.contacts(1.5)["i"].to_pylist() == [2, 3]
+    assert diff(recording, whole).same
+
+
+def test_a_comparison_names_the_bodies_that_exist_in_one_run_only(recording: Recording, tmp_path: Path) -> None:
+    recorded(Toy(gone=25), tmp_path / "other.rrd")
+    found = diff(recording, Recording.open(tmp_path / "other.rrd"))
+    assert [(life.body, life.text(recording.units)) for life in found.lives] == [
+        (2, "body 2 exists 0 to 3 s in A, 0 to 2.4 s in B")
+    ]
+    assert found.curve.step[np.argmax(found.curve.differs)] == 25 and np.max(found.curve.rms) == 0.0
+    told = command("diff", str(recording.path), "other.rrd", cwd=tmp_path)
+    assert told.returncode == 1 and "body 2 exists 0 to 3 s in A, 0 to 2.4 s in B" in told.stdout
+
+
+def test_the_last_frames_of_a_changing_run_are_written(tmp_path: Path) -> None:
+    toy = Toy()
+    recorder = carom.record.Recorder(toy, tmp_path / "last.rrd", last=5)
+    for _ in range(POUR + 2):
+        toy.step()
+        recorder.frame()
+    last = recorder.write()
+    assert last is not None and last.bodies()["body"].to_pylist() == [2, 3, 4]
+    assert last.bodies.mass.tolist() == [1.0, 2.0, 4.0, 3.0, 0.5]
+    assert last.lives is not None and last.lives[:2].tolist() == [[-1, -1]] * 2  # gone before the first frame
+
+
+def test_a_killed_run_in_which_bodies_came_is_repaired(tmp_path: Path) -> None:
+    code = (
+        "import os, sys, time, carom; sys.path.insert(0, sys.argv[1]); from test_changing_bodies import Toy\n"
+        "toy, recorder = Toy(), None\n"
+        "recorder = carom.record.Recorder(toy, 'run.rrd')\n"
+        "for _ in range(60):\n"
+        "    toy.step()\n"
+        "    recorder.frame()\n"
+        "    time.sleep(0.06)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent)], cwd=tmp_path, check=False)
+    assert command("repair", "run.rrd", "-o", "whole.rrd", cwd=tmp_path).returncode == 0
+    whole = Recording.open(tmp_path / "whole.rrd")
+    assert whole.frames > POUR + 1 and len(whole.bodies.mass) == 5
+    assert whole.bodies(DT * MERGER)["body"].to_pylist() == [2, 3]
+    drawn = whole.drawn_positions(0)
+    assert drawn is not None and np.isfinite(drawn[:, 0]).tolist() == [True, True, True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ids": [5, 5]}, "toy 1.0: the id 5 occurs twice"),
+        ({"ids": [5]}, "toy 1.0: ids must be 2 whole numbers"),
+        ({"ids": [5, 8], "mass": None}, "toy 1.0: the body with the id 8 is new; give its mass and its radius"),
+        ({"mass": [4.0]}, "toy 1.0: mass has the shape (1,) instead of (2,)"),
+    ],
+)
+def test_bodies_that_cannot_be_told_apart_are_noted(
+    change: dict[str, Any], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    right = Toy.state
+    monkeypatch.setattr(Toy, "state", lambda toy: replace(right(toy), **(change if toy.steps == 12 else {})))
+    recorder = recorded(Toy(), tmp_path / "toy.rrd")
+    (problem,) = recorder.problems
+    assert problem.startswith(message)
+    recording = Recording.open(tmp_path / "toy.rrd")
+    assert recording.frames == STEPS and recording.lives is not None and len(recording.lives) == 5
+
+
+@pytest.mark.needs("rebound")
+def test_a_merger_of_rebound_ends_two_bodies_and_begins_one(tmp_path: Path) -> None:
+    import rebound
+
+    simulation = rebound.Simulation()
+    simulation.G, simulation.dt, simulation.integrator = 1.0, 0.01, "leapfrog"
+    simulation.collision, simulation.collision_resolve = "direct", "merge"
+    for mass, x, speed in ((1.0, 0.0, 0.0), (0.5, 1.0, -1.0), (1e-3, 5.0, 0.0), (2e-3, -6.0, 0.0)):
+        simulation.add(m=mass, r=0.1, x=x, vx=speed)
+    with carom.record.Recorder(carom.record.rebound(simulation, changing=True), tmp_path / "run.rrd") as recorder:
+        while simulation.t < 1.0:
+            simulation.steps(1)
+            recorder.frame()
+    assert recorder.problems == []
+    recording = Recording.open(tmp_path / "run.rrd")
+    last = recording.bodies(1.0)
+    assert last["body"].to_pylist() == [2, 3, 4]
+    assert recording.bodies.mass.tolist() == [1.0, 0.5, 1e-3, 2e-3, 1.5]
+    by_mass = {particle.m: particle.x for particle in simulation.particles}
+    assert dict(zip(recording.bodies.mass[[2, 3, 4]].tolist(), last["x"].to_pylist(), strict=True)) == by_mass
