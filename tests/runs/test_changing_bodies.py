@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -174,16 +175,18 @@ def test_the_last_frames_of_a_changing_run_are_written(tmp_path: Path) -> None:
 
 def test_a_killed_run_in_which_bodies_came_is_repaired(tmp_path: Path) -> None:
     code = (
-        "import os, sys, time, carom; sys.path.insert(0, sys.argv[1]); from test_changing_bodies import Toy\n"
-        "toy, recorder = Toy(), None\n"
+        "import os, time, carom; from test_changing_bodies import Toy\n"
+        "toy = Toy()\n"
         "recorder = carom.record.Recorder(toy, 'run.rrd')\n"
         "for _ in range(60):\n"
         "    toy.step()\n"
         "    recorder.frame()\n"
-        "    time.sleep(0.06)\n"
+        "while not os.path.exists('run.rrd') or b'/state/lives' not in open('run.rrd', 'rb').read():\n"
+        "    time.sleep(0.1)\n"
         "os.kill(os.getpid(), 9)\n"
     )
-    subprocess.run([sys.executable, "-c", code, str(Path(__file__).parent)], cwd=tmp_path, check=False)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parent), *sys.path])}
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=False, timeout=60)
     assert command("repair", "run.rrd", "-o", "whole.rrd", cwd=tmp_path).returncode == 0
     whole = Recording.open(tmp_path / "whole.rrd")
     assert whole.frames > POUR + 1 and len(whole.bodies.mass) == 5

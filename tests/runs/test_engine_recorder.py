@@ -433,7 +433,10 @@ def divides_by_zero(toy: Toy) -> carom.record.State:
 
 
 LEFT_OUT: list[tuple[dict[str, Any] | Callable[[Toy], Any], str]] = [
-    ({"position": np.zeros((1, 3))}, "position has the shape (1, 3), but had (3, 3); a recording has a fixed set"),
+    (
+        {"position": np.zeros((1, 3))},
+        "position has the shape (1, 3), but had (3, 3); where bodies come and go, give each state their ids",
+    ),
     ({"velocity": np.zeros(3)}, "velocity has the shape (3,), but had (3, 3)"),
     ({"angular_velocity": None}, "angular_velocity has the shape (), but had (3, 3)"),
     ({"time": "late"}, "the time of the state is 'late'; it must be a number"),
