@@ -77,11 +77,8 @@ def _show(trials: list[Trial], scenes: dict[str, Scene]) -> None:
             )
             console.print(_worst(trial, scenes[trial.name].unit_system), soft_wrap=True)
     met = sum(trial.met for trial in trials)
-    console.print(f"\n{met} of {len(scenes)} extremes met their criteria{_not_run(len(trials), len(scenes))}.")
-
-
-def _not_run(ran: int, asked: int) -> str:
-    return f"; {asked - ran} were not run" if ran < asked else ""
+    not_run = f"; {len(scenes) - len(trials)} were not run" if len(trials) < len(scenes) else ""
+    console.print(f"\n{met} of {len(scenes)} extremes met their criteria{not_run}.")
 
 
 def _table(trials: list[Trial]) -> Table:

@@ -151,7 +151,7 @@ def _decide(scene: Scene, forced: Mapping[str, str]) -> Requirements:
         restitution=decide(contact_parts.restitution(scene, contact)),
         friction=friction,
         torque=torque,
-        energy=_energy(scene),
+        energy=Part("energy", True, f"checked every {scene.record.check_every} steps and {_times(scene)}; the ledger"),
     )
 
 
@@ -193,10 +193,6 @@ def _potential(scene: Scene, gravity: Part) -> Part:
     if not gravity.modelled:
         return Part("potential", False, "no gravity between bodies")
     return Part("potential", True, f"every {scene.record.check_every} steps, {_times(scene)} and at frames")
-
-
-def _energy(scene: Scene) -> Part:
-    return Part("energy", True, f"checked every {scene.record.check_every} steps and {_times(scene)}; the ledger")
 
 
 def _times(scene: Scene) -> str:

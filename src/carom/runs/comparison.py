@@ -17,7 +17,6 @@ from carom.recording.edit.clip import Selection
 from carom.recording.read.entities import reading
 from carom.recording.read.recording import Recording
 from carom.recording.schema import paths
-from carom.recording.schema.header import Header
 from carom.recording.schema.series import SERIES, all_series
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.frame_chunks import IDENTITY, statics_of
@@ -224,7 +223,8 @@ class StaticCheck:
         clock = TimeScale(float(recording.info["time_scale"]))
         title = str(recording.parameters.get("name", header.title))
         found: Rows = {}
-        few = None if recording.shows_all else _few(recording, header)
+        every = range(header.bodies)
+        few = None if recording.shows_all else Selection(recording.shown, every, header.box, header.bodies)
         for chunk in statics_of(header, clock, recording.origin, reach, title):
             kept = chunk if few is None else few.of(chunk)
             rows = {name: kept.batch[name] for name in kept.components}
@@ -249,10 +249,6 @@ def groups_of(scene: Scene) -> IntArray:
 def reach_of(position: FloatArray, radius: FloatArray) -> float:
     """Return the extent (m) of bodies from the origin along an axis."""
     return float(np.max(np.abs(position).max(axis=1) + radius))
-
-
-def _few(recording: Recording, header: Header) -> Selection:
-    return Selection(recording.shown, range(header.bodies), header.box, header.bodies)
 
 
 def _is_data(path: str, name: str) -> bool:

@@ -95,7 +95,8 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
         shots = [Shot(shown, view, folder / name) for view, name in list(PICTURES.items())[: 2 if has_pair else 1]]
         missing = try_to_render(small, shots)
         pictures = {shot.out_png.name: shot.out_png for shot in shots if shot.out_png.exists()}
-        surroundings = {"recorded": _plain(recording.properties), "reported": environment(0)}
+        recorded = {key: value for key, value in recording.properties.items() if isinstance(value, str | int | float)}
+        surroundings = {"recorded": recorded, "reported": environment(0)}
         text = _summary(recording, small, moment, why, replayed, list(pictures), path.name)
         members: dict[str, bytes | Path] = {
             "README.md": text.encode(),
@@ -274,10 +275,6 @@ def _code(text: str) -> str:
     line = " ".join(escaped(text).split()).replace("|", "\\|")
     fence = "`" * (1 + max(map(len, re.findall("`+", line)), default=0))
     return f"{fence} {line} {fence}" if len(fence) > 1 else f"`{line}`"
-
-
-def _plain(properties: Any) -> dict[str, Any]:
-    return {key: value for key, value in properties.items() if isinstance(value, str | int | float)}
 
 
 MOST_BODIES = 2000  # in a clip without exact states; up to this number, bodies are drawn as ellipsoids

@@ -64,10 +64,6 @@ def _gravity(scene: Scene) -> tuple[bool, str]:
     return True, f"{scene.count} bodies, G = {constant}"
 
 
-def _no_gravity_method(scene: Scene) -> str:
-    return 'gravity.method = "none"; remove it' if scene.gravity.method == "none" else ""
-
-
 def _uniform_field(scene: Scene) -> tuple[bool, str]:
     if any(scene.gravity.uniform):
         return True, f"gravity.uniform = {scene.unit_system.vector(scene.gravity.uniform, ACCELERATION)}"
@@ -97,7 +93,7 @@ GRAVITY = ForceKind(
     flag="gravitates",
     differs=True,
     part="potential",
-    contradiction=_no_gravity_method,
+    contradiction=lambda scene: 'gravity.method = "none"; remove it' if scene.gravity.method == "none" else "",
 )
 UNIFORM_FIELD = ForceKind(
     "uniform-field",

@@ -350,7 +350,8 @@ class Crosscheck:
         return examined_own(OWN.name, outcome, self._parting(result, broken, 0.0))
 
     def _recording(self, setting: Setting) -> Path:
-        return self.folder / f"{_file_name(setting.name)}.rrd"
+        kept = "".join(letter if letter.isalnum() or letter == "." else "-" for letter in setting.name)
+        return self.folder / f"{'-'.join(part for part in kept.split('-') if part)}.rrd"
 
     def _parting(self, result: SettingResult, broken: list[tuple[float, str]], dt: float) -> dict[str, Any] | None:
         """Compare a measured run with the reference."""
@@ -358,11 +359,9 @@ class Crosscheck:
         if reference is None or result.status != "measured":
             return None
         numbered = NumberedImpacts.of(self._recording(OWN))
-        found = parting_of(self.study.trajectory(result), reference, broken, dt, self._names(), numbered)
+        names = Names(place(self.scene).name, names_of_solids(self.scene))
+        found = parting_of(self.study.trajectory(result), reference, broken, dt, names, numbered)
         return None if found is None else asdict(found)
-
-    def _names(self) -> Names:
-        return Names(place(self.scene).name, names_of_solids(self.scene))
 
     def _load(self) -> None:
         path = self.folder / DOCUMENT
@@ -378,9 +377,3 @@ class Crosscheck:
                     self.examinations[run["name"]] = Examination(**{name: run[name] for name in names})
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ExperimentError(f"{path}: cannot be resumed ({error}); start over with --force") from None
-
-
-def _file_name(name: str) -> str:
-    """Return a file name for the name of a setting."""
-    kept = "".join(letter if letter.isalnum() or letter == "." else "-" for letter in name)
-    return "-".join(part for part in kept.split("-") if part)

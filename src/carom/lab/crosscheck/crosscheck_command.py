@@ -157,8 +157,8 @@ def _show_several(
             table.add_row(*(escape(cell) for cell in cells), end_section=run is document["runs"][-1])
     console.print(table)
     for name in documents:
-        if link := _report(scenes[name]):
-            console.print(escape(f"{name}: {scenes[name].title} ({link})"), soft_wrap=True)
+        if link := re.match(r"# From (https://\S+)", scenes[name].toml):  # the bug report that the scene was made from
+            console.print(escape(f"{name}: {scenes[name].title} ({link[1]})"), soft_wrap=True)
     for name, reason in refused.items():
         console.print(escape(f"{name}: {reason}"), soft_wrap=True)
     versions = dict.fromkeys(each for document in documents.values() for each in document["versions"].values())
@@ -169,12 +169,6 @@ def _show_several(
         f"{folder}/SCENE.",
         soft_wrap=True,
     )
-
-
-def _report(scene: Scene) -> str:
-    """Return the address of the bug report that a scene was made from; empty if there is none."""
-    found = re.match(r"# From (https://\S+)", scene.toml)
-    return found[1] if found else ""
 
 
 def _console() -> Terminal:

@@ -115,9 +115,10 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
             "start", f"different from the first frame on ({when}), by {seen}; {how}", first, jump, allowed
         )
     if jump > allowed:
+        alike = "with the same bits" if curve.of_bits else "without a difference"
         return DiffVerdict(
             "jump",
-            f"a jump, not round-off: at {when}, one frame after the last {_alike(curve)}, bodies are {apart} "
+            f"a jump, not round-off: at {when}, one frame after the last {alike}, bodies are {apart} "
             f"apart, {jump / allowed:.1e} times what round-off could have grown to; {how}",
             first,
             jump,
@@ -129,10 +130,6 @@ def verdict(curve: DistanceCurve, divergence: Divergence | None, units: UnitSyst
         return DiffVerdict("small", text, first, jump, allowed)
     kind = "chaos" if divergence.is_exponential else "drift"
     return DiffVerdict(kind, f"{kind}: {seen} at {when}; {how}", first, jump, allowed)
-
-
-def _alike(curve: DistanceCurve) -> str:
-    return "with the same bits" if curve.of_bits else "without a difference"
 
 
 def rate_text(rate: float, error: float, units: UnitSystem) -> str:

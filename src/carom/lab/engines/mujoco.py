@@ -211,7 +211,7 @@ class MuJoCo(SteppedEngine):
     def notes(self, scene: Scene) -> list[str]:
         """Describe the differences of the translated scene."""
         found = [f"contacts are springs whose bounces take {BOUNCE:g} steps"]
-        return found + (["one coefficient of friction, the kinetic one"] if _has_friction(scene) else [])
+        return found + (["one coefficient of friction, the kinetic one"] if scene.contact.static_friction > 0.0 else [])
 
     def begin(self, scene: Scene, setting: Setting) -> EngineSimulation:
         """Build a scene at its start."""
@@ -299,7 +299,3 @@ def _turn(normal: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
         return [0.0, 1.0, 0.0, 0.0]
     length = math.sqrt(w * w + float(axis @ axis))
     return [w / length, *(axis / length).tolist()]
-
-
-def _has_friction(scene: Scene) -> bool:
-    return scene.contact.static_friction > 0.0

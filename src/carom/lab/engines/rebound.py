@@ -68,17 +68,19 @@ class ReboundSource:
         particles = [simulation.particles[k] for k in range(self._n)]
         has_gravity = _setting_name(simulation, "gravity") != "none"
         periodic = _setting_name(simulation, "boundary") in ("periodic", "shear")
+        roots = ("N_root_x", "N_root_y", "N_root_z")
+        si = math.isclose(simulation.G, G_SI, rel_tol=1e-3)  # where no units were set
         self.model = Model(
             engine=named_version("rebound"),
             mass=mass,
             radius=size,
-            names=[_name(particle, k) for k, particle in enumerate(particles)],
+            names=[str(getattr(each, "name", None) or f"body {k}") for k, each in enumerate(particles)],
             constant=simulation.G if has_gravity else 0.0,
             softening=simulation.softening,
-            box=_box(simulation) if periodic else None,
+            box=np.array([getattr(simulation, n) for n in roots]) * simulation.root_size if periodic else None,
             collides=touches,
             time_step=abs(simulation.dt),
-            units=_units(simulation),
+            units=units_of_rebound(simulation.units) or ("" if si else WITHOUT),
         )
 
     def state(self) -> State:
@@ -181,20 +183,6 @@ def _variational(simulation: Any) -> int:
 def _setting_name(simulation: Any, name: str) -> str:
     value = getattr(simulation, name, "none")
     return value if isinstance(value, str) else str(getattr(value, "name", value)).lower()
-
-
-def _units(simulation: Any) -> str:
-    """Return the units that were set for the simulation; without any, SI if its G has the value of SI."""
-    without = "" if math.isclose(simulation.G, G_SI, rel_tol=1e-3) else WITHOUT
-    return units_of_rebound(simulation.units) or without
-
-
-def _box(simulation: Any) -> Any:
-    return np.array([simulation.N_root_x, simulation.N_root_y, simulation.N_root_z]) * simulation.root_size
-
-
-def _name(particle: Any, number: int) -> str:
-    return str(getattr(particle, "name", None) or f"body {number}")
 
 
 def _size_of(particle: Any) -> int:

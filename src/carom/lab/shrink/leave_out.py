@@ -107,7 +107,9 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     """
     kept, parts = list(items), 2
     while len(kept) > 1:
-        pieces = _split(kept, min(parts, len(kept)))
+        count = min(parts, len(kept))
+        ends = [len(kept) * k // count for k in range(count + 1)]  # pieces of nearly equal lengths
+        pieces = [kept[low:high] for low, high in itertools.pairwise(ends)]
         found = first(pieces) if parts == 2 else None
         if found is not None:
             kept, parts = pieces[found], 2
@@ -121,12 +123,6 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
         else:
             parts = 2 * parts
     return kept
-
-
-def _split(items: list[Item], parts: int) -> list[list[Item]]:
-    """Split items into parts of nearly equal lengths."""
-    ends = [len(items) * k // parts for k in range(parts + 1)]
-    return [items[lo:hi] for lo, hi in itertools.pairwise(ends)]
 
 
 # Drops parts of the model in the order of requirements, then every key whose default fails as well.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import re
 import textwrap
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -123,8 +122,9 @@ def commented(document: Document, comments: list[str]) -> str:
         Paragraphs.
     """
     written = tomlkit.document()
-    for line in _wrapped(comments):
-        written.add(tomlkit.comment(line))
+    for paragraph in comments:
+        for line in textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False):
+            written.add(tomlkit.comment(line))
     written.add(tomlkit.nl())
     for key in [key for key, value in document.items() if not isinstance(value, dict | list)]:
         written.add(key, document[key])
@@ -151,8 +151,3 @@ def _rows(tables: list[dict[str, Any]]) -> Array:
         row.update(values)
         rows.append(row)
     return rows.multiline(True)
-
-
-def _wrapped(paragraphs: list[str]) -> Iterator[str]:
-    for paragraph in paragraphs:
-        yield from textwrap.wrap(paragraph, WIDTH, break_long_words=False, break_on_hyphens=False)

@@ -109,25 +109,19 @@ def _extent(position: FloatArray) -> float:
     return float(np.ptp(position, axis=0).max()) or float(np.abs(position).max()) or 1.0
 
 
-def _moved(space: Space) -> Image:
-    return Image(shift=1e3 * _extent(space.state.position) * np.array([1.0, -0.5, 0.25]), exact=False)
-
-
 def _boosted(space: Space) -> Image:
     speed = 1e3 * _extent(space.state.position) / space.scene.time.duration
     return Image(boost=speed * np.array([-0.5, 0.25, 1.0]), exact=False)
 
 
-def _turned(space: Space) -> Image:
-    return Image(matrix=np.asarray(Rotation.from_quat([1, 2, -2, 3]).as_matrix()), exact=False)
-
-
 IMAGES: dict[str, Callable[[Space], Image]] = {
     "scaling": lambda space: Image(length=2.0**9, mass=2.0**-7, time=2.0**4),
     "mirror": lambda space: Image(matrix=np.diag([1.0, -1.0, 1.0])),
-    "translation": _moved,
+    "translation": lambda space: Image(
+        shift=1e3 * _extent(space.state.position) * np.array([1.0, -0.5, 0.25]), exact=False
+    ),
     "boost": _boosted,
-    "rotation": _turned,
+    "rotation": lambda space: Image(matrix=np.asarray(Rotation.from_quat([1, 2, -2, 3]).as_matrix()), exact=False),
     "numbering": lambda space: Image(backwards=True, exact=False),
 }
 STEPS, ARRAYS = "steps", "arrays"

@@ -189,7 +189,9 @@ def figure(rows: Sequence[Row], x: str, y: str, varied: Sequence[str], title: st
         _line(axes, label, points)
     axes.set(xlabel=_labelled(x, units[x]), ylabel=_labelled(y, units[y]), title=title)
     axes.grid(visible=True, alpha=0.3)
-    for axis, values in (("x", _all_x(lines)), ("y", _all_y(lines))):
+    all_x = [value for points in lines.values() for value in points]
+    all_y = [value for points in lines.values() for values in points.values() for value in values]
+    for axis, values in (("x", all_x), ("y", all_y)):
         if min(values) > 0.0 and max(values) > _DECADES * min(values):
             axes.set(**{f"{axis}scale": "log"})
     if others and len(lines) <= MOST_LINES:
@@ -224,11 +226,3 @@ def _number(row: Row, key: str, axis: Physical | None) -> float:
     if found and axis and found.unit.exponents == axis.unit.exponents:
         return nearest_float(found.size / axis.unit.size)
     raise ExperimentError(f"--plot: {key} is {value!r} in {row['name']}, which is not a number")
-
-
-def _all_x(lines: dict[str, Points]) -> list[float]:
-    return [value for points in lines.values() for value in points]
-
-
-def _all_y(lines: dict[str, Points]) -> list[float]:
-    return [value for points in lines.values() for values in points.values() for value in values]

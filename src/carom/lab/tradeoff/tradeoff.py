@@ -179,7 +179,7 @@ class Study:
                     left = _left(results, repeats)
                     which = _count(number, results)
                     tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
-                    result.costs.append(self._cost(result))
+                    result.costs.append(cost_of(result.setting, self.scene, self.threads))
                     self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
                     write_document(self.folder / DOCUMENT, self.document())
         return results
@@ -254,9 +254,6 @@ class Study:
             result.status, result.reason = "refused", reason
         return None if reason else scene
 
-    def _space(self, result: SettingResult) -> Space:
-        return Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
-
     def _bound(self, result: SettingResult) -> RunBound:
         """Return the bound of a setting; the scene as written has only the time limit."""
         if not self.bounded or not result.setting.overrides:
@@ -281,7 +278,8 @@ class Study:
             if setting.engine:
                 run = self.follow_engine(setting, times)
             else:
-                run = follow(self._space(result), times, self._bound(result), reached)
+                space = Space(result.setting.apply(self.scene), result.setting.threads or self.threads)
+                run = follow(space, times, self._bound(result), reached)
         except RunStoppedError as stopped:
             result.status, result.reason = "stopped", str(stopped)
             result.steps, result.spent = stopped.steps, stopped.seconds
@@ -295,9 +293,6 @@ class Study:
 
     def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
         return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
-
-    def _cost(self, result: SettingResult) -> float:
-        return cost_of(result.setting, self.scene, self.threads)
 
     def _path(self, result: SettingResult) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []

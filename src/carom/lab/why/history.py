@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from carom import Recording, Scene, Space
+from carom import Recording, Space
 from carom.arrays import FloatArray, Records
 from carom.contact_table import CONTACT_ROW, OPEN
 from carom.errors import RecordingError
@@ -80,7 +80,9 @@ class History:
         RecordingError, SceneError
             If it cannot be run again.
         """
-        space = space_of(recording, _audited(recorded_scene(recording)), begin, record_contacts=True)
+        scene = recorded_scene(recording)
+        audited = scene.expect.model_copy(update={"contact_audit": _AUDIT})  # records the kicks of forces
+        space = space_of(recording, scene.model_copy(update={"expect": audited}), begin, record_contacts=True)
         history = cls(begin, space.state.ends.inverse_mass.copy())
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
@@ -103,11 +105,6 @@ class History:
                 break
         history.impacts = np.concatenate(found)
         return history
-
-
-def _audited(scene: Scene) -> Scene:
-    """Switch on the audit of impulses, which records the kicks of forces."""
-    return scene.model_copy(update={"expect": scene.expect.model_copy(update={"contact_audit": _AUDIT})})
 
 
 def _impulses(space: Space, touching: Records) -> Records:

@@ -219,10 +219,12 @@ def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) 
     """Describe the velocity and the terms of its sum."""
     at, since = (units.text(time, TIME, ".9g") for time in (answer.time, answer.begin))
     yield f"{names.of(account.body)}: {_speed(account.velocity, units)} at t = {at}, which is"
+    kinds = [cause.kind for cause in account.causes]
+    contacts = ", ".join(counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds)
     parts = (
         (account.start_velocity, account.start_share, f"it had at t = {since}"),
         (account.by_forces, account.forces_share, "forces gave it"),
-        (account.by_contacts, sum(cause.share for cause in account.causes), _contacts_text(account)),
+        (account.by_contacts, sum(cause.share for cause in account.causes), f"{contacts} gave it"),
     )
     for velocity, share, text in parts:
         if velocity.any() or share:
@@ -233,12 +235,6 @@ def _speed(velocity: FloatArray, units: UnitSystem) -> str:
     x, y, z = (units.shown(part, VELOCITY) for part in velocity.tolist())
     unit = f" {units.unit(VELOCITY)}" if units.unit(VELOCITY) else ""
     return f"{(x * x + y * y + z * z) ** 0.5:.4g}{unit} ({x:.3g}, {y:.3g}, {z:.3g})"
-
-
-def _contacts_text(account: Account) -> str:
-    kinds = [cause.kind for cause in account.causes]
-    counts = [counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds]
-    return f"{', '.join(counts)} gave it"
 
 
 def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
