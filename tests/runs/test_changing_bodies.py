@@ -98,6 +98,12 @@ def test_a_state_has_only_the_bodies_that_exist_and_a_merger_keeps_mass_and_mome
     assert recording.lives.tolist() == [[0, 9], [0, 9], [0, 30], [10, 30], [20, 30]]
 
 
+def test_inspect_counts_the_bodies_that_came_and_went(recording: Recording) -> None:
+    assert recording.summary()["lives"] == {"came": 2, "went": 2}
+    told = command("inspect", str(recording.path), cwd=recording.path.parent).stdout
+    assert "2 came after the first frame, 2 went before the last" in told
+
+
 def test_a_path_ends_with_its_body(recording: Recording) -> None:
     assert recording.trajectory(0)["step"].to_pylist() == list(range(MERGER))
     assert recording.trajectory("body 4")["step"].to_pylist() == list(range(POUR, STEPS + 1))

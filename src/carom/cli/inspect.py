@@ -105,6 +105,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     if scene.get("engine"):
         recorded = "its states and contact forces" if summary["contact_forces"] else "only its states"
         yield "engine", f"{scene['engine']}; carom recorded {recorded}"
+        if lives := summary.get("lives"):
+            yield "bodies", f"{lives['came']} came after the first frame, {lives['went']} went before the last"
         if summary["judged"] < summary["bodies"]:
             only = f"{summary['judged']} of {counted(summary['bodies'], 'body')}"
             yield "judged", f"{only}; the other bodies are not free spheres"

@@ -83,7 +83,14 @@ def _of_engine(recording: Recording) -> dict[str, Any]:
     if not recording.engine:
         return {}
     judged = recording.closing.get("audit.judged", recording.info["bodies"])
+    lives = {}
+    if recording.lives is not None:
+        first, last = recording.lives.T
+        ends = recording.fingerprints()["step"].to_numpy()[[0, -1]] if recording.frames else (0, 0)
+        came, went = np.count_nonzero(first > ends[0]), np.count_nonzero((first >= 0) & (last < ends[1]))
+        lives = {"lives": {"came": int(came), "went": int(went)}}
     return {
+        **lives,
         "contact_forces": recording.records_contacts,
         "judged": int(judged),
         "laws": _complete(_below(recording.closing, "laws"), ("step", "time", "frames", "text")),
