@@ -62,6 +62,7 @@ def unexplained(run: list[Frame]) -> float:
     return max(abs(frame.energy.integration_error) for frame in run) / work
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
     end = frames(scene(rotating(DRUM), {"position": BOTTOM}, 0.02))[-1]
     t = end.time
@@ -73,6 +74,7 @@ def test_a_rotating_drum_drags_a_ball_with_kinetic_friction() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rotating_disc_starts_to_drag_a_ball_along_its_surface(sign: float) -> None:
     run = frames(scene(rotating(TABLE, sign * OMEGA), {"position": ON_TABLE}, 0.02))
     end, t = run[-1], run[-1].time
@@ -84,6 +86,7 @@ def test_a_rotating_disc_starts_to_drag_a_ball_along_its_surface(sign: float) ->
     assert end.angular_velocity[0, 0] * sign == pytest.approx(2.5 * MU * G * t / r, rel=1e-3)
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_rolling_ball_moves_in_a_circle_at_two_sevenths_of_the_rotation_of_the_table() -> None:
     # a ball that rolls on a rotating table has the constant Ω 2/7 about the centre of its circle (Earnshaw 1844)
     speed = 0.4
@@ -106,7 +109,8 @@ def test_a_rolling_ball_moves_in_a_circle_at_two_sevenths_of_the_rotation_of_the
     ],
     ids=["drum", "disc", "sphere", "cone"],
 )
-@pytest.mark.parametrize("law", ["", pytest.param("rolling_resistance", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("law", ["", "rolling_resistance"])
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_the_work_of_the_wall_closes_the_energy(wall: dict[str, Any], body: dict[str, Any], law: str) -> None:
     contact: dict[str, Any] = {"restitution": 0.7}
     if law:
@@ -117,6 +121,7 @@ def test_the_work_of_the_wall_closes_the_energy(wall: dict[str, Any], body: dict
     assert unexplained(run) < 1e-11
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_an_elastic_impact_without_a_normal_force_gains_what_the_wall_does() -> None:
     body = {"position": [0.0, 0.0, 0.0], "velocity": [0.0, 0.0, -1.0]}
     run = frames(scene(rotating(DRUM), body, 1.2, WEIGHTLESS, restitution=1.0))
@@ -128,12 +133,14 @@ def test_an_elastic_impact_without_a_normal_force_gains_what_the_wall_does() -> 
     assert -dict(ledger.forces)["walls"] == pytest.approx(MU * 2.0 * mass * OMEGA * R, rel=1e-12)
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_impacts_at_the_end_of_a_step_book_the_same_work() -> None:
     body = {"position": [0.0, 0.0, -0.5], "velocity": [0.3, 0.2, 0.0]}
     run = frames(scene(rotating(DRUM), body, 0.5, timing="end-of-step", restitution=0.5))
     assert unexplained(run) < 1e-11
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_wall_that_does_not_rotate_has_the_bits_of_one_without_a_motion() -> None:
     def end(wall: dict[str, Any]) -> FloatArray:
         return frames(scene(wall, {"position": [0.5, 0.0, 0.0]}, 0.3))[-1].position
@@ -161,6 +168,7 @@ def many(balls: int) -> Scene:
     )
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_drum_has_the_same_bits_on_any_number_of_threads_and_its_energy_closes() -> None:
     runs = [list(Space(many(60), threads=threads).run(schedule=every(0.05))) for threads in (1, 2)]
     assert [frame.fingerprint for frame in runs[0]] == [frame.fingerprint for frame in runs[1]]
@@ -168,6 +176,7 @@ def test_a_drum_has_the_same_bits_on_any_number_of_threads_and_its_energy_closes
     assert -dict(runs[0][-1].energy.ledger.forces)["walls"] > 0.0
 
 
+@pytest.mark.slow  # kernels for walls are compiled for a minute
 def test_a_run_is_recorded_with_the_work_of_the_wall_replayed_and_resumed(tmp_path: Path) -> None:
     file = tmp_path / "drum.rrd"
     carom.run(scene(rotating(DRUM), {"position": BOTTOM}, 0.1), file)
