@@ -1,6 +1,7 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-contacts; with fewer, threads cost as much time as they save
+Records fill whole cache lines: what the iterations use is in other lines than what only the phases before and after
+them use.
 """
 
 from __future__ import annotations
@@ -17,8 +18,7 @@ from carom.scene.schema import Coefficients
 
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
-# contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to another's
-SHARED_FROM = 2048
+SHARED_FROM = 2048  # contacts; with fewer, threads cost as much time as they save
 # contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
 MIN_PER_TASK = SHARED_FROM // 2
 
@@ -140,7 +140,7 @@ class ImpulseRecord(Protocol):
     friction_x: float
     friction_y: float
     friction_z: float
-    correction_x: float  # Recorded impulses of a contact.
+    correction_x: float  # N s, Σ of the changes of momentum by `solver.positions`
     correction_y: float
     correction_z: float
 
@@ -252,8 +252,8 @@ SETTINGS = dtype_of(SettingsRecord)
 class ConstraintSystem(NamedTuple):
     """m contacts in the order in which they are resolved, and the n bodies and p planes at their ends."""
 
-    pairs: IntArray  # (k, 2) first contact of each, and the end of its range
-    pieces: IntArray  # (k, 2) first contact, and the one after the last
+    pairs: IntArray  # (m, 2)
+    pieces: IntArray  # (k, 2) first contact of each, and the end of its range
     edges: IntArray  # (s + 1,) first piece of each colour, and k
     contacts: RecordArray[ContactRecord]  # (m,), or ROLLING_CONTACT if the law resists rolling
     held: BoolArray  # (m,) whether each contact is held; impacts and open gaps are not
@@ -272,16 +272,15 @@ class ConstraintSystem(NamedTuple):
     offset: FloatArray  # (p,) m
     bodies: RecordArray[BodyStateRecord]  # (n + p,)
     pushed: RecordArray[PushedBodyRecord]  # (n + p,)
-    pushed_in: IntArray  # (n + p,) iteration in which the position correction last pushed each; `NEVER` if none did
-    # (n + p,) iteration in which the position correction last moved each; `NEVER` if none did
-    materials: RecordArray[Coefficients]
+    pushed_in: IntArray  # (n + p,) iteration in which the position correction last moved each; `NEVER` if none did
+    materials: RecordArray[Coefficients]  # (k,) MATERIAL, by `law.material_index`
     places: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
-    island: IntArray  # (n + p, 2) for `law.material_index`; no rows where all bodies have one material
-    islands: RecordArray[IslandRecord]  # (n + p,) workspace, the root of each body's island
+    island: IntArray  # (n + p,) workspace, the root of each body's island
+    islands: RecordArray[IslandRecord]  # (n + p,) workspace
     active: IntArray  # (b,) bodies and planes with a contact
-    pressed: BoolArray  # (n + p,) whether contacts have pressed each since the last step; False for fixed ends
     # (n + p,) whether contacts have pressed each body since the last step; False for fixed ends
-    piece_results: RecordArray[PieceResultsRecord]
+    pressed: BoolArray
+    piece_results: RecordArray[PieceResultsRecord]  # (k,)
     sums: RecordArray[BlockSumsRecord]  # (b / BODIES_PER_BLOCK,)
     settings: RecordArray[SettingsRecord]  # (1,)
 
@@ -294,7 +293,7 @@ def contacts_of(first: int, end: int, system: ConstraintSystem) -> tuple[int, in
 
 @inline
 def body_count(system: ConstraintSystem) -> int:
-    """Return the first contact of the pieces [first, end), and the end of their range."""
+    """Return n; ends from n on are planes and walls."""
     return len(system.bodies) - len(system.surface)
 
 

@@ -23,7 +23,7 @@ from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import Names
 
 MOST_CONTACTS = 6  # listed in a warning, the largest added energies first
-LOST = 0.1  # of rises in one run; more would be redundant
+LOST = 0.1  # of the energy scale; such an error changes the size and the period of an orbit
 MOST_WARNINGS = 100  # of rises in a run; more would be redundant
 
 

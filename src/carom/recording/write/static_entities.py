@@ -174,7 +174,7 @@ def _surroundings(header: Header, origin: FloatArray, reach: float) -> Iterable[
 
 
 def plane_grids(header: Header, origin: FloatArray, centre: FloatArray, reach: float) -> Iterable[Static]:
-    """All bodies are within ``reach`` (m) of the centre.
+    """Draw each plane as a square grid about the point nearest to a centre, (3,) m from the origin.
 
     All bodies are within ``reach`` (m) of the centre.
     """
