@@ -18,7 +18,9 @@ from typer.main import get_command
 
 from carom.cli.main import app
 from carom.scene.schema import Scene
+from carom.scene.schema.scene import know_installed_parts
 
+know_installed_parts()  # otherwise known once a scene is read
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "carom"
 CODE = [path for folder in ("src", "tests", "benchmarks") for path in sorted((ROOT / folder).rglob("*.py"))]
