@@ -12,11 +12,13 @@ import pytest
 from rerun.chunk import RrdReader
 
 import carom
+from carom.physics.frame import Frame
+from carom.physics.jit.decorators import leaf
 from carom.physics.space import Space
 from carom.physics.time_step import Timestep
 from carom.recording.read.recording import Recording
 from carom.recording.schema.series import contents
-from carom.runs.estimate import MARKS, Estimate, estimate, estimate_steps, flight_seconds
+from carom.runs.estimate import MARKS, Estimate, _first_frames, estimate, estimate_steps, flight_seconds
 from carom.runs.run import header_of, recording_space, run
 from carom.scene.parts import PARTS
 from carom.scene.schema import Scene
@@ -36,6 +38,23 @@ SCENES = {
     "a periodic box": pair(domain={"boundary": "periodic", "size": [9, 9, 9]}, **SHORT),
     "nothing but motion": scene_of([{"velocity": [1, 0, 0]}], **SHORT),
 }
+
+
+def test_the_compilation_of_a_kernel_during_the_measured_steps_is_no_cost_of_the_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    measured = []
+
+    def first_frames(space: Space) -> list[Frame]:
+        frames = _first_frames(space)
+        measured.append((frames[0].step, frames[-1].fingerprint))
+        if len(measured) == 1:  # as the first impact does
+            leaf(lambda x: x)(float(len(frames)))
+        return frames
+
+    monkeypatch.setattr("carom.runs.estimate._first_frames", first_frames)
+    estimate(SCENES["a smooth gas"])
+    assert len(measured) == 2 and measured[0] == measured[1]
 
 
 @pytest.mark.parametrize("name", SCENES)

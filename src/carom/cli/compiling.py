@@ -11,6 +11,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,6 +19,9 @@ from carom.cli.options import JsonOption
 from carom.cli.printing import duration_text, say_json
 from carom.physics import jit
 from carom.physics.jit import cores
+
+if TYPE_CHECKING:
+    from carom.scene.schema import Scene
 
 NO_CACHE = "no cache folder is writable; set NUMBA_CACHE_DIR to a folder of your own"
 
@@ -53,7 +57,9 @@ def start_on_a_new_installation() -> subprocess.Popen[bytes] | None:
     return start_compiling() if new else None
 
 
-def announce_compilation(say: Callable[[str], None] | None = None, helped: bool = False) -> None:
+def announce_compilation(
+    say: Callable[[str], None] | None = None, helped: bool = False, scene: Scene | None = None
+) -> None:
     """Announce the first compilation of a kernel, and start a second process that compiles others.
 
     Parameters
@@ -62,12 +68,15 @@ def announce_compilation(say: Callable[[str], None] | None = None, helped: bool 
         Prints the announcement; by default it goes to stderr.
     helped
         Whether the second process has already been started.
+    scene
+        The scene, if it is known: walls and contact laws have kernels of their own, which take longer.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 
-    text = "Compiling kernels, once on this machine (about 15 s) …"
+    takes = "one or two minutes" if scene and (scene.wall or scene.contact.laws) else "about 15 s"
+    text = f"Compiling kernels, once on this machine ({takes}) …"
     if not cache_folder():
-        text = f"Compiling kernels (about 20 s), at every start: {NO_CACHE} …"
+        text = f"Compiling kernels ({takes}), at every start: {NO_CACHE} …"
 
     def announce() -> None:
         if say:

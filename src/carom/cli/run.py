@@ -71,7 +71,7 @@ def run(
         from carom.runs.run import recording_space, simulate
 
         progress = RunProgress(loaded, quiet=as_json)
-        announce_compilation(progress.say, helped)
+        announce_compilation(progress.say, helped, loaded)
         with preparing(loaded, progress) as patience:
             space = recording_space(loaded, threads, watch_look_ahead(loaded, patience))
         progress.announce(space.scene)

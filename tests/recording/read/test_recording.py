@@ -1,5 +1,6 @@
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rerun as rr
@@ -56,6 +57,12 @@ def test_a_file_that_is_not_a_recording_is_refused_in_one_sentence(tmp_path: Pat
     (tmp_path / "scene.toml").write_bytes(content)
     with pytest.raises(RecordingError, match=r"scene\.toml (is a scene, not a recording|is not a recording)"):
         Recording.open(tmp_path / "scene.toml")
+
+
+def test_a_call_without_its_arguments_is_no_damage_of_the_file(path: Path) -> None:
+    recording: Any = Recording.open(path)
+    with pytest.raises(TypeError, match="argument"):
+        recording.drawn_positions()
 
 
 def test_somebody_elses_recording_is_refused(tmp_path: Path) -> None:

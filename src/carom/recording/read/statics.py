@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
+from inspect import signature
 from typing import Any, Concatenate, ParamSpec, Self, TypeVar
 
 import numpy as np
@@ -86,9 +87,11 @@ def named(
     read: Callable[Concatenate[_Own, _Parameters], _Result],
 ) -> Callable[Concatenate[_Own, _Parameters], _Result]:
     """Make a method name the file in its errors."""
+    arguments = signature(read)
 
     @wraps(read)
     def reads(self: _Own, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
+        arguments.bind(self, *args, **kwargs)  # a TypeError here is the caller's, and no damage of the file
         with reading(self.path):
             return read(self, *args, **kwargs)
 
