@@ -179,7 +179,7 @@ class Study:
                     left = _left(results, repeats)
                     which = _count(number, results)
                     tell(f"{which}{result.setting.name}: cost, {turn + 1} of {repeats}{left}")
-                    result.costs.append(cost_of(result.setting, self.scene, self.threads))
+                    result.costs.append(self._cost(result))
                     self._busy = max(self._busy, os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0)
                     write_document(self.folder / DOCUMENT, self.document())
         return results
@@ -293,6 +293,9 @@ class Study:
 
     def _followed(self, setting: Setting, times: FloatArray) -> Trajectory:
         return engine_called(setting.engine).follow(self.scene, setting, times, self.limit)
+
+    def _cost(self, result: SettingResult) -> float:
+        return cost_of(result.setting, self.scene, self.threads)
 
     def _path(self, result: SettingResult) -> Path:
         threads = [f"threads={result.setting.threads}"] if result.setting.threads else []
