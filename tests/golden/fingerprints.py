@@ -55,6 +55,7 @@ OTHER_STEPS = {  # more until something touches, fewer where a step takes millis
     "newtons-cradle": 400,
     "bouncing-ball": 120,
     "billiards": 120,
+    "drum": 45,
     "hopper": 50,
     "rack-break": 450,
     "marbles-in-a-box": 110,
