@@ -103,8 +103,8 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     scene, clip = summary["scene"], summary.get("clip")
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
     if scene.get("engine"):
-        recorded = "its states and contact forces" if summary["contact_forces"] else "only its states"
-        yield "engine", f"{scene['engine']}; carom recorded {recorded}"
+        recorded = "states and contact forces" if summary["contact_forces"] else "only states"
+        yield "engine", f"{scene['engine']}; recorded were {recorded}"
         if lives := summary.get("lives"):
             yield "bodies", f"{lives['came']} came after the first frame, {lives['went']} went before the last"
         if summary["judged"] < summary["bodies"]:
