@@ -284,7 +284,7 @@ def test_clips_and_exports_need_no_second_run(healthy: Path, tmp_path: Path) -> 
     done = command("diff", str(healthy), "clip.rrd", cwd=tmp_path)
     assert done.returncode == 0 and "Same bits in all 21 common frames" in done.stdout
     told = command("inspect", str(healthy), cwd=tmp_path).stdout
-    assert "toy 1.0; recorded were only states" in told and "carom replay" not in told
+    assert "toy 1.0; the recording has only states" in told and "carom replay" not in told
 
 
 def test_the_last_frames_are_written_when_an_exception_leaves_the_context(tmp_path: Path) -> None:

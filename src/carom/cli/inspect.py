@@ -104,7 +104,7 @@ def _run(summary: dict[str, Any], units: UnitSystem) -> Iterator[Row]:
     yield "scene", f"{scene['title']}, {counted(summary['bodies'], 'body')}"
     if scene.get("engine"):
         recorded = "states and contact forces" if summary["contact_forces"] else "only states"
-        yield "engine", f"{scene['engine']}; recorded were {recorded}"
+        yield "engine", f"{scene['engine']}; the recording has {recorded}"
         if lives := summary.get("lives"):
             yield "bodies", f"{lives['came']} came after the first frame, {lives['went']} went before the last"
         if summary["judged"] < summary["bodies"]:

@@ -191,7 +191,7 @@ def test_contacts_of_a_source_are_recorded_from_the_smaller_body_to_the_larger(t
     assert (row["normal_force"], row["tangential_force"]) == pytest.approx((3.0, 2.0), rel=1e-6)  # float32
     assert recording.contacts(0.4).num_rows == 0
     told = command("inspect", "run.rrd", cwd=tmp_path).stdout
-    assert "balls; recorded were states and contact forces" in told
+    assert "balls; the recording has states and contact forces" in told
     (rows, dt) = rows_of_engine(recording, 3)
     assert dt == pytest.approx(0.1) and rows["friction_y"] == pytest.approx([-0.2])  # on the second: the opposite
 
