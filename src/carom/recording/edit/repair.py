@@ -36,7 +36,7 @@ _LOOKS = 50  # frames for fitting the camera
 def new_layout(recording: Recording) -> rrb.Blueprint:
     """Lay out a recording as the recorder would have done. Raises RecordingError if too little of it is left."""
     header = header_of_recording(recording)
-    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
+    entries = recording.store.frames_of(paths.BODIES)
     entries = sorted(entries, key=lambda entry: entry.first_step or 0)
     some = [entries[k] for k in sorted(set(np.linspace(0, len(entries) - 1, _LOOKS).astype(int)))] if entries else []
     fit = None

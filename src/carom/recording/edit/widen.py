@@ -68,7 +68,7 @@ def _last_statics(recording: Recording) -> Iterator[Entry]:
 def _places(recording: Recording) -> tuple[IntArray, IntArray]:
     """Return the steps of all frames, ascending, and the number of places in each."""
     steps, counts = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
-    entries = [e for e in recording.store.entries if e.entity_path == paths.BODIES and e.first_step is not None]
+    entries = recording.store.frames_of(paths.BODIES)
     for chunk in recording.chunks(entries):
         steps.append(chunk.batch[STEP].to_numpy())
         counts.append(pc.list_value_length(chunk.batch[_centres(chunk)]).to_numpy())

@@ -115,14 +115,7 @@ def _drawn(recording: Recording, number: int, steps: IntArray) -> FloatArray:
     """Return the drawn positions of a body, (k, 3) m; NaN where there are none."""
     shown = recording.shown
     place, position = shown.index(shown_body(recording, number)), np.full((len(steps), 3), np.nan)
-    entries = [
-        entry
-        for entry in recording.store.entries
-        if entry.entity_path == paths.BODIES
-        and entry.first_step is not None
-        and entry.first_step <= steps[-1]
-        and (entry.last_step or 0) >= steps[0]
-    ]
+    entries = recording.store.frames_of(paths.BODIES, steps[0], steps[-1])
     with reading(recording.path):
         for chunk in recording.chunks(entries):
             own = chunk.batch[STEP].to_numpy()

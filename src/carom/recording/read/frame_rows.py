@@ -58,7 +58,7 @@ class _Rows:
 
     def __init__(self, recording: Recording, path: str) -> None:
         self._recording = recording
-        entries = [e for e in recording.store.entries if e.entity_path == path and e.first_step is not None]
+        entries = recording.store.frames_of(path)
         self._entries = sorted(entries, key=lambda entry: entry.first_step or 0)
         self._chunks: OrderedDict[int, Chunk] = OrderedDict()
 

@@ -129,7 +129,7 @@ def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
 
 def impacts_by_number(recording: Recording) -> tuple[IntArray, pa.Table]:
     """Read the numbers of all recorded impacts, (k,) ascending, and their rows."""
-    entries = [e for e in recording.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+    entries = recording.store.frames_of(paths.IMPACTS)
     return _rows_by_number(recording, entries)
 
 
@@ -181,14 +181,7 @@ def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
     later = int(np.searchsorted(times, last, side="right"))
     highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1
-    entries = [
-        entry
-        for entry in recording.store.entries
-        if entry.entity_path == paths.IMPACTS
-        and entry.first_step is not None
-        and entry.first_step <= highest
-        and (entry.last_step or 0) >= lowest
-    ]
+    entries = recording.store.frames_of(paths.IMPACTS, lowest, highest)
     found, before = [table_of({"step": np.empty(0, np.int64)}, "")], 0
     for chunk in recording.chunks(sorted(entries, key=lambda entry: entry.first_step or 0)):
         if not chunk.batch.num_rows:  # a clip by a version before 25 November 2026

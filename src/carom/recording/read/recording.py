@@ -209,7 +209,7 @@ class Recording(FrameTables):
     @named
     def impact_steps(self) -> IntArray:
         """Steps of all recorded impacts, in order of their numbers."""
-        found = [e for e in self.store.entries if e.entity_path == paths.IMPACTS and e.first_step is not None]
+        found = self.store.frames_of(paths.IMPACTS)
         parts = [np.array(chunk.batch[STEP].to_numpy()) for chunk in self.chunks(found)]
         return np.concatenate([np.empty(0, np.int64), *parts])
 

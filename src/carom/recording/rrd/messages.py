@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import math
 from dataclasses import dataclass, field
 from typing import BinaryIO
 
@@ -269,6 +270,17 @@ class Store:
     application_id: str
     store_id: str
     entries: list[Entry] = field(default_factory=list)
+
+    def frames_of(self, entity_path: str, first: float = -math.inf, last: float = math.inf) -> list[Entry]:
+        """Return the entries with rows of an entity at steps, of which some may be in [first, last]."""
+        return [
+            entry
+            for entry in self.entries
+            if entry.entity_path == entity_path
+            and entry.first_step is not None
+            and entry.first_step <= last
+            and (entry.last_step or 0) >= first
+        ]
 
 
 def read_body(file: BinaryIO, message: Message) -> bytes:
