@@ -3,7 +3,7 @@
 
 SINCE ?= # a commit; by default, where this branch left origin/main
 
-help: ## say what there is
+help: ## list the targets
 	@grep -hE '^[a-z]+:.*##' Makefile | sed -E 's/:.*## /: /'
 
 check: ## style, types, and the tests of what changed (SINCE=COMMIT), in about a minute
@@ -24,10 +24,10 @@ changed:
 test: ## the default tests, on all cores
 	pytest -q
 
-slow: ## the longer tests; those of pictures, pages and engines need more (CONTRIBUTING.md)
+slow: ## the slow tests; tests of pictures, pages and engines have further requirements (CONTRIBUTING.md)
 	CAROM_EXAMPLES=all pytest -q -m "slow or needs or drawn"
 
-docs: ## the site, with its links
+docs: ## the site, with its links checked
 	NO_MKDOCS_2_WARNING=1 mkdocs build --quiet --strict --site-dir "$${TMPDIR:-/tmp}/carom-site"
 
 bench: ## speed beside other engines, compared with the committed ratios; exits with 1 if carom got slower
