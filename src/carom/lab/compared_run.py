@@ -22,7 +22,7 @@ from carom.arrays import FloatArray, IntArray
 from carom.errors import ExperimentError, PhysicsError
 from carom.extend import TIME, auto, every, minimum_images, whole_file, write_whole
 
-# Bounds of a compared run: a number of steps, which is the same on every machine, and a CPU time.
+# A compared run is bounded by a number of steps, which is the same on every machine, and by a CPU time.
 TELLING = 5.0  # s between two lines of progress
 
 
@@ -78,7 +78,7 @@ class RunBound:
 
 
 class RunGuard:
-    """Watches a run from its start: reports its progress, and decides when to stop it.
+    """Observes a run from its start: reports its progress, and decides when to stop it.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ class Trajectory:
     position: FloatArray  # (K, n, 3) m
     velocity: FloatArray  # (K, n, 3) m/s
     pair: IntArray  # (m, 2) bodies that touched, in the order of their first contacts; j - n counts the planes
-    met: FloatArray  # (m,) s, the time of their first contact
+    met: FloatArray  # (m,) s, the time of each pair's first contact
     energy_error: float  # largest |integration error| over the energy scale, or energy added by contacts
     energy_gain: float  # largest rise of the total energy above its previous minimum, over the energy scale
     momentum_error: float  # largest error of the momentum over its scale
@@ -141,7 +141,7 @@ class Trajectory:
     impacts: int  # contacts that closed faster than the rest speed, summed over the steps
     steps: int
     frames: int  # in a recording of the run; 0 for a reference, which is not recorded
-    # only in exact references: the ends of every impact, (k, 2), and its time, (k,) s
+    # only in exact references: both ends of every impact, (k, 2), and its time, (k,) s
     struck: IntArray = field(default_factory=lambda: np.empty((0, 2), np.int64))
     struck_at: FloatArray = field(default_factory=lambda: np.empty(0))
 
@@ -149,7 +149,7 @@ class Trajectory:
         return len(self.time)
 
     def until(self, count: int) -> Trajectory:
-        """Return the first ``samples`` samples, with everything else unchanged."""
+        """Return a copy with the first ``count`` samples, and everything else unchanged."""
         values = {each.name: getattr(self, each.name) for each in fields(self)}
         return Trajectory(**(values | {name: values[name][:count] for name in ("time", "position", "velocity")}))
 
@@ -193,7 +193,7 @@ def follow(
     bound
         The bound.
     tell
-        Called now and then with the step and the time in s.
+        Called with the step and the time in s, every `TELLING` seconds.
 
     Raises
     ------
@@ -289,7 +289,7 @@ class _Watch:
 
     @property
     def frames(self) -> int:
-        """The number of frames in a recording of the run so far; its end is always one."""
+        """The number of frames in a recording of the run so far; the end of the run is always a frame."""
         return self._frames + (not self._last_recorded)
 
     @property
@@ -332,7 +332,7 @@ class _Watch:
             self.velocity.append(velocity)
 
     def _sample_solution(self, frame: Frame) -> None:
-        """Take the samples from the integrator's own solution within its last step."""
+        """Evaluate the samples by the integrator's own solution within its last step."""
         while len(self.position) < len(self._times) and self._times[len(self.position)] <= frame.time:
             solution = self._space.between(float(self._times[len(self.position)]))
             assert solution is not None

@@ -196,7 +196,7 @@ STEADY = 0.01  # of the smaller radius: an overlap at rest changes less in `LAST
 
 
 class Touches:
-    """The pairs that touched so far, by their names, which do not change when other bodies are left out.
+    """The pairs that touched so far. Pairs are identified by names, which do not change when other bodies are left out.
 
     Attributes
     ----------
@@ -214,7 +214,7 @@ class Touches:
         self.sunk: dict[Pair, float] = {}
 
     def see(self, frame: Frame) -> None:
-        """Add the impacts since the frame before, and measure overlaps that last."""
+        """Add the impacts since the previous frame, and measure overlaps that last."""
         if frame.impacts is not None:
             self.pairs |= {self._pair(int(row["i"]), int(row["j"])) for row in frame.impacts}
         since, self._since = self._since, {}
@@ -247,7 +247,7 @@ class Observation:
     frames
         Number of frames so far.
     warnings
-        Those so far.
+        The warnings so far.
     touches
         The pairs that met so far.
     error

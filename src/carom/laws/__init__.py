@@ -1,1 +1,1 @@
-"""Contact laws beside Coulomb's, each a module that is built on `carom.extend` and can be removed with its row."""
+"""Contact laws other than Coulomb's. Each is a module built on `carom.extend`, and can be removed with its row."""

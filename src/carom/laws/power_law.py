@@ -28,12 +28,12 @@ class PowerLaw(Section):
 
 
 def restitution(p: Any, approach: float, rest_speed: float) -> float:
-    """Return e(v); 0 for contacts that close no faster than one at rest."""
+    """Return e(v); 0 for contacts that close no faster than the rest speed."""
     if not approach > rest_speed:
         return 0.0
     if approach <= p.fastest_speed:
         return float(p.slow_restitution)
-    # the power by square roots, whose bits are the same on any processor: one for each binary digit of the exponent
+    # the power by square roots, one for each binary digit of the exponent: their bits are the same on any processor
     ratio, left = approach / p.fastest_speed, p.exponent
     power, root = 1.0, ratio
     while left >= 1.0:

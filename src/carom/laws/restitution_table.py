@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 
 from carom.extend import VELOCITY, ContactLaw, NonNegative, Section
 
-MOST = 6  # points; a kernel has a field for each
+MOST = 6  # points of a table; a kernel has a field for each
 
 
 class RestitutionTable(Section):
@@ -51,7 +51,7 @@ def numbers(section: RestitutionTable) -> dict[str, float]:
 
 
 def restitution(p: Any, approach: float, rest_speed: float) -> float:
-    """Return e(v); 0 for contacts that close no faster than one at rest."""
+    """Return e(v); 0 for contacts that close no faster than the rest speed."""
     if not approach > rest_speed:
         return 0.0
     e: float = (

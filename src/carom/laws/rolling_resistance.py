@@ -1,7 +1,7 @@
 """Rolling and twisting resistance: torques of a contact that do not depend on the speed.
 
 The torque is the standard one (Ai, Chen, Rotter & Ooi 2011, model A), against the relative rotation Ω of the bodies,
-with its part Ω_t in the tangential plane and Ω_n along the normal:
+whose components are Ω_t in the tangential plane and Ω_n along the normal:
 
     M_r = -μ_r R F_n Ω_t/|Ω_t|,    M_t = -μ_t R F_n Ω_n/|Ω_n|,    R = r_i r_j / (r_i + r_j)
 

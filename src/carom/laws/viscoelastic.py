@@ -9,7 +9,7 @@ solution of the equation of motion at any speed:
 For slow impacts, e = 1 - b₂ x² + … is the series 1 - C₁ A v^{1/5} + … of Ramírez et al. (1999). A scene states one
 measured coefficient and its speed. They fix the factor of x, and with it the curve.
 
-The curve also depends on the sizes of the bodies. Here all pairs of two materials share the stated one.
+In reality, the curve also depends on the sizes of the bodies. Here all pairs of two materials have the same curve.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from carom.extend import VELOCITY, ContactLaw, Positive, Section
 
 C1, B1, B2, B3, B4 = 0.501086, 0.501086, 1.15345, 0.577977, 0.532178
 HALVINGS = 80  # of an interval of x; the last ones change nothing
-MOST = 1e3  # x, where e = 9e-10
+MOST = 1e3  # largest x, where e = 9e-10
 NEWTON_STEPS = 5  # from 8 % to round-off
 
 
@@ -46,7 +46,7 @@ def numbers(section: Viscoelastic) -> dict[str, float]:
 
 
 def restitution(p: Any, approach: float, rest_speed: float) -> float:
-    """Return e(v); 0 for contacts that close no faster than one at rest."""
+    """Return e(v); 0 for contacts that close no faster than the rest speed."""
     if not approach > rest_speed:
         return 0.0
     ratio = approach / p.measured_speed

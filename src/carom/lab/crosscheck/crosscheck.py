@@ -1,6 +1,6 @@
 """Runs a scene in other engines, and finds where each diverges from the reference and which law it violates there.
 
-Each run is first recorded and examined: `carom.record` audits every step, and the scene's [expect] has the criteria.
+Each run is first recorded and examined: `carom.record` audits every step, and the scene's [expect] states the criteria.
 `Study` then measures the costs of all runs, in rotation.
 """
 
@@ -41,10 +41,9 @@ from carom.lab.tradeoff.setting_results import SettingResult, result_entry
 from carom.lab.tradeoff.tradeoff import REFERENCE, Study
 
 
-# Results of a run that is followed step by step: criteria, broken laws, and its divergence from the reference.
 @dataclass(frozen=True, slots=True)
 class Examination:
-    """The examination of one run, step by step."""
+    """The result of following one run step by step: criteria, violated laws, divergence from the reference."""
 
     name: str
     criteria: list[dict[str, Any]]  # of [expect]: name, bound, limit, measured, judged, met (None if not judged)
@@ -68,7 +67,7 @@ def examined_own(name: str, outcome: Outcome, parting: dict[str, Any] | None) ->
 def examined_other(
     name: str, scene: Scene, seen: Watched, parting: dict[str, Any] | None, recording: Path
 ) -> Examination:
-    """Return the examination of a run of another engine, without criteria that only carom's own books can judge."""
+    """Return the examination of a run of another engine, without criteria that need a run of carom."""
     whole, touched = seen.outcome == COMPLETED, math.isnan(seen.trajectory.energy_error)
     verdicts = judge(scene, seen.extremes, scene.time.duration if whole else seen.extremes.kinetic.time)
     laws = {
@@ -88,8 +87,8 @@ def examined_other(
 def energy_changes(path: Path) -> dict[str, float | None]:
     """Return the changes of the energy in a recording, over the energy scale.
 
-    ``change`` is the change of the total. For another engine, ``in_contact`` is the change while bodies touched, by
-    contacts and errors together; ``without_contact`` is the remaining change, which is error.
+    ``change`` is the change of the total. For another engine, ``in_contact`` is the change while bodies touched, caused
+    by contacts and errors together; ``without_contact`` is the remaining change, which is an error.
     """
     energy = Recording.open(path).summary()["energy"]
     found = {"change": energy["final"] - energy["initial"]}
@@ -111,9 +110,9 @@ def _entry(verdict: Verdict, judged: bool = True) -> dict[str, Any]:
     }
 
 
-# Follows runs of engines, several at a time in their own processes; nothing is timed meanwhile.
+# Runs of engines are followed in several processes at a time; nothing is timed meanwhile.
 MIN_RUNS_FOR_PROCESSES = 8  # with fewer, starting processes takes longer than they save
-_TICK = 60.0  # s of a wait for runs
+_TICK = 60.0  # s, the longest wait for results at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,15 +216,15 @@ class Crosscheck:
     scene
         The scene.
     engines
-        The reference to compare carom with.
+        The engines to compare carom with.
     folder
-        Folder of the results. Results of an interrupted check of the same scene are kept.
+        Folder of the results. Results of an interrupted crosscheck of the same scene are kept.
     threads
         For carom's kernels.
     force
         Whether to start over.
     limit
-        s of CPU time for following each run of an engine, and s for the reference; longer runs are stopped.
+        CPU time in s for following each run of an engine, and time in s for the reference; longer runs are stopped.
     runs
         Follows the runs of engines.
 
@@ -316,7 +315,7 @@ class Crosscheck:
         }
 
     def _follow(self, setting: Setting, times: FloatArray) -> Trajectory:
-        """Return the samples of a setting of an engine, and store its observations for the examination."""
+        """Follow a setting of an engine; return its samples, and store its observations for the examination."""
         followed = self.runs.result(self._task(setting))
         self._seen[setting.name] = followed.watched
         if followed.trajectory is None:

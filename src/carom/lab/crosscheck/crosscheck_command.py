@@ -1,4 +1,4 @@
-"""`carom crosscheck`: the same scene in other engines, and who is right."""
+"""`carom crosscheck`: the same scene in other engines, and which of them are right."""
 
 from __future__ import annotations
 

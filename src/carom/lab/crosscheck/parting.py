@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 PARTED = 0.01  # of the size of the system; runs farther apart have diverged
 OTHER_OUTCOME = 0.01  # of the speed of the system; a larger difference of velocities after an impact is another outcome
-EARLIER = 2.0  # steps, by which an impact of an engine may precede that of the reference
-LATER = 40.0  # steps after it, in which a soft contact ends
+EARLIER = 2.0  # steps by which an impact of an engine may precede the same impact of the reference
+LATER = 40.0  # steps after the reference's impact within which a soft contact ends
 SAME_IMPACT = 0.02  # of the duration; largest time between the same impact in two runs
 
 
@@ -129,9 +129,9 @@ def _first_other_outcome(
 ) -> int | None:
     """Return the first of ``count`` impacts with another outcome in a run; None without impacts.
 
-    The velocities of its bodies are compared at the last sample before their next impacts. If these follow before a
-    soft contact may have ended, their own outcomes must differ, too. If no velocity differs, return the last impact:
-    the run diverges by its delay, or in the flight after it.
+    The velocities of its bodies are compared at the last sample before their next impacts. If the next impacts follow
+    before a soft contact may have ended, their outcomes must differ, too. If no velocity differs, return the last
+    impact: the run diverges by its delay, or in the flight after it.
     """
     best = reference.trajectory
     count, bodies = min(len(run), reference.samples), best.position.shape[1]

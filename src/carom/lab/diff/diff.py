@@ -39,19 +39,17 @@ from carom.lab.diff.divergence import (
 )
 from carom.lab.diff.first_bits import FirstBits, first_bits
 
-# Bodies that exist at other times in one recording than in the other.
-
 
 @dataclass(frozen=True, slots=True)
 class OtherLife:
-    """When a body exists in each of two recordings, within the time that they have in common."""
+    """A body that exists at other times in one recording than in the other, within their common time."""
 
     body: int
     name: str
     spans: tuple[tuple[float, float] | None, tuple[float, float] | None]  # s; None where it does not exist
 
     def text(self, units: UnitSystem) -> str:
-        """Describe when it exists in each of them."""
+        """Describe when the body exists in each recording."""
         one, other = ("never" if span is None else units.span(*span, TIME) for span in self.spans)
         return f"{body_called(self.body, self.name)} exists {one} in A, {other} in B"
 
@@ -75,7 +73,7 @@ def other_lives(a: Recording, b: Recording) -> list[OtherLife]:
 
 
 def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
-    """Return the times (n, 2) in s of the first and the last frame with each body in an interval; NaN for none."""
+    """Return the times (n, 2) in s of the first and the last frame with each body in an interval; NaN without one."""
     table, n = recording.fingerprints(), int(recording.info["bodies"])
     if recording.lives is None:
         return np.tile((begin, end), (n, 1))
@@ -89,7 +87,7 @@ def _spans(recording: Recording, begin: float, end: float) -> FloatArray:
 
 # The first impact at which two recordings differ.
 
-MOST_SKIPPED = 1000  # largest difference between the numbers of a pair's impacts for which these are matched
+MOST_SKIPPED = 1000  # surplus impacts of a pair in one run, up to which all are matched
 _VALUES = ("nx", "ny", "nz", "approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")
 
 
@@ -114,7 +112,7 @@ class ImpactPair:
 
     @property
     def time(self) -> float:
-        """The earlier of its two times, in s."""
+        """The earlier of the impact's times in the two recordings, in s."""
         return min(impact.time for impact in (self.a, self.b) if impact is not None)
 
 
@@ -127,9 +125,9 @@ class ImpactDivergence:
     """
 
     counts: tuple[int, int] | None  # up to the last frame at a common time; None without such a frame
-    compared: int  # impacts that both recorded
+    compared: int  # impacts in both recordings
     first: ImpactPair | None  # the first of these that differs
-    alone: ImpactPair | None  # the first impact of only one run, if the other recording is complete there
+    alone: ImpactPair | None  # the first impact that only one run has, if the other recording has all its impacts there
 
     @property
     def same(self) -> bool:
@@ -138,7 +136,7 @@ class ImpactDivergence:
 
 
 def impact_divergence(a: Recording, b: Recording) -> ImpactDivergence | None:
-    """Compare the impacts in both recordings; None if one records no impacts, as those of other engines.
+    """Compare the impacts in both recordings; None if one has no impacts, as recordings of other engines.
 
     Raises
     ------
@@ -198,8 +196,8 @@ def _rows_by_ends(ends: IntArray) -> dict[tuple[int, int], IntArray]:
 def _nearest_in_order(short: FloatArray, long: FloatArray) -> IntArray:
     """Match each time of the shorter list with one of the longer, in order, with the smallest sum of differences.
 
-    This is dynamic programming over the number of skipped times. If the numbers differ by more than `MOST_SKIPPED`, the
-    last times are ignored.
+    This is dynamic programming over the number of skipped times. If the longer list has more than `MOST_SKIPPED`
+    surplus times, its last times are ignored.
     """
     skips = min(len(long) - len(short), MOST_SKIPPED)
     if skips == 0:
@@ -285,7 +283,7 @@ class Diff:
     divergence: Divergence | None
     verdict: DiffVerdict
     impacts: ImpactDivergence | None  # None if a recording has none
-    first_bits: FirstBits | None = None  # None if the exact states of the first frame that differs are not in both
+    first_bits: FirstBits | None = None  # None unless both have the exact states of the first frame that differs
     engines: tuple[str, str] = ("", "")  # engines of the runs; empty for carom
     lives: Sequence[OtherLife] = ()  # bodies that exist at other times in one run than in the other
 
@@ -392,7 +390,7 @@ def _defaults(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any
 
 
 def _written_otherwise(a: Recording, b: Recording, differing: Mapping[str, tuple[Any, Any]]) -> set[str]:
-    """Return the keys with the same value, but written with different units."""
+    """Return the keys whose values are equal, but written in different units."""
     both = {key: values for key, values in differing.items() if None not in values}
     with_unit = [key for key, values in both.items() if any(isinstance(value, str) for value in values)]
     if not with_unit:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from carom.lab.diff.first_bits import FirstBits
 
 ROWS = 12  # rows in the table of the growing difference
-KEYS = 50  # of the scene that are printed; --json has all
+KEYS = 50  # largest number of different keys of the scene that are printed; --json has all
 
 FirstArgument = Annotated[
     Path, typer.Argument(metavar="A", help="A recording (.rrd), or the zip of `carom report`.", callback=not_a_folder)
@@ -216,7 +216,7 @@ def _impact_lines(found: ImpactDivergence | None, names: Names, units: UnitSyste
 
 
 def _called(pair: ImpactPair, names: Names, units: UnitSystem) -> str:
-    """Describe an impact: its numbers in both runs, and the difference."""
+    """Describe an impact: its numbers in both runs, and the differences between them."""
     a, b = pair.a, pair.b
     one = a or b
     assert one is not None, "only one has it"

@@ -21,7 +21,7 @@ _SATURATED = 0.1  # of the size of the system; a larger difference cannot grow f
 _POINTS, _FACTOR = 5, 10.0  # smallest number of frames, and smallest growth, for the fit of a rate
 _ROUNDING = 16 * 2.0**-53  # of a coordinate, for the few operations on it in a step
 _GRAZING = 1000.0  # a grazing impact multiplies a difference at once by mean free path over radius
-_SURE = 3.0  # standard errors by which a rate must differ from 0
+_SURE = 3.0  # standard errors by which a rate must exceed 0 to be significant
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ def _line(x: FloatArray, y: FloatArray) -> tuple[float, float, float]:
 # `FrameAlignment`: the common frames of two recordings, and the distances of the bodies in each.
 SAME_TIME = 1e-12  # relative; times are sums of dt, whose round-off is of this order after thousands of steps
 _GAPS_AT_THE_END = 2.0  # times the largest gap between common frames, since one run may have two recording intervals
-_UNSEEN = 2.0  # largest acceleration between frames over the one that three frames show
+_UNSEEN = 2.0  # largest acceleration between frames, over the second difference of three frames
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
@@ -208,7 +208,7 @@ class FrameAlignment:
     def _reaches_the_end(self, common: IntArray) -> bool:
         """Return whether the common frames reach the last common time.
 
-        In runs with other steps, equal numbers with equal times may occur only at the start, or by chance.
+        If the runs have different steps, frames with equal numbers and times may occur only at the start, or by chance.
         """
         if len(common) == 0:
             return False
@@ -221,7 +221,7 @@ class FrameAlignment:
     def at(self, k: int) -> tuple[FloatArray, FloatArray, float]:
         """Return the positions in both (m), and the smallest rms difference that rounding cannot explain (m).
 
-        Where bodies come and go, these are the bodies that exist in both frames.
+        Where bodies come and go, only the bodies that exist in both frames are included.
         """
         one, other, rounding = self.everywhere(k)
         if self._common is None:
@@ -230,7 +230,7 @@ class FrameAlignment:
         return one[both], other[both], rounding
 
     def everywhere(self, k: int) -> tuple[FloatArray, FloatArray, float]:
-        """Return the same with the positions NaN of bodies that do not exist."""
+        """Return the same for all bodies; the positions of bodies that do not exist are NaN."""
         i, j, part = self._place(k)
         if part == 1.0:
             exact = self._a.exact(i, self._common), self._b.exact(j, self._common)
@@ -269,7 +269,7 @@ class FrameAlignment:
         )
 
     def _place(self, k: int) -> tuple[int, int, float]:
-        """Return the frame of the first recording, that of the second, and the fraction of the interval before it."""
+        """Return the frames of the first and second recording, and the fraction of the interval before the latter."""
         i, j = int(self._first[k]), int(self._second[k])
         time, reached = self._a.time[i], self._b.time[j]
         if self.by == "step" or abs(reached - time) <= SAME_TIME * abs(time) or j == 0:

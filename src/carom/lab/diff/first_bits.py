@@ -1,4 +1,4 @@
-"""The first bits that differ between two recordings: of which bodies, in which contact, and which laws were broken."""
+"""The first bits that differ between two recordings: the bodies, their contact, and the laws that were broken."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class FirstBits:
     step: int
     time: float  # s
     bodies: list[int]  # whose states differ
-    arrays: list[str]  # in which they do
-    contact: FirstContact | None  # of these bodies, with the largest difference of its force; None: none known
-    laws: list[str]  # sentences of the log of either run, in this step
+    arrays: list[str]  # names of the arrays that differ
+    contact: FirstContact | None  # the contact of these bodies whose force differs most; None if none is known
+    laws: list[str]  # sentences about broken laws in the log of either run, in this step
 
 
 def first_bits(a: Recording, b: Recording, step: int) -> FirstBits | None:

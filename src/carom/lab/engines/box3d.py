@@ -22,14 +22,14 @@ from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, pr
 from carom.record import Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
-MOST_SHAPES = 64  # examined for each body
+MOST_SHAPES = 64  # shapes examined for each body
 
 
 class Box3DSource:
     """The bodies of a world. Box3D computes in single precision.
 
-    Dynamic bodies of one sphere without joints are judged. Other bodies are drawn as spheres of their own size, static
-    ones as spheres that never move.
+    The audit covers dynamic bodies of one sphere without joints. Other bodies are drawn as spheres of their size;
+    static bodies are spheres that never move.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Box3DSource:
         return StateMemory(state, block, (poses, rates))
 
     def read(self, into: StateMemory) -> None:
-        """Have Box3D write directly into the snapshot."""
+        """Let Box3D write directly into the snapshot."""
         poses, rates = into.parts
         self._group.poses(poses)
         self._group.velocities(rates)
@@ -88,7 +88,7 @@ class Box3DSource:
 
 
 def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3DSource:
-    """Return the source of a robox3d.World; see `Box3D`."""
+    """Return the source of a robox3d.World; see `Box3DSource`."""
     return Box3DSource(world, planes)
 
 
@@ -107,7 +107,7 @@ def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:
 
 
 def _drawn(body: Any) -> float:
-    """Return the radius (m) for drawing a body: that of a sphere of water with its mass."""
+    """Return the radius (m) with which a body is drawn: a sphere of water with the mass of the body."""
     return float((3.0 * max(body.mass, 1e-9) / (4.0e3 * np.pi)) ** (1.0 / 3.0))
 
 
@@ -115,7 +115,7 @@ SUBSTEPS = 4  # in a step, the default
 
 
 class Box3D(SteppedEngine):
-    """Runs scenes with Box3D's solver, without sleeping and without a least speed for bounces."""
+    """Runs scenes with Box3D's solver, without sleep and without a minimum speed for bounces."""
 
     name = "box3d"
     package = PACKAGE

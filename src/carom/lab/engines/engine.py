@@ -72,7 +72,7 @@ def engine_called(name: str) -> Engine:
     Raises
     ------
     ExperimentError
-        If there is none of that name.
+        If there is no engine of that name.
     """
     known = registry.names("engines")
     if name not in known:
@@ -82,7 +82,7 @@ def engine_called(name: str) -> Engine:
 
 
 def engines_called(names: Iterable[str]) -> list[Engine]:
-    """Return engines by their names, each once; a text may hold several names, separated by commas.
+    """Return engines by their names, each once; a text may contain several names, separated by commas.
 
     Raises
     ------

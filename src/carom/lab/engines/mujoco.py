@@ -1,6 +1,6 @@
 """MuJoCo: its recorder, and the engine that `crosscheck` compares: rigid bodies with soft contacts.
 
-The recorder checks free spheres. It only draws bodies with other joints or shapes.
+The recorder audits free spheres. It only draws bodies with other joints or shapes.
 
 MuJoCo has no coefficient of restitution. A contact is a damped spring. Its stiffness and damping follow from the
 scene's coefficient of restitution and a bounce of `BOUNCE` steps.
@@ -29,9 +29,9 @@ WORLD = 0  # the body that owns everything static
 class MuJoCoSource:
     """The bodies of a MuJoCo model.
 
-    A body whose one shape is a sphere about its centre of mass and whose one joint is free is judged. Another is drawn
-    as a sphere about all its shapes. Spheres that belong to the world are bodies that never move, and its planes are
-    planes.
+    The audit covers each body whose only shape is a sphere about its centre of mass and whose only joint is free. Other
+    bodies are drawn as spheres about all their shapes. Spheres of the world are bodies that never move; planes of the
+    world are planes.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class MuJoCoSource:
         """Return the present state, with the contacts of the last step."""
         data, k = self._data, len(self._moving)
         if self._simple:
-            # qpos and qvel are those of the end of the step; xpos is still that of its start
+            # after a step, qpos and qvel belong to its end, and xpos still to its start
             places, rates = data.qpos[self._places], data.qvel[self._rates]
             self._position[:k] = places[:, :3]
             self._turn[:k, :3], self._turn[:k, 3] = places[:, 4:], places[:, 3]
@@ -140,7 +140,7 @@ class MuJoCoSource:
 
 
 def mujoco(model: Any, data: Any, contacts: bool = True) -> MuJoCoSource:
-    """Return the source of a mujoco.MjModel and its mujoco.MjData, with or without contact forces; see `MuJoCo`."""
+    """Return the source of a mujoco.MjModel and mujoco.MjData, with or without contact forces; see `MuJoCoSource`."""
     return MuJoCoSource(model, data, contacts)
 
 
@@ -158,7 +158,7 @@ def _is_free_sphere(package: Any, model: Any, body: int, geoms: IntArray) -> boo
 
 
 def _reach(model: Any, data: Any, body: int, geoms: IntArray) -> float:
-    """Return the radius of the sphere about the centre of mass that holds all shapes of a body, in m."""
+    """Return the radius (m) of the sphere about the centre of mass that contains all shapes of a body."""
     if len(geoms) == 0:
         return float(np.sqrt(2.5 * model.body_inertia[body].max() / model.body_mass[body]))
     away = np.linalg.norm(data.geom_xpos[geoms] - data.xipos[body], axis=1)

@@ -1,7 +1,7 @@
 """Newton: its recorder, and the engine that `crosscheck` compares.
 
 Newton moves rigid bodies by extended position-based dynamics (XPBD), on the processor, in single precision. The
-recorder checks free spheres. It only draws bodies with other joints or shapes.
+recorder audits free spheres. It only draws bodies with other joints or shapes.
 
 Newton combines coefficients of restitution and friction by the mean. Bodies get the coefficients of the scene; a plane
 gets the values for which the mean equals its own coefficients. A contact moves bodies only once they overlap.
@@ -36,7 +36,7 @@ class NewtonSource:
     model
         newton.Model.
     now
-        Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not know their
+        Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not contain their
         time, and a step swaps them.
     """
 
@@ -89,7 +89,7 @@ class NewtonSource:
 
 
 def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> NewtonSource:
-    """Return the source of a newton.Model; see `Newton`."""
+    """Return the source of a newton.Model; see `NewtonSource`."""
     return NewtonSource(model, now)
 
 
@@ -154,7 +154,7 @@ class Newton(SteppedEngine):
             problem.planes.normal, problem.planes.offset, problem.planes.name, problem.at_planes, strict=True
         ):
             equation = (*normal.tolist(), -float(offset))
-            # the mean of this and the bodies' coefficients is the plane's own
+            # the mean of these and the bodies' coefficients equals the plane's own
             mirrored = Coefficients(*(2.0 * np.array(_numbers(own)) - _numbers(law)).tolist())
             config = _config(engine, mirrored, problem.collides)
             builder.add_shape_plane(plane=equation, width=0.0, length=0.0, cfg=config, label=name)
@@ -179,7 +179,7 @@ class Newton(SteppedEngine):
 
 @cache
 def _compile() -> None:
-    """Take a step, so that Warp compiles its kernels before the run: half a minute, once on a machine."""
+    """Make one step, so that Warp compiles its kernels before the run; this takes half a minute, once on a machine."""
     ball = {"mass": 1.0, "radius": 0.5}
     bodies = [ball | {"position": [0.0, 0.0, height]} for height in (0.5, 1.5)]
     plane = {"normal": [0.0, 0.0, 1.0], "point": [0.0, 0.0, 0.0]}

@@ -1,6 +1,6 @@
 """PyBullet: its recorder, and the engine that `crosscheck` compares.
 
-PyBullet moves rigid bodies by impulses with one coefficient of friction, in double precision. The recorder checks
+PyBullet moves rigid bodies by impulses with one coefficient of friction, in double precision. The recorder audits
 spheres. It only draws bodies with joints or other shapes.
 
 PyBullet multiplies the coefficients of two bodies. Bodies therefore get the square root of the scene's coefficients,
@@ -26,8 +26,8 @@ from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, pr
 from carom.record import CONTACT, Model, Plane, State
 
 BASE = -1  # the number of a body's first link
-SLOW = 200  # bodies from which copying their states takes a thirtieth of a step
-SELDOM = 5  # steps per frame of 1000 bodies, whose reading takes a sixth of a step
+SLOW = 200  # with more bodies, copying their states takes more than a thirtieth of a step
+SELDOM = 5  # steps per frame of 1000 bodies, whose states take a sixth of a step to read
 UNNAMED = ("", "baseLink", "link0")  # the names of bodies that have none
 
 
@@ -119,7 +119,7 @@ class PyBulletSource:
         found = np.zeros(len(rows), CONTACT)
         ends = [[self._end_of.get(body, -1) for body in each] for each in (b, a)]
         found["i"], found["j"], found["point"], found["normal"], found["force"] = *ends, point, normal, push
-        # the normal points from B to A, and the friction is that on A
+        # the normal points from B to A, and the friction acts on A
         found["friction"] = np.array(f)[:, None] * np.array(u) + np.array(g)[:, None] * np.array(v)
         return np.compress((found["i"] >= 0) & (found["j"] >= 0) & (found["i"] != found["j"]), found)
 
@@ -131,7 +131,7 @@ def pybullet(
     steps_per_frame: int = 1,
     contacts: bool = True,
 ) -> PyBulletSource:
-    """Return the source of a physics server, with or without the forces of contacts; see `PyBullet`."""
+    """Return the source of a physics server, with or without the forces of contacts; see `PyBulletSource`."""
     return PyBulletSource(time_step, gravity, client, steps_per_frame, contacts)
 
 

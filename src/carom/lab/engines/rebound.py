@@ -1,8 +1,8 @@
-"""REBOUND: its recorder, and the engine that `crosscheck` compares. An optional package, under the GPL.
+"""REBOUND: its recorder, and the engine that `crosscheck` compares. REBOUND is an optional package, under the GPL.
 
 REBOUND integrates bodies that attract each other, or smooth hard spheres. Every integrator that can run the scene is
 compared: IAS15, which controls its error, and those with a constant step at several steps. The symplectic maps for one
-dominant body, WHFast, MERCURIUS and TRACE, get steps in parts of the shortest period about that body.
+dominant body, WHFast, MERCURIUS and TRACE, get steps that are fractions of the shortest period about that body.
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ ROW = np.dtype((np.void, 8 * len(READ)))  # the same, copied as one item: six ti
 
 
 class ReboundSource:
-    """The particles of a simulation, in its ``units``; without any, in SI if its G is that of SI, or in no units.
+    """The particles of a simulation, in its ``units``.
+
+    Without ``units``, they are in SI if G has its SI value, and otherwise dimensionless.
 
     Parameters
     ----------
@@ -114,8 +116,8 @@ class ReboundSource:
 class ChangingReboundSource:
     """The particles of a simulation in which particles merge, come or go; see `rebound`.
 
-    REBOUND moves particles in memory, and its names of particles are optional. This source therefore numbers them in
-    their field ``ap``, which REBOUND keeps for other packages.
+    REBOUND moves particles in memory, and their names are optional. This source therefore numbers particles in their
+    field ``ap``, which REBOUND reserves for other packages.
     """
 
     def __init__(self, simulation: Any, radius: float | None = None) -> None:
@@ -176,7 +178,7 @@ def rebound(simulation: Any, radius: float | None = None, *, changing: bool = Fa
 
 
 def _variational(simulation: Any) -> int:
-    """Return the number of variational particles among the N: none if these have their own array, as in 5.2."""
+    """Return the number of variational particles among all N; 0 where they have an array of their own, as in 5.2."""
     return 0 if hasattr(simulation, "particles_var") else int(getattr(simulation, "N_var", 0))
 
 
@@ -193,20 +195,20 @@ def _size_of(particle: Any) -> int:
 
 
 def _particles_at(address: int, size: int, count: int) -> Records:
-    """Return a view of the positions and velocities of particles of some bytes each, (n,) rows."""
+    """Return a view of the positions and velocities of particles that take ``size`` bytes each, (n,) rows."""
     raw = (ctypes.c_char * (size * count)).from_address(address)
     return np.ndarray((count,), ROW, memoryview(raw), strides=(size,))
 
 
 NAME = "rebound"
 INSTALL = "the engine rebound needs the package of that name: pip install 'rebound>=5'"
-OLDEST = 5  # major version; earlier ones have other names for settings of integrators
+OLDEST = 5  # major version; earlier versions name the settings of integrators differently
 ANY = ("leapfrog",)  # name of the setting with the scene's own step
 DOMINATED = ("whfast", "mercurius", "trace")
-UNSYNCHRONISED = ("whfast", "mercurius")  # unless every step is requested to end with a readable state
+UNSYNCHRONISED = ("whfast", "mercurius")  # their steps end with a readable state only on request
 TOUCHING = "leapfrog, hard spheres"  # the one setting of scenes with contacts, at several steps
 SEED = 1  # of the order of impacts in one step, which REBOUND draws at random; its default seed is the clock
-PARTS = (20.0, 40.0, 80.0, 160.0)  # fractions of the shortest period
+PARTS = (20.0, 40.0, 80.0, 160.0)  # steps in the shortest period
 
 
 class Rebound:
@@ -365,7 +367,7 @@ def _simulation(scene: Scene, setting: Setting, *, safe: bool) -> Any:
     Parameters
     ----------
     safe
-        Whether every step ends with a readable state, which symplectic maps do not need between outputs.
+        Whether every step ends with a readable state; between outputs, symplectic maps do not need one.
     """
     rebound, start, keys = _package(), place(scene), dict(key.split("=") for key in setting.overrides)
     simulation = rebound.Simulation()

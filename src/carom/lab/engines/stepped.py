@@ -47,7 +47,7 @@ class Problem:
 
     @property
     def extent(self) -> float:
-        """Distance (m) from the initial middle of the bodies to the farthest of them, or a radius if that is larger."""
+        """Distance (m) from the initial middle of the bodies to the farthest one, at least the largest radius."""
         centre = self.start.position.mean(axis=0)
         away = np.linalg.norm(self.start.position - centre, axis=1)
         return float(max(away.max(), self.start.radius.max()))
@@ -60,7 +60,7 @@ class Problem:
         return 10.0 * (self.extent + speed * self.duration + fall)
 
     def named(self, model: Model) -> Model:
-        """Return the model of an engine without names, with the names of the scene's bodies and planes."""
+        """Return an engine's model, which lacks names, with the names of the scene's bodies and planes."""
         named = zip(model.planes, self.planes.name, strict=True)
         return replace(model, names=self.start.name, planes=[plane._replace(name=name) for plane, name in named])
 
@@ -165,7 +165,7 @@ class SteppedEngine(ABC):
         return watch(self.begin(scene, setting), scene, times, limit=limit).trajectory
 
     def samples_steps(self, scene: Scene) -> bool:
-        """Return whether `follow` takes its samples from the ends of steps: it does."""
+        """Return True: `follow` takes its samples from the ends of steps."""
         return True
 
     def run(self, scene: Scene, setting: Setting) -> float:

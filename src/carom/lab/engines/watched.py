@@ -100,7 +100,7 @@ class _Walk:
         self._stride = 1 if observer.setup.collides else many  # steps between two examined ones
 
     def run(self, first: State, log: _Log | None, limit: float) -> str:
-        """Run until the scene ends, the state is not finite, or an amount of CPU time (s) is spent; return which."""
+        """Run until the scene ends, the state is not finite, or ``limit`` s of CPU time pass; return the outcome."""
         units, began = self._scene.unit_system, clock()
         self.frame = self.observer.frame(0, _copied(first))
         if log is not None:
@@ -123,7 +123,7 @@ class _Walk:
         """Return the samples, and the extremes so far."""
         extremes, samples, count = self.observer.extremes, self._samples, len(self._samples.position)
         n, collides = len(self.observer.setup), self.observer.setup.collides
-        # for changes in contact, the work of contacts and errors cannot be separated
+        # while bodies touch, the work of contacts cannot be separated from errors
         touched = extremes.total_contacts + extremes.impacts > 0 or self.frame.energy.ledger.restitution != 0.0
         return Trajectory(
             time=times[:count],

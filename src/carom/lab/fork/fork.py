@@ -1,4 +1,4 @@
-"""Branches of a recording: a run that continues from one of its states, or many runs whose states differ by a few bits.
+"""Branches of a recording: runs that continue from one of its states, or from states that differ by a few bits.
 
 `Ensemble` describes the spread of many branches and the probability of an outcome. `inevitable` finds the time from
 which an outcome was inevitable: it bisects the time of the fork with a sequential test. Branches are run until Wald's
@@ -35,7 +35,7 @@ _Z = 1.96  # standard deviations that contain 95 % of a normal distribution
 
 @dataclass(frozen=True, slots=True)
 class Chance:
-    """Number of forks at a time, and of those with an outcome."""
+    """The number of forks at a time, and how many of them have an outcome."""
 
     time: float  # s, of the fork
     hits: int
@@ -56,7 +56,7 @@ class Chance:
 
 
 def chances(draw: Draw, begin: float, end: float, count: int, last_step: float = math.inf) -> Iterator[Chance]:
-    """Fork at equal distances after a time (s) and before the end, with ``count`` intervals.
+    """Fork at the ends of ``count`` equal intervals after a time (s) and before the end.
 
     A fork begins at the end of a step, so none begins after ``last_step``, the beginning (s) of the last step.
     """
@@ -95,7 +95,7 @@ class Inevitable:
 
 
 def inevitable(draw: Draw, begin: float, end: float, rounds: int = ROUNDS) -> Inevitable:
-    """Bisect for the time between two times (s), the later of which certainly leads to the outcome."""
+    """Find the time by bisection between two times (s); at the later time the outcome is certain."""
     first = judge(draw, begin)
     found = Inevitable(begin, begin if first.inevitable else end, first.inevitable, [first])
     for _ in range(0 if first.inevitable else rounds):
@@ -130,16 +130,16 @@ BAND = (5.0, 50.0, 95.0)  # percentiles
 class Ensemble:
     """Distances of perturbed branches from the unperturbed one.
 
-    `spread` is the root mean square over all branches, which shows the bodies that are still predictable.
+    `spread` is the root mean square over all branches; it shows which bodies are still predictable.
     """
 
     time: FloatArray  # (k,) s
     reference: FloatArray  # (k, n, 3) m
     rms: FloatArray  # (seeds, k) m, over the bodies of each branch
-    band: FloatArray  # (3, k) m, percentiles `BAND` of these
+    band: FloatArray  # (3, k) m, percentiles `BAND` of `rms`
     spread: FloatArray  # (k, n) m, of each body
     growth: Divergence | None  # of the median
-    rates: FloatArray  # (r,) 1/s, λ of the branches that have one
+    rates: FloatArray  # (r,) 1/s, λ of the branches whose distance grows exponentially
     outcomes: list[bool]  # of the branches
     reference_outcome: bool | None
     chances: list[Chance] = field(default_factory=list)  # of the outcome, by the time of the fork

@@ -1,4 +1,4 @@
-"""`carom fork`: continues from a moment of a recording, under other parameters or from almost the same state."""
+"""`carom fork`: continues from a moment of a recording, with other parameters or from a slightly different state."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def fork(
 ) -> None:
     """Continue from a moment of a recording, under other parameters or from a state that differs in the last bits.
 
-    Only the steps after the moment are run. One file holds both courses and their difference; with --seeds, it holds
+    Only the steps after the moment are run. One file contains both runs and their difference; with --seeds, it contains
     the band that all forks span.
     """
     from carom import Recording

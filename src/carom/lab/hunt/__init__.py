@@ -1,1 +1,1 @@
-"""Looks for scenes that break the laws of physics or carom's own promises."""
+"""Search for scenes that break the laws of physics or carom's own promises."""

@@ -1,8 +1,8 @@
-"""Random scenes as documents: bodies about to meet, bodies that attract each other smoothly, pairs that meet once.
+"""Random scenes as documents: bodies about to meet, softened bodies that attract each other, pairs that meet once.
 
-Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers come from
-coarse grids, so that ties, exact touches and exact zeros, which reveal mistakes, are frequent. They come from a random
-number generator or from a test library.
+Sizes, speeds and masses span decades, in units that are not powers of two, so that sums are rounded. Numbers are drawn
+from coarse grids, by a random number generator or a test library. Ties, exact contacts and exact zeros, which reveal
+mistakes, are therefore frequent.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class RandomDraw:
 
 
 def one_in(draw: Draw, count: int) -> bool:
-    """Draw a truth value that is true once in a number of draws."""
+    """Draw a boolean that is true once in ``count`` draws on average."""
     return draw.integer(0, count - 1) == count - 1
 
 
@@ -108,7 +108,7 @@ def meeting(
     most_bodies: int = 12,
     drift: float = 1000.0,
 ) -> Document:
-    """Draw a valid scene of a few bodies that meet within some 30 steps; arguments that are None are drawn, too.
+    """Draw a valid scene of a few bodies that meet within some 30 steps; arguments of None are drawn, too.
 
     A fixed step is a power of two, so that the clock is exact. All bodies may share a velocity of ``drift`` times their
     usual speed.
@@ -156,7 +156,7 @@ def meeting(
 
 
 def _bodies(draw: Draw, L: float, U: float, M: float, count: int, overlapping: bool, drift: float) -> list[Document]:
-    """Draw bodies, each beside an earlier one: touching, at a distance, or overlapping where that is allowed."""
+    """Draw bodies, each beside an earlier one: touching it, at a distance, or overlapping it where that is allowed."""
     alike, spinning = draw.choice(False, True), draw.choice(False, True)
     bulk = vector(draw) * draw.choice(0.0, 1.0, drift)
     gaps = [0.0, 0.0, 0.01, 0.1, 1.0, 10.0] + ([-0.1, -0.5, -1.0] if overlapping else [])
@@ -196,7 +196,7 @@ def _clear(
     blocked = []
     for centre, other in placed:
         along = float((centre - origin) @ ray)
-        aside = centre - origin - along * ray  # not by Pythagoras, which would cancel at large distances
+        aside = centre - origin - along * ray  # Pythagoras' theorem would lose digits at large distances
         room = (radius + other) ** 2 - float(aside @ aside)
         if room > 0.0:
             blocked.append((along - math.sqrt(room), along + math.sqrt(room)))

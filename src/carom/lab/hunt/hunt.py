@@ -1,4 +1,4 @@
-"""Draws scenes, checks the laws that every scene must keep, and files each shrunk counterexample with its recording."""
+"""Draws scenes, checks the laws that every scene must keep, and saves each shrunk counterexample with its recording."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CONSERVED = 1e-9  # of the largest momentum
 
 @dataclass(frozen=True, slots=True)
 class HuntedLaw:
-    """A law: its name, its statement, the condition of its violation, and the scenes that it applies to."""
+    """A law: its name, its statement, the condition that violates it, and the scenes to which it applies."""
 
     name: str
     says: str
@@ -46,7 +46,7 @@ class HuntedLaw:
     kinds: tuple[str, ...] = ()  # of scenes; empty: all
 
     def broken(self) -> Condition:
-        """Return the condition of a run that violates the law."""
+        """Return the condition under which a run violates the law."""
         return condition_from(self.condition)
 
 
@@ -125,9 +125,9 @@ LAWS = [
 
 
 AUDIT = 1e-9  # of a speed, unexplained by impulses: some 10⁶ roundings
-STEPS = 400  # after which a scene is given up
-SHARE = 0.2  # of the budget for the shrinking of one miss
-LONGEST = 60.0  # s, for the shrinking of one miss
+STEPS = 400  # a longer run is abandoned
+SHARE = 0.2  # fraction of the budget for shrinking one miss
+LONGEST = 60.0  # s, limit for shrinking one miss
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,12 +144,12 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Miss:
-    """A finding that was filed."""
+    """A finding that was saved, or counted as similar to a saved one."""
 
     law: str
     index: int  # of the scene, for the same seed
     said: str  # what its run shows
-    path: Path | None  # of the reduced scene; None if a similar one was filed before
+    path: Path | None  # of the reduced scene; None if a similar one was saved before
     bodies: int
 
 
@@ -176,7 +176,7 @@ class Hunt:
     seed
         Seed of the scenes.
     folder
-        Where misses are filed.
+        Folder in which misses are saved.
     seconds
         s, the budget.
     first, most
@@ -187,7 +187,7 @@ class Hunt:
     Raises
     ------
     RecordingError
-        If the folder cannot be made; nothing has run by then.
+        If the folder cannot be made, before anything is run.
     """
 
     seed: int
@@ -291,7 +291,7 @@ class Hunt:
 
 
 def _record(text: str, path: Path) -> None:
-    """Record the run of a reduced scene beside it, up to its end or failure, and pack a report."""
+    """Record the run of a reduced scene, up to its end or failure, in a file beside the scene, and pack a report."""
     recorded = path.with_suffix(".rrd")
     try:
         simulate(recording_space(scene_from_text(text, str(path)), threads=1), recorded, force=True)

@@ -40,7 +40,7 @@ def hunt(
 ) -> None:
     """Draw random scenes and check each against the laws: ledger, momenta, impulses, replay, stated errors.
 
-    The first miss of each law is shrunk and filed as a scene with its recording. Exit with 1 if there is one.
+    The first violation of each law is shrunk and saved as a scene with its recording. Exit with 1 after a violation.
     """
     import secrets
 

@@ -1,7 +1,7 @@
 """The random scenes of a hunt: meeting bodies, crowds, columns, groups, planets, and scenes with their own laws.
 
-Switches vary most of them: forces, walls and planes, materials and pairs, units, steps, and the search and solution of
-contacts. The schema refuses some combinations; these are only counted.
+Most scenes also get random values of other keys: forces, walls and planes, materials and pairs, units, steps, and the
+search and solution of contacts. The schema refuses some combinations; these are only counted.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MOST_BODIES = 16
 DRIFT = 10.0  # common velocity of all bodies; the rounding of its energy is not part of the scale of errors
 MOST_FIXED = 200  # steps of a fixed length
 SMOOTH_STEPS = 20
-ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators whose error falls with the square of the step, or more
+ORDERED = ("leapfrog", "leapfrog-dkd", "yoshida4")  # integrators of order two or more
 
 SMOOTH, IMPACTS = "smooth", "impacts"  # kinds of scenes in which rounding errors stay small
 
@@ -84,7 +84,7 @@ def _drawn(draw: Draw) -> Drawn:
 
 
 def _set_switches(draw: Draw, document: Document, scale: Scales) -> None:
-    """Draw the switches that any scene may have; most keep their default."""
+    """Draw the keys that any scene may have; most keep their default."""
     time, contact, gravity = document["time"], document["contact"], document["gravity"]
     T = scale.L / scale.U
     _bound(draw, document, scale)
@@ -175,7 +175,7 @@ def _set_drag(draw: Draw, document: Document, T: float) -> None:
 
 
 def _set_materials(draw: Draw, document: Document) -> None:
-    """Make bodies, planes and walls of two materials, which may have a law of their own between them."""
+    """Make bodies, planes and walls of two materials; contacts between the two may have their own coefficients."""
     names = ("soft", "hard")
     document["material"] = [
         {"name": name, "restitution": part(draw), "static_friction": draw.choice(0.0, 0.3, 1.0)} for name in names

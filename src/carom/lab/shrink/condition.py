@@ -112,7 +112,7 @@ class MissedPromise:
 
     text: str
     name: str = ""  # empty: the first that is missed
-    note: str | None = None  # explains the measured value; None: not known yet
+    note: str | None = None  # explains the measured value; None before the first run
     or_error: bool = False  # whether an error that ends the run also counts
     needs_impacts = False
     of_whole_run = False
@@ -217,7 +217,7 @@ class Met:
     text: str
     first: str  # a number or a name
     second: str
-    pair: Pair | None = None  # their names; None: not known yet
+    pair: Pair | None = None  # names of both; None before the first run
     needs_impacts = True
     of_whole_run = False
 
@@ -331,7 +331,7 @@ class Failed:
 
     text: str
     message: str = ""  # its message without numbers and names; empty: any
-    stated: bool = True  # whether a PhysicsError counts, which gives a reason, not only other exceptions
+    stated: bool = True  # whether a PhysicsError counts, whose message gives the reason, or only other exceptions
     about: str = ""  # text that the message must contain
     needs_impacts = False
     of_whole_run = False
@@ -364,5 +364,5 @@ class Failed:
 
 
 def _template(message: str) -> str:
-    """Leave numbers and names of bodies out of a message."""
+    """Return a message without its numbers and names of bodies."""
     return _BODIES.sub("bodies", _NUMBER.sub("N", message))

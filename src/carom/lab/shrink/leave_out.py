@@ -28,7 +28,7 @@ def leave_out_bodies(smallest: Smallest, trials: Trials) -> bool:
 
 
 def _keep_the_cone(smallest: Smallest, trials: Trials) -> None:
-    """Keep the bodies involved, and those that affect them by contacts or are near; the smallest sets first."""
+    """Keep the bodies involved, and bodies that affect them by contacts or are near; try the smallest sets first."""
     names = [body["name"] for body in smallest.document[BODIES]]
     suspects = {number for number, name in enumerate(names) if name in smallest.suspects}
     if not suspects or len(suspects) == len(names):
@@ -51,7 +51,7 @@ def _nearest(bodies: set[int], document: Document) -> Iterator[set[int]]:
 
 
 def cones(bodies: set[int], steps: list[list[Met]], count: int) -> Iterator[set[int]]:
-    """Yield the bodies, then also the bodies that touched them, and so on up to the whole backward cone.
+    """Yield larger and larger sets: the bodies, also the bodies that touched them, and so on up to the backward cone.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def fewest(items: Sequence[Item], first: Callable[[list[list[Item]]], int | None
     return kept
 
 
-# Drops parts of the model in the order of requirements, then every key whose default fails as well.
+# Parts of the model are dropped in the order of the requirements, then every key whose default fails as well.
 _KEPT = {("title",), ("time", "duration")}  # keys that are never dropped
 _KEPT_OF_BODIES = {"name", "position"}
 _LISTS = ("plane", "wall", "pair", "material")  # lists of tables besides the bodies
@@ -233,7 +233,7 @@ def _of_all_bodies(smallest: Smallest, key: str) -> Document:
     return smallest.document | {BODIES: bodies}
 
 
-# Writes every number with the fewest digits that still show the failure.
+# Every number is written with the fewest digits that still show the failure.
 MOST_DIGITS = 17
 _FIXED_FRAME = ("plane", "wall", "domain", "drag")  # sections that define a position or a velocity at rest
 _NOT_ROUNDED = {"expect"}  # sections whose numbers define a failure
@@ -252,12 +252,12 @@ def round_numbers(smallest: Smallest) -> bool:
 
 
 def rounded(value: float, digits: int) -> float:
-    """Round to so many significant digits; with 0 digits to 0."""
+    """Round to ``digits`` significant digits; with 0 digits to 0."""
     return float(f"{value:.{digits - 1}e}") if digits else 0.0
 
 
 def digits_of(value: float) -> int:
-    """Return the number of significant digits that write a number exactly; 0 has none."""
+    """Return the number of significant digits that represent a number exactly; 0 has none."""
     return 0 if value == 0.0 else next(d for d in range(1, MOST_DIGITS + 1) if rounded(value, d) == value)
 
 

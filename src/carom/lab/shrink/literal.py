@@ -72,7 +72,7 @@ def literal(scene: Scene, start: InitialBodies) -> Document:
 
 
 def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> None:
-    """Add the name of its material to each body, and the moment of inertia, which may follow from the material."""
+    """Add to each body the name of its material, and its moment of inertia, which may follow from the material."""
     materials = body_materials(scene)
     for k, body in enumerate(document[BODIES]):
         name = materials.names[materials.index[k]]
@@ -82,7 +82,7 @@ def _name_materials(document: Document, scene: Scene, start: InitialBodies) -> N
 
 
 def at_moment(document: Document, moment: BodyStates, duration: float) -> Document:
-    """Return a document that begins with a given state and lasts for so many seconds."""
+    """Return a document that begins with a given state and lasts for ``duration`` seconds."""
     bodies = []
     for k, body in enumerate(document[BODIES]):
         state = {"position": _list(moment.position[k])}

@@ -17,12 +17,12 @@ from carom.lab.shrink.trials import Budget, Judges, OutOfTime, Smallest, Trials,
 
 ROOM = 200_000_000  # bytes of stored states of a run
 ROUNDING = 1e-9  # of the duration, by which a sum of steps may fall short
-STEPS_AFTER = (0, 1, 3)  # steps after the failure, since a shorter run takes other steps
+STEPS_AFTER = (0, 1, 3)  # steps added after the failure, since a shorter run has other steps
 
 
 @dataclass(slots=True)
 class Chronicle:
-    """The states of a run up to the first that shows the failure; they are thinned if there are too many."""
+    """The states of a run up to the first that shows the failure; if there are too many, every other one is dropped."""
 
     moments: list[BodyStates] = field(default_factory=list)
     end: BodyStates | None = None  # the first state that shows the failure, or else the last
@@ -217,7 +217,7 @@ class Reducer:
     _stages: list[Stage] = field(default_factory=list)
 
     def reduce(self, scene: Scene, start: InitialBodies | None = None) -> Reduction:
-        """Return the smallest scene that shows the failure.
+        """Return the smallest scene found that shows the failure.
 
         Parameters
         ----------
@@ -229,7 +229,7 @@ class Reducer:
         Raises
         ------
         ExperimentError
-            If the scene does not show the failure, or time ran out before that was known.
+            If the scene does not show the failure, or time ran out before the failure was reproduced.
         SceneError
             If the scene cannot run.
         """

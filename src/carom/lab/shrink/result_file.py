@@ -20,7 +20,7 @@ from carom.lab.shrink.reducer import Reduction, Stage
 _MARK = re.compile(
     r"^# shrink ([0-9a-f]{12}) of (\d{1,9}) bodies and (\d{1,9}) steps, (unfinished|minimal)$", re.MULTILINE
 )
-_HEAD = 10_000  # leading characters that contain the mark
+_HEAD = 10_000  # characters at the beginning of a file that are searched for the mark
 
 
 def key_of(scene_toml: str, condition: str) -> str:

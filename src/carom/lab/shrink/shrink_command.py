@@ -70,8 +70,8 @@ def shrink(
 ) -> None:
     """Find the smallest scene that still fails in the same way, and write it as a scene file.
 
-    It leaves out time, bodies, parts of the model, keys and digits, as long as the failure stays. Ctrl-C and the end
-    of the budget keep the smallest scene so far; the same command continues from it.
+    It removes time, bodies, parts of the model, keys and digits, as long as the failure remains. After Ctrl-C or the
+    end of the budget, the file contains the smallest scene so far; the same command continues from it.
     """
     from dataclasses import asdict
 

@@ -28,7 +28,7 @@ from carom.lab.run_summary import Observation, Touches, said_by
 from carom.lab.shrink.condition import Condition
 from carom.lab.shrink.literal import BODIES, Document
 
-# The time budget of a reduction, which the user may also end.
+# The time budget of a reduction; the user may also end a reduction.
 _POLL = 0.05  # s between two checks of a run
 
 
@@ -91,7 +91,7 @@ class Budget:
         self.check()
 
 
-Each = Callable[[Observation, Frame], bool]  # called at each frame; returns whether to go on
+Each = Callable[[Observation, Frame], bool]  # called at each frame; returns whether to continue
 
 STEPS_MORE = 4  # limit of a candidate's steps over those of the smallest scene so far
 FEWEST_STEPS = 2000
@@ -99,7 +99,7 @@ FEWEST_STEPS = 2000
 
 @dataclass(frozen=True, slots=True)
 class EveryUpTo(Every):
-    """A schedule of frames at multiples of an interval, and at a step at which a run may be given up."""
+    """A schedule of frames at multiples of an interval, and at the step after which a run is abandoned."""
 
     last: int
 
@@ -130,9 +130,9 @@ def observe(
     budget
         The time of the reduction.
     each
-        Called at each frame with the observation so far; returns whether to go on.
+        Called at each frame with the observation so far; returns whether to continue.
     steps
-        Number of steps after which the run is given up, with the result None.
+        Number of steps after which the run is abandoned, with the result None.
     schedule
         Schedule of the frames; by default that of the scene.
 
@@ -191,7 +191,7 @@ class Trials:
     watch: Callable[[], None] = lambda: None
     judges: Judges | None = None
     _seconds: float = 0.0  # of the last candidate
-    _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show it
+    _rejected: set[int] = field(default_factory=set)  # hashes of candidates that do not show the failure
 
     def shows(self, document: Document, steps: int | None = None) -> Observation | None:
         """Run a candidate; return its observation if it still shows the failure.
@@ -246,7 +246,7 @@ class Trials:
         return max(FEWEST_STEPS, STEPS_MORE * self.steps)
 
     def judge(self, document: Document, steps: int) -> Observation | None:
-        """Run a candidate for at most so many steps; return its observation if it shows the failure."""
+        """Run a candidate for at most ``steps`` steps; return its observation if it shows the failure."""
         if not document[BODIES]:
             return None
         try:
@@ -261,9 +261,9 @@ class Trials:
         return Space(scene, threads=1, record_contacts=self.condition.needs_impacts)
 
 
-# Judges candidates in several processes.
+# Candidates are judged in several processes.
 START = 6.0  # s, about twice what workers take to start
-MIN_SECONDS_TO_SEND = 0.05  # s of a candidate; sending it takes about as long
+MIN_SECONDS_TO_SEND = 0.05  # s, shortest run of a candidate that is sent to a worker; sending takes about as long
 AHEAD = 2  # candidates sent ahead to each worker
 _TICK = 0.1  # s between two checks of the budget
 
@@ -284,7 +284,7 @@ def execute(task: Task) -> bool:
 
 
 class Judges:
-    """Processes that judge candidates, started when these take long enough.
+    """Processes that judge candidates, started when candidates take long enough.
 
     The result does not depend on them: among several candidates, the first in order that shows the failure is chosen.
 
@@ -407,7 +407,7 @@ class Smallest:
         return self.takes(document, max(self.steps, 1))
 
     def takes(self, document: Document, steps: int | None = None) -> bool:
-        """Adopt a candidate if it shows the failure in at most so many steps; see `Trials.shows`.
+        """Adopt a candidate if it shows the failure in at most ``steps`` steps; see `Trials.shows`.
 
         Raises
         ------

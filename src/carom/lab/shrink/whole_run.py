@@ -43,7 +43,7 @@ from carom.private_folder import temporary_folder
 
 EPS = float(np.finfo(np.float64).eps)
 PERTURBED = 6  # runs that measure the growth of roundings
-ROUNDINGS = 1e3  # times the deviation of these runs is allowed for an image, which is rounded in each step and not once
+ROUNDINGS = 1e3  # allowed deviation of an image over that of these runs: an image is rounded in each step, not once
 KNOWN = 1e-6  # of the extent; there is no verdict if roundings grow beyond it
 FINER = 16  # times as many steps; an error of order 1 falls by 16, of order 2 by 256
 FALLS = 64.0  # least reduction of the error of an integrator of order 2 or more
@@ -209,7 +209,9 @@ def applies(name: str, scene: Scene) -> bool:
             return not (scene.group or bounded or needs.tree.modelled)
         case "steps":
             return scene.time.fixed_dt is not None and not needs.contact.modelled
-        case _:  # steps follow from the smallest possible radius of a group, but the actual one of arrays
+        case (
+            _
+        ):  # steps follow from the smallest possible radius of a group, but from the actual smallest radius of arrays
             draws = any(group.radius.min < group.radius.max for group in scene.group)
             return not (draws or scene.material or scene.unit_system.converts)
 

@@ -1,9 +1,9 @@
 """The network of lasting contacts: coordination number, rattlers and fabric.
 
-Coordination number: Z = (2 contacts of two bodies + contacts with planes)/N. Rattlers are bodies that too few contacts
-hold; they are removed with their contacts, and then those that have become rattlers. What remains of jammed spheres
-without friction has Z = 6, and 3 contacts a body, contacts with walls among them (O'Hern et al., Phys. Rev. E 68,
-011306, 2003). Fabric: F = ⟨n ⊗ n⟩ over contacts, with trace 1 (Satake 1982).
+Coordination number: Z = (2 contacts of two bodies + contacts with planes)/N. Rattlers are bodies held by too few
+contacts. They are removed with their contacts, repeatedly, until none is left. The remaining bodies of a jammed packing
+without friction have Z = 6, and 3 contacts per body if contacts with walls are counted once, too (O'Hern et al., Phys.
+Rev. E 68, 011306, 2003). Fabric: F = ⟨n ⊗ n⟩ over contacts, with trace 1 (Satake 1982).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from carom.arrays import BoolArray, IntArray
 from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 
-HOLDING = {False: 4, True: 2}  # least contacts that hold a sphere, by whether there is friction
+HOLDING = {False: 4, True: 2}  # smallest number of contacts that hold a sphere, without and with friction
 
 
 def measure(interval: Interval) -> Statistic:
@@ -63,7 +63,7 @@ def contact_counts(pairs: IntArray, bodies: int) -> IntArray:
 
 
 def held_bodies(pairs: IntArray, moving: BoolArray, fewest: int) -> tuple[BoolArray, IntArray]:
-    """Remove rattlers, their contacts and the rattlers that this makes; return a mask of the others, and their pairs.
+    """Remove rattlers and their contacts until none is left; return a mask of the other bodies, and their pairs.
 
     Planes and fixed bodies hold others, and need no contacts themselves.
     """

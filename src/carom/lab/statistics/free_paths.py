@@ -1,9 +1,10 @@
 """Free times and free paths: how long and how far a body moves between two of its impacts.
 
-A body's path is the polyline through its positions in the frames and at its impacts, so it is also known across the
-faces of a periodic box and in a field. Its centre at an impact is one radius from the contact point. A path that the
-ends of the interval cut off is in no histogram, and a histogram therefore lacks long paths. The means have no such
-error: they divide the time, and the length of all paths, by the number of impacts (docs/statistics.md).
+A body's path is the polyline through its positions in the frames and at its impacts. It continues across the faces of a
+periodic box and follows curved paths in a field. At an impact, the centre is one radius from the contact point.
+Histograms contain only complete paths, so they lack some long paths, which the ends of the interval cut off. The means
+have no such error: they are the time and the length of all paths, divided by the number of impacts
+(docs/statistics.md).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ class Paths(NamedTuple):
 
     length: float  # m, of all of them
     free_times: FloatArray  # (k,) s, from an impact of a body to its next one
-    free_paths: FloatArray  # (k,) m, likewise
+    free_paths: FloatArray  # (k,) m, the length of the path in that time
 
 
 def measure(interval: Interval) -> Statistic:
@@ -33,10 +34,12 @@ def measure(interval: Interval) -> Statistic:
     impacts, moving = interval.impacts, interval.moving
     ends = np.concatenate([impacts.i, impacts.j])
     all_of_them = 1.0 + interval.impacts_left_out / len(impacts.step)
-    collisions = np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them  # two in an impact of two bodies
+    collisions = (
+        np.count_nonzero(moving[ends[ends < interval.bodies]]) * all_of_them
+    )  # an impact of two bodies is two collisions
     exposure = np.count_nonzero(moving) * interval.duration
     paths = paths_of(interval)
-    spread = 1.0 / np.sqrt(len(impacts.step))  # relative: impacts are independent
+    spread = 1.0 / np.sqrt(len(impacts.step))  # relative error of a count of independent impacts
 
     def known(label: str, value: float, dimension: Dimension) -> MeasuredValue:
         return MeasuredValue(label, value, dimension, value * spread)
@@ -76,14 +79,14 @@ def paths_of(interval: Interval) -> Paths:
         since += direct
         total += float(direct[moving].sum())
         if len(involved):
-            # the polylines' vertices: the frame before, impacts, this frame
+            # vertices of the polylines: the position in the previous frame, at impacts, and in this frame
             whose = np.concatenate([involved, body, involved])
             kind = np.repeat([_BEFORE, _IMPACT, _AFTER], [len(involved), len(body), len(involved)])
             when = np.concatenate([last[involved], time, np.zeros(len(involved))])
             place = np.concatenate([before[involved], centre, after[involved]])
             order = np.lexsort((when, kind, whose))
             whose, kind, when, place = whose[order], kind[order], when[order], place[order]
-            begin = np.flatnonzero(kind[1:] != _BEFORE)  # of each piece
+            begin = np.flatnonzero(kind[1:] != _BEFORE)  # first vertex of each segment
             end, whose = begin + 1, whose[begin]
             length = np.linalg.norm(minimum_images(place[end] - place[begin], box), axis=1)
             total += float(length[moving[whose]].sum())
@@ -104,6 +107,6 @@ def _ends(interval: Interval, rows: slice) -> tuple[IntArray, FloatArray, FloatA
     i, j, time, point, normal = (
         column[rows] for column in (impacts.i, impacts.j, impacts.time, impacts.point, impacts.normal)
     )
-    pair = j < interval.bodies  # the others meet planes
+    pair = j < interval.bodies  # impacts of two bodies; the others are on planes
     centres = point - radius[i][:, None] * normal, point[pair] + radius[j[pair]][:, None] * normal[pair]
     return np.concatenate([i, j[pair]]), np.concatenate([time, time[pair]]), np.concatenate(centres)

@@ -1,7 +1,7 @@
 """Impacts by pair of groups, and the speeds at which bodies meet.
 
-In a Maxwellian gas, bodies meet with a normal velocity that is distributed as v exp(-v²/2s²)/s², Rayleigh's
-distribution: the relative velocity along the normal is Gaussian, and fast pairs meet more often (Chapman & Cowling).
+In a Maxwellian gas, the normal velocity at impacts has Rayleigh's distribution, v exp(-v²/2s²)/s²: the relative
+velocity along the normal is Gaussian, and fast pairs meet more often (Chapman & Cowling).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from carom.extend import RATE, VELOCITY
 from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 
-PLANES = "planes"  # and walls, as a group
+PLANES = "planes"  # the group of planes and walls
 
 
 def measure(interval: Interval) -> Statistic:

@@ -1,4 +1,4 @@
-"""What the statistics are computed from: the frames, impacts, contacts and exact velocities of an interval.
+"""The data of the statistics: the frames, impacts, contacts and exact velocities of an interval.
 
 The interval begins and ends with a frame, so that the time in which impacts are counted is exact. Impacts, contacts and
 drawn positions are read from the recording. Velocities are known at checkpoints only. With ``replay``, impacts,
@@ -32,10 +32,10 @@ from carom.extend import (
 
 Watcher = Callable[[StepStatus], None]
 
-MOST_STATES = 64  # of which velocities are used
+MOST_STATES = 64  # exact states whose velocities are used
 MOST_CONTACT_FRAMES = 32
-MOST_VELOCITIES = 2_000_000  # in memory
-MOST_CONTACTS = 2_000_000  # bodies of these frames
+MOST_VELOCITIES = 2_000_000  # in memory, summed over these states
+MOST_CONTACTS = 2_000_000  # bodies, summed over the frames whose contacts are used
 
 
 class NothingThereError(RecordingError):
@@ -52,7 +52,7 @@ class ContactColumns(NamedTuple):
     j: IntArray  # (k,) from n on: planes and walls
     normal: FloatArray  # (k, 3) from i to j
     impulse: FloatArray  # (k,) N s, along the normal
-    force: FloatArray  # (k,) N, likewise
+    force: FloatArray  # (k,) N, along the normal
     friction: FloatArray  # (k,) N
 
 
@@ -65,13 +65,13 @@ class ImpactColumns(NamedTuple):
     j: IntArray  # (k,) from n on: planes and walls
     point: FloatArray  # (k, 3) m
     normal: FloatArray  # (k, 3) from i to j
-    speed: FloatArray  # (k,) m/s, at which they close
+    speed: FloatArray  # (k,) m/s, of approach
     impulse: FloatArray  # (k,) N s, along the normal
 
 
 @dataclass(frozen=True)
 class Interval:
-    """An interval of a recording, from a frame to a frame."""
+    """An interval of a recording, which begins and ends with a frame."""
 
     recording: Recording
     step: IntArray  # (f,) of the frames
@@ -110,7 +110,7 @@ class Interval:
 
     @property
     def text(self) -> str:
-        """Its first and last time, in the unit of the scene."""
+        """The first and the last time of the interval, in the unit of the scene."""
         return self.recording.units.span(self.time[0], self.time[-1], TIME)
 
     @cached_property
@@ -225,7 +225,7 @@ class Interval:
         return ContactColumns(len(rows), float((dt * held).sum()), frame, i, j, normal, impulse, force, friction)
 
     def _held_fraction(self, dt: FloatArray) -> FloatArray:
-        """Return the impulse that holds a constant force F in a step under drag, over F dt.
+        """Return the impulse that balances a constant force F in a step under drag, over F dt.
 
         It is (h φ₂ + k₂)/h of docs/physics.md, section 6: drag removes a part of the momentum of the first kick.
         """
@@ -239,7 +239,7 @@ class Interval:
     def groups(self, among: BoolArray | None = None) -> list[tuple[str, BoolArray]]:
         """Return the name of each group of bodies, and a mask of its members among all bodies or some.
 
-        A group is called after the common beginning of its bodies' names, such as "molecule" of "molecule 17".
+        A group is named by the common beginning of its bodies' names, such as "molecule" for "molecule 17".
         """
         among = np.ones(self.bodies, dtype=bool) if among is None else among
         group, names = self.recording.bodies.group, self.recording.bodies.name

@@ -1,9 +1,9 @@
-"""The pair correlation function: how often two bodies are at a distance, compared with an ideal gas.
+"""The pair correlation function: the number of pairs at a distance, relative to an ideal gas.
 
-g(s) is the number of pairs in a shell, divided by the number that uniform random positions would have there. s is the
+g(s) is the number of pairs in a shell, divided by the number expected for uniform random positions. s is the
 distance of the centres over the sum of the radii, so bodies touch at s = 1 whatever their sizes. In a periodic box
-every body is a centre. Without one, the bodies are taken to fill the box around their centres, and only bodies that
-are at least the largest distance from its faces are centres.
+every body serves as a centre. Elsewhere, the bodies are assumed to fill the box around their centres, and only bodies
+at least the largest distance s away from its faces serve as centres.
 
 The value at contact extends a parabola through the first shells to s = 1. For equal elastic spheres it is g = (1 -
 φ/2)/(1 - φ)³ at the packing fraction φ (Carnahan & Starling, J. Chem. Phys. 51, 635, 1969).
@@ -23,21 +23,21 @@ from carom.lab.statistics.interval import Interval
 from carom.lab.statistics.statistic import Histogram, MeasuredValue, Statistic
 
 SHELLS = 80
-RANGE = 4.0  # sums of radii
-SPACINGS = 3.0  # mean distances of neighbours, of dilute bodies
+RANGE = 4.0  # largest distance, in diameters of the largest body
+SPACINGS = 3.0  # largest distance in a dilute system, in mean distances of neighbours
 MOST_CENTRES = 50_000  # in all frames
 MOST_CENTRES_OF_FRAME = 5_000
-NEAR = np.linspace(1.0, 1.25, 11)  # edges of the shells that give the value at contact
+NEAR = np.linspace(1.0, 1.25, 11)  # edges of the shells from which the value at contact is extrapolated
 
 
 class Distances(NamedTuple):
     """The distances from the centres to all other bodies in a frame."""
 
     values: FloatArray  # (k,) over the sum of the radii
-    ideal: float  # of an ideal gas: the mean number up to 1
+    ideal: float  # expected number of pairs up to s = 1 in an ideal gas
 
     def counts(self, edges: FloatArray) -> FloatArray:
-        """Return the numbers in shells, (2, b): found, and of an ideal gas."""
+        """Return the numbers of pairs in shells, (2, b): counted, and expected for an ideal gas."""
         return np.stack([np.histogram(self.values, edges)[0], self.ideal * np.diff(edges**3)])
 
 
@@ -99,7 +99,7 @@ def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | Non
         others = n - 1
         inner = np.arange(n)
     else:
-        others = n - 7  # six bodies define the faces
+        others = n - 7  # without the centre itself and the six bodies that define the faces
         inner = np.flatnonzero(((place >= reach) & (place <= size - reach)).all(axis=1))
     inner = inner[np.unique(np.linspace(0, len(inner) - 1, min(len(inner), MOST_CENTRES_OF_FRAME)).astype(np.int64))]
     if not len(inner) or others < 1:
@@ -107,7 +107,7 @@ def distances_of(position: FloatArray, radius: FloatArray, box: FloatArray | Non
     centres = cKDTree(place[inner], boxsize=box)
     found = centres.sparse_distance_matrix(cKDTree(place, boxsize=box), reach, output_type="ndarray")
     i, j = inner[found["i"]], found["j"]
-    # Σ (rᵢ + rⱼ)³ over the centres and all bodies, less that of each centre with itself
+    # Σ (rᵢ + rⱼ)³ over pairs of a centre and a body, without the pairs of a centre with itself
     moments = [float(np.sum(radius**power)) for power in range(4)]
     own = [float(np.sum(radius[inner] ** power)) for power in range(4)]
     cubes = sum(c * own[3 - power] * moments[power] for power, c in enumerate((1, 3, 3, 1))) - 8 * own[3]
@@ -120,6 +120,6 @@ def value_at_contact(near: FloatArray) -> tuple[float, float]:
     found, ideal = near
     distance = (NEAR[1:] + NEAR[:-1]) / 2 - 1.0
     terms = np.stack([np.ones_like(distance), distance, distance**2], axis=1)
-    weight = ideal / np.sqrt(2 * found)  # 1/σ of g: each pair is found from both of its ends
+    weight = ideal / np.sqrt(2 * found)  # 1/σ of g: each pair is counted from both of its ends
     inverse = np.linalg.inv((terms * weight[:, None] ** 2).T @ terms)
     return float((inverse @ (terms * weight[:, None] ** 2).T @ (found / ideal))[0]), sqrt(float(inverse[0, 0]))

@@ -1,4 +1,4 @@
-"""A statistic: numbers with their units and errors, histograms and rows, or the reason why a recording has none."""
+"""A statistic: numbers with their units and errors, histograms and rows, or the reason why they are missing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from carom.extend import Dimension, UnitSystem
 
 NUMBER = Dimension("number", "", (0, 0, 0, 0), "3")
 MOST_BINS = 40  # of a histogram
-TAIL = 0.995  # fraction of the values in a histogram; its last values would stretch it
+TAIL = 0.995  # fraction of the values in a histogram; the largest values would stretch the axis
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Histogram:
     dimension: Dimension = NUMBER  # of the edges
     function: str = ""  # label of the values; empty for a density
     expected: FloatArray | None = None  # (b,) the values in theory
-    theory: str = ""  # its name
-    falls: bool = False  # about exponentially, so that a figure has a logarithmic axis
+    theory: str = ""  # the name of the theory
+    falls: bool = False  # whether the values decay about exponentially; a figure then has a logarithmic axis
 
     @classmethod
     def of(cls, label: str, values: FloatArray, dimension: Dimension = NUMBER, *, falls: bool = False) -> Histogram:
@@ -63,13 +63,13 @@ class Histogram:
 
 @dataclass(frozen=True)
 class Statistic:
-    """Everything that was measured of one kind."""
+    """All results of one kind of statistic."""
 
     values: Mapping[str, MeasuredValue] = field(default_factory=dict)
     histograms: Mapping[str, Histogram] = field(default_factory=dict)
     rows: Sequence[Mapping[str, Any]] = ()  # of a table; its values are texts or `MeasuredValue`
-    note: str = ""  # a sentence on what they lack
-    missing: str = ""  # a sentence why there is nothing
+    note: str = ""  # a sentence about the limits of the values
+    missing: str = ""  # a sentence with the reason why there are no values
 
     def document(self, units: UnitSystem) -> dict[str, Any]:
         """Return it as JSON, in the units of the recording."""

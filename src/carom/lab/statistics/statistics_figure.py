@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 COLUMNS = 3
-FEWEST_BINS = 3  # of a panel: a histogram of fewer values has no shape
+FEWEST_BINS = 3  # in a panel; a histogram with fewer bins shows no shape
 PANEL = 3.5, 2.7  # inches
 INK, FAINT, MEASURED, THEORY = "#1b2a3a", "#8a94a0", "#0072b2", "#d55e00"
 
@@ -63,7 +63,7 @@ def draw(statistics: Statistics, path: Path) -> None:
 
 
 def _panel(axes: Axes, histogram: Histogram, units: UnitSystem) -> None:
-    """Draw one histogram as steps, with the curve of theory through the middles of the bins."""
+    """Draw one histogram as steps, with the theoretical curve through the middles of the bins."""
     one = units.shown(1.0, histogram.dimension)
     edges = histogram.edges * one
     values, expected = histogram.values, histogram.expected

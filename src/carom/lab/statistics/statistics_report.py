@@ -33,7 +33,7 @@ KINDS: Mapping[str, tuple[str, Callable[[Interval], Statistic]]] = {  # name →
     "contacts": ("network of lasting contacts", contact_network.measure),
     "forces": ("forces and force chains", force_chains.measure),
 }
-MOST_ROWS = 12  # of a table that is printed
+MOST_ROWS = 12  # in a printed table
 
 
 class Statistics(NamedTuple):
@@ -51,7 +51,7 @@ class Statistics(NamedTuple):
         Raises
         ------
         RecordingError
-            If the recording has nothing that any of them needs.
+            If the recording has no data for any statistic.
         """
         interval = Interval.of(recording, start, end, replay, watch)
         kinds = dict[str, Statistic]()

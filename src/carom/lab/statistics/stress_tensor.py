@@ -1,4 +1,4 @@
-"""The stress tensor: momentum that bodies carry, and momentum that impacts and contacts pass on.
+"""The stress tensor: momentum that bodies carry, and momentum that impacts and contacts transfer.
 
 σ = (1/V) [⟨Σ m c ⊗ c⟩ + (1/t) Σ ℓ ⊗ J + Σ ℓ ⊗ J over frames / Σ dt]: the kinetic part, impacts of the interval, and
 lasting contacts in the steps of some frames. J is the impulse on j along the normal, and ℓ points from the centre of i

@@ -1,11 +1,11 @@
-"""The velocity distribution: granular temperature, and how far it is from a Maxwellian.
+"""The velocity distribution: granular temperature, and the deviation from a Maxwellian.
 
 Velocities c are relative to the centre of mass. The fourth cumulant is a₂ = 3⟨c⁴⟩/(5⟨c²⟩²) - 1, the coefficient of the
 second Sonine polynomial (van Noije & Ernst, Granular Matter 1, 57, 1998): 0 for a Maxwellian, above 0 if fast bodies
 are more frequent. c is weighted with √m, so that bodies of different masses at one temperature have one distribution.
 
-Of N velocities, the sample has 3 (N - 1) = D degrees of freedom. The mean of ⟨c⁴⟩/⟨c²⟩² over samples of a Maxwellian is
-5/3 D/(D + 2), so the sample's ratio is multiplied by (D + 2)/D. Its variance is 8/(15 N).
+A sample of N velocities has D = 3 (N - 1) degrees of freedom. The mean of ⟨c⁴⟩/⟨c²⟩² over samples of a Maxwellian is
+5/3 D/(D + 2), so the ratio of a sample is multiplied by (D + 2)/D. The variance of a₂ is 8/(15 N).
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def measure(interval: Interval) -> Statistic:
 
 
 def peculiar(velocity: FloatArray, mass: FloatArray) -> FloatArray:
-    """Return √m c of some states: velocities (k, n, 3) m/s relative to the centre of mass, in √J."""
+    """Return √m c in √J for velocities (k, n, 3) m/s, with c relative to the centre of mass of each state."""
     drift = np.einsum("kna,n->ka", velocity, mass) / mass.sum()
     return np.asarray(np.sqrt(mass)[:, None] * (velocity - drift[:, None]))
 

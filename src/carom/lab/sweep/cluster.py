@@ -20,8 +20,8 @@ from carom.extend import Ended, TaskDroppedError, WorkerDiedError
 from carom.lab.sweep.member_run import unfit
 
 _CONNECT = 20.0  # s
-_ANSWER = 60.0  # s a scheduler may take
-_RETRIES = 3  # of a task whose result does not arrive
+_ANSWER = 60.0  # s within which a scheduler must answer
+_RETRIES = 3  # attempts to repeat a task whose result does not arrive
 _ADDRESS = re.compile(r"\w+://\[?([^/\]]+)\]?:(\d+)/?")
 _LOGGERS = ("distributed", "distributed.client", "distributed.gc", "tornado.application")
 _SETTINGS = {"distributed.comm.timeouts.connect": f"{_CONNECT:.0f}s"}
@@ -38,8 +38,8 @@ class DaskWorkers:
 
     def __init__(self, address: str) -> None:
         self._address = address
-        self._keys: dict[str, Any] = {}  # keys of the tasks, by the keys of Dask
-        self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by the keys of Dask
+        self._keys: dict[str, Any] = {}  # keys of the tasks, by Dask's keys
+        self._futures: dict[str, Future[Any]] = {}  # futures that have not ended, by Dask's keys
         # not a SimpleQueue, whose timed wait never ends if a signal interrupts it at the timeout
         self._done: queue.Queue[Future[Any]] = queue.Queue()
         self._stack = contextlib.ExitStack()
@@ -73,7 +73,7 @@ class DaskWorkers:
     def send(self, function: Callable[[Any], Any], tasks: Mapping[Any, Any]) -> None:
         """Run a function of a module for each task, in order; the keys name the tasks.
 
-        All are sent at once, since a task is at most a page of text; the scheduler keeps the order.
+        All tasks are sent at once, since a task is at most a page of text; the scheduler keeps their order.
         """
         batch = uuid.uuid4().hex[:8]
         names = {f"carom-{batch}-{key}": key for key in tasks}

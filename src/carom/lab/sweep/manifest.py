@@ -214,7 +214,7 @@ class SweepRun:
     parameters: dict[str, Any]
     seed: int
     status: str = PENDING  # "done": run and recording are complete; "failed": they are not
-    outcome: str = ""  # as of `Outcome.status`; or "refused", "lost" with its workers, "error"
+    outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" with its workers
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s
     fingerprint: str = ""  # of the last frame, 16 hexadecimal digits
@@ -298,7 +298,7 @@ class Manifest:
             self._enter(SweepRun(point.name, point.parameters, point.seed))
 
     def enter(self, name: str, report: dict[str, Any]) -> SweepRun:
-        """Enter the report of a worker on a run: fields of `Run`."""
+        """Enter the report of a worker on a run: fields of `SweepRun`."""
         run = replace(self.runs[name], **report)
         self._enter(run)
         return run

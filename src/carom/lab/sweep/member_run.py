@@ -15,7 +15,7 @@ from carom.extend import DataFiles, SweepMember, finite, recording_space, scene_
 from carom.lab.sweep.manifest import DONE, FAILED, Folder, move
 from carom.lab.sweep.plan import SEED, SweepPoint, digest
 
-Report = dict[str, Any]  # fields of `Run`
+Report = dict[str, Any]  # fields of `SweepRun`
 
 _WHOLE = ("completed", "expectation missed")
 _NOT_RESULTS = ("scene", "outcome", "versions", "profile")  # of a recording's summary
@@ -93,7 +93,7 @@ def _kept(attempt: Path, place: Path, folder: Folder) -> Report:
 
 
 def _found(path: Path, scene: Scene) -> Report | None:
-    """Return the report of a run made by an earlier attempt, whose client may have died before receiving it."""
+    """Return the report of a run made by an earlier attempt; its client may have died before it received the report."""
     if not path.exists():
         return None
     try:

@@ -76,9 +76,9 @@ def plan(
     vary
         ``key=values`` as `carom.scene.variation.values_of` reads them; in place of the same key of ``[sweep]``.
     seeds
-        Runs of each combination, with seeds counted up from the scene's own.
+        Number of runs of each combination, with consecutive seeds from the seed of the scene.
     zipped
-        Whether values are combined side by side. Seeds are crossed with them in any case.
+        Whether the values of all keys are paired one by one. Each pair is always combined with all seeds.
 
     Raises
     ------

@@ -327,10 +327,11 @@ def draw(folder: Path, plot: tuple[str, str], conditions: list[str]) -> Path:
 
 
 def serve(folder: Path) -> None:
-    """Serve a sweep's recordings to the viewer until the person closes it or interrupts.
+    """Serve a sweep's recordings to the viewer until the user closes it or presses Ctrl-C.
 
-    Rerun's server has no password. So this process and its viewer move into a network that other users of the machine
-    cannot reach, before libraries start threads. Without a screen, the server accepts viewers elsewhere.
+    Rerun's server has no password. Before libraries start threads, this process and its viewer therefore move into a
+    network namespace that other users of the machine cannot reach. Without a screen, the server accepts viewers
+    elsewhere.
     """
     from carom.extend import keeper
 

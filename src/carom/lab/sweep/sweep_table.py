@@ -64,7 +64,7 @@ def chosen(rows: Sequence[Row], conditions: Sequence[str], sort: str | None) -> 
         Such as ``contact.restitution>=0.5``, ``body.0.radius<60 cm`` or ``outcome=completed``. Missing values meet no
         condition.
     sort
-        A column; with a minus before it the largest comes first. Rows without a value come last.
+        A column; with a minus before it, the largest value comes first. Rows without a value come last.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def known(key: str, rows: Sequence[Row]) -> str:
 
 
 def _met(condition: str, rows: Sequence[Row]) -> list[bool]:
-    """Return for each row whether it meets a condition; a value of another kind meets only "differs"."""
+    """Return for each row whether it meets a condition; a value of another kind satisfies only "differs"."""
     matched = _CONDITION.fullmatch(condition)
     if matched is None:
         raise ExperimentError(f"--filter {condition}: expected a comparison, such as contact.restitution>=0.5")

@@ -1,12 +1,12 @@
 """Event-driven reference for a few bodies: an adaptive method of order eight between contacts, each contact an event.
 
 SciPy's DOP853 integrates the forces with tolerances near round-off, from contact to contact. If two bodies may meet in
-a step, conservative advancement finds their first contact: they cannot meet before the gap over a bound of the closing
-speed, so no contact is missed. The time is then refined with steps from the same beginning, and
-`physics/reference_api.py` resolves the contact. Samples do not cut the steps. Each sample is a separate, shorter step,
-which is more accurate than DOP853's interpolation.
+a step, conservative advancement finds their first contact. The bodies cannot meet before the time of the gap over a
+bound of the closing speed, so no contact is missed. The time is then refined with steps from the same beginning, and
+`physics/reference_api.py` resolves the contact. Samples do not shorten the steps. Each sample is a separate, shorter
+step, which is more accurate than DOP853's interpolation.
 
-Bodies may stay in touch without force, as after a plastic impact; the next impact of one is then an impact of all. The
+Bodies may stay in contact without force, as after a plastic impact; the next impact on one of them acts on all. The
 solution ends where a force presses touching bodies together or where contacts accumulate, because lasting contacts are
 not events.
 
@@ -40,14 +40,14 @@ from carom.lab.compared_run import Trajectory
 MOST_BODIES = 20  # the pairs are examined one by one, in Python
 MOST_CONTACTS = 10_000
 TIGHTEST = 1e-13  # relative tolerance of DOP853, near the smallest that it accepts
-SPEED_MARGIN = 1.5  # bound of the closing speed in a step over its largest value at the ends and the middle
+SPEED_MARGIN = 1.5  # bound of the closing speed in a step, over the largest of its values at the ends and the middle
 TOUCHING = 1e-12  # of the sum of radii: smaller gaps, or gaps within rounding, are contact
 ROUNDINGS = 8.0  # units in the last place of speeds and positions, the tolerance of contact
 LOWEST_FLIGHT = 10.0  # times the largest gap of a contact; after a lower bounce, the contact counts as lasting
 BISECTIONS = 30  # of a step in which a force begins to press
 NEWTON = 12  # largest number of iterations, each of which squares the error
 NUDGE = 4.0  # initial displacement of a twin in units of rounding: more than the error of some hundred steps
-LONGER = 1.25  # factor of the longest step of a twin; at order eight its error is six times as large
+LONGER = 1.25  # the longest step of a twin over that of the solution; at order eight its error is six times as large
 EPS = float(np.finfo(np.float64).eps)
 
 
@@ -118,7 +118,7 @@ class _Solver:
         self._near = TOUCHING * self._reach  # (pairs,) m; gaps up to this are contact
         self._time = 0.0
         self._position: list[FloatArray] = []  # (n, 3) m, at each sample so far
-        self._velocity: list[FloatArray] = []  # (n, 3) m/s, at the same instant
+        self._velocity: list[FloatArray] = []  # (n, 3) m/s, at each sample so far
         self._met: dict[tuple[int, int], float] = {}
         self._struck: list[float] = []  # s, of every impact
         self._ends: list[tuple[int, int]] = []  # the bodies of each impact
@@ -346,7 +346,7 @@ class _Solver:
         return longest
 
     def _pressed(self, before: FloatArray, after: FloatArray) -> int | None:
-        """Return a pair that touches before a step and closes after it by more than the step's error, or None."""
+        """Return a pair that touches before a step and closes at its end by more than the step's error, or None."""
         for pair in np.flatnonzero((self._gaps(before) <= self._near) & (self._gaps(after) <= 0.0)):
             if self._closing(after, int(pair)) < -self._rate_noise(after, int(pair), self._tolerance):
                 return int(pair)
@@ -422,7 +422,7 @@ class _Solver:
         return np.asarray(np.linalg.norm(v[self._j] - v[self._i], axis=1))
 
     def _closing(self, y: FloatArray, pair: int) -> float:
-        """Return the rate of the gap of a pair, negative while it closes."""
+        """Return the rate of change of the gap of a pair, negative while it closes."""
         x, v = y.reshape(2, -1, 3)
         i, j = self._i[pair], self._j[pair]
         normal = (x[j] - x[i]) / np.linalg.norm(x[j] - x[i])

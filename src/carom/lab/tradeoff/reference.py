@@ -1,10 +1,10 @@
 """The reference against which settings of a scene are measured: an exact solution, or the scene with smaller steps.
 
-A few bodies in open space are solved exactly (`event_driven_reference.py`), and twice more as checks. Both checks start
-displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser. Other
-scenes are run with smaller and smaller steps, each half of the previous one. Without forces flight is exact and only
-the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one before
-it the check.
+A few bodies in open space are solved exactly (`event_driven_reference.py`). Two further solutions are checks. Both
+start displaced by rounding errors, which shows how fast chaos separates the runs; one has a tolerance ten times looser.
+Other scenes are run with smaller and smaller steps, each half of the previous one. Without forces flight is exact and
+only the times of impacts can be wrong, so these runs use times of impact. The last run is the reference, and the one
+before it the check.
 
 The reference is trusted up to the *horizon*, where a check first deviates by more than a thousandth of the size of the
 system. Up to there its uncertainty is the largest error of a check. Beyond it only statistics can be compared.
@@ -26,7 +26,7 @@ from carom.lab.compared_run import Trajectory, follow, sample_times
 from carom.lab.tradeoff.event_driven_reference import TIGHTEST, solve, why_not
 
 
-# The errors of a run against a reference: in space and time up to a horizon, in statistics beyond it.
+# Errors of a run relative to a reference: of positions and times up to a horizon, of statistics beyond it.
 @dataclass(frozen=True, slots=True)
 class Errors:
     """The errors of a run; NaN if not measured. Smaller is better for each."""
@@ -34,7 +34,7 @@ class Errors:
     position: float  # rms over bodies and samples up to the horizon, over the size of the system
     velocity: float  # rms over bodies and samples, over the speed of the system
     impact: float  # s, rms over the pairs that met before the horizon, of the time of their first contact
-    missed: float  # number of those pairs without contact by then; in `impact` they count as met at the horizon
+    missed: float  # number of these pairs that had no contact by then; in `impact` they count as met at the horizon
     energy: float  # largest |integration error| over the energy scale, from the ledger
     energy_gain: float  # largest rise of the total energy above its lowest so far, over the scale
     momentum: float  # largest error of the momentum over its scale
@@ -184,12 +184,12 @@ def make_reference(
     Parameters
     ----------
     finest
-        Steps of the scene over the smallest compared steps; a refined reference begins at half of these.
+        Steps of the scene over the smallest compared steps; a refined reference begins with half of the latter.
     threads
         For the kernels.
     budget
-        Seconds of computing. An exact solution ends after a third of the limit. After all of it, only the second
-        refinement may begin.
+        Seconds of computing. An exact solution ends after a third of this budget. After the whole budget, only the
+        second refinement may begin.
     tell
         Called with a sentence before each solution.
 
@@ -208,7 +208,7 @@ def make_reference(
 
 
 def refined(scene: Scene, factor: float) -> list[str]:
-    """Return the overrides that divide the steps of a scene by a factor, under any limit."""
+    """Return the overrides that divide the steps of a scene by a factor, whichever limit applies."""
     rule, units = scene.time, scene.unit_system
     if rule.fixed_dt is not None:
         return [f"time.fixed_dt={units.literal(rule.fixed_dt / factor, TIME)}"]
@@ -232,7 +232,7 @@ def _largest_step(scene: Scene) -> float:
 
 
 def fineness(scene: Scene, setting: Scene) -> float:
-    """Return the steps of the scene over those of a setting, by the limit that shrank most."""
+    """Return the steps of the scene over the steps of a setting, for the limit that shrank most."""
     base, rule = scene.time, setting.time
     if base.fixed_dt is not None or rule.fixed_dt is not None:
         return (base.fixed_dt or _largest_step(scene)) / (rule.fixed_dt or _largest_step(setting))

@@ -121,7 +121,7 @@ def pareto_front(
     cost, error
         (m,) each; a point with a NaN in either is never marked and beats nothing.
     noise
-        (m,) of the cost: it lies between cost / (1 + noise) and cost (1 + noise).
+        (m,) relative noise: the true cost lies between cost / (1 + noise) and cost (1 + noise).
     doubt
         Uncertainty of the errors; unequal errors that differ by less are not distinguished.
 

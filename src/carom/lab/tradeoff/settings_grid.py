@@ -12,7 +12,7 @@ from carom.extend import INTEGRATORS, auto, damping, integrator_called, require,
 from carom.lab.compared_run import AS_WRITTEN, STEPS, Setting
 from carom.lab.tradeoff.reference import refined
 
-STEP = "step"  # a pseudo-key: a factor on the step under any limit
+STEP = "step"  # a pseudo-key: a factor on the step, whichever limit applies
 THREADS = "threads"  # threads of the kernels, which change the cost but no bits
 TIMING = "contact.timing"
 DIRECT_UP_TO = 20  # bodies; a tree is tried only for more
@@ -39,7 +39,7 @@ class GridPoint:
         return dict(self.values).get(key)
 
     def having(self, key: str, value: str | None) -> GridPoint:
-        """Return the point with another value of a key; None for that of the scene."""
+        """Return the point with another value of a key; with None, the value of the scene."""
         others = {k: v for k, v in self.values if k != key}
         return GridPoint(self.step, tuple(sorted((others if value is None else {**others, key: value}).items())))
 
@@ -111,7 +111,7 @@ def default_points(scene: Scene) -> list[GridPoint]:
     Raises
     ------
     SceneError
-        If the scene has an accuracy, which chooses the step: its settings are steps and what sets them.
+        If the scene has an accuracy, which chooses the step: default settings vary the step and the keys that set it.
     """
     if scene.time.accuracy is not None:
         raise SceneError(
@@ -149,7 +149,7 @@ def default_settings(scene: Scene) -> list[Setting]:
 
 
 def _accurate(scene: Scene, accuracy: str) -> Setting:
-    """Return an accuracy in place of all keys that set the step."""
+    """Return the setting with an accuracy in place of all keys that set the step."""
     keys = [f"time.{key}=" for key in STEP_KEYS if key in scene.time.model_fields_set]
     return Setting(f"accuracy = {accuracy}", (*keys, f"time.accuracy={accuracy}"))
 

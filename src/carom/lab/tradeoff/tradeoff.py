@@ -72,14 +72,14 @@ DOCUMENT = "tradeoff.json"
 REFERENCE = "reference.npz"
 FIGURE = "tradeoff.png"
 OVERLAY = "tradeoff.rrd"
-VERSION = 4  # of the document; 1 had no sinking, 2 no frames; references of 3 ended at plastic impacts
+VERSION = 4  # of the document; 1 had no sinking, 2 no frames; in 3, references ended at plastic impacts
 ADVICE = "start over with --force, or choose another folder with -o"
 ROUND_OFF = 1e-13  # of a whole run, over its scale
 WORK = 3e7  # steps × (bodies + `BODIES_PER_STEP`) of a bounded setting, some 20 s
 
 BODIES_PER_STEP = 30  # a step takes at least the time of about so many bodies
-DEARER = 30.0  # times the steps of the scene as written, which a bounded setting may always take
-MARGIN = 2.0  # smallest compared steps over the steps of a refined reference, at least
+DEARER = 30.0  # a bounded setting may always make so many times the steps of the scene as written
+MARGIN = 2.0  # smallest allowed ratio of the shortest compared steps to the steps of a refined reference
 
 Teller = Callable[[str], None]
 EngineFollower = Callable[[Setting, FloatArray], Trajectory]  # runs a setting of another engine, sampled at times in s
@@ -152,8 +152,8 @@ class Study:
     def noise(self) -> float:
         """The relative uncertainty of every cost: the median of the ranges of the settings' costs.
 
-        A single run deviates by half of that, but two of three may deviate by chance, and with them the median. A
-        setting with a larger range has that larger uncertainty. 0 if nothing was run twice.
+        A single run deviates by half the range, but two of three runs, and with them the median, may deviate in the
+        same direction by chance. A setting with a larger range has the larger uncertainty. 0 if nothing was run twice.
         """
         ranges = [2.0 * result.spread for result in self.results if len(result.costs) > 1]
         return median(ranges) if ranges else 0.0

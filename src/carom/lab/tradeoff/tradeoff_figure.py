@@ -186,7 +186,7 @@ def _panel(
     ax.xaxis.set_minor_locator(NullLocator())
     ax.spines[["top", "right"]].set_visible(False)
     ax.tick_params(which="both", color=FAINT)
-    # of the medians, since a line through only the certain settings of the front would have gaps
+    # the front of the medians, since a line through only the certain settings of the front would have gaps
     on, _ = pareto_front(cost, wrong, np.zeros_like(cost))
     if on.any():
         ax.step(*zip(*sorted(zip(cost[on], wrong[on], strict=True)), strict=True), where="post", color=FAINT, lw=1.0)

@@ -95,9 +95,9 @@ class SettingSearch:
         return self._see(point).cost >= DEAREST * self._see(GridPoint()).cost
 
     def _cannot_win(self, point: GridPoint, best: GridPoint | None) -> bool:
-        """Return whether a point is too expensive, now or once its steps are short enough to keep the limits.
+        """Return whether a point is too expensive, either now or with steps short enough to keep the limits.
 
-        Half the step costs twice as much, and reduces errors at most by the order of the integrator.
+        Half the step costs twice as much, and reduces errors by at most 2^p at the integrator's order p.
         """
         if self._too_dear(point, best):
             return True
@@ -136,7 +136,7 @@ class SettingSearch:
 
 
 def excess(study: Study, written: SettingResult, result: SettingResult, limits: dict[str, float]) -> float:
-    """Return the factor by which a setting misses the worst limit, the number of frames included.
+    """Return the factor by which a setting misses the worst limit; the number of frames counts as a limit.
 
     It is 0 if all are kept, and infinite if one of them is not measured.
     """
@@ -172,7 +172,7 @@ WORSE = 1.1  # times an error of the scene as written; smaller increases are not
 
 @dataclass(frozen=True, slots=True)
 class Tuning:
-    """The settings that were tried for given limits, and the cheapest that keeps them."""
+    """The settings that were tried for given limits, and the cheapest setting that keeps the limits."""
 
     study: Study
     limits: dict[str, float]

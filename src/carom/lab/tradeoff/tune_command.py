@@ -66,7 +66,7 @@ def tune(
 ) -> None:
     """Find the cheapest setting that keeps every error limit, and write it as a scene file.
 
-    The search starts from about a dozen settings. It then changes the step and one key at a time until nothing
+    The search starts from about a dozen settings. It then changes the step, and one key at a time, until nothing
     improves. It leaves out settings whose recording would have fewer frames. Measurements are kept; the same command
     continues where it stopped.
     """

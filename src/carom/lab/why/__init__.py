@@ -1,1 +1,1 @@
-"""Why a body moves as it does: the impacts, contacts and forces behind it, from a window that is run again."""
+"""Why a body moves as it does: the impacts, contacts and forces that caused its velocity, from a rerun window."""

@@ -10,7 +10,7 @@ from carom.arrays import FloatArray, Records
 from carom.lab.why.cone import components, directions, gained
 from carom.lab.why.history import History, Step
 
-_AT_REST = 1e-3  # of the impulses that hold a body in a step
+_AT_REST = 1e-3  # largest speed of a body at rest, over the impulses (by mass) that hold it in a step
 
 
 @dataclass(slots=True)
@@ -31,12 +31,12 @@ class Cause:
     moment: float  # s, of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
-    energy_lost: float = 0.0  # J, of both bodies, taken out by restitution and friction
+    energy_lost: float = 0.0  # J, dissipated by restitution and friction, of both bodies
     share: float = 0.0  # of the velocity; with start and forces, the shares of an account sum to 1
 
     @property
     def kind(self) -> str:
-        """What it was: "impact", "stop" or "contact"."""
+        """The kind of cause: "impact", "stop" or "contact"."""
         if self.holds:
             return "contact"
         return "stop" if self.approach_speed is None else "impact"
@@ -59,8 +59,8 @@ class Cause:
 class Account:
     """The sources of a body's velocity since the beginning of a window.
 
-    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares divide as in `Cone`, but are not passed
-    on to other bodies.
+    velocity = start_velocity + by_contacts + by_forces, up to rounding. Shares are divided as in `Cone`, but are not
+    passed on to other bodies.
     """
 
     body: int
@@ -74,7 +74,7 @@ class Account:
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
-    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step of their first part
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the earliest step so far
     _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step by partner, without impacts
 
     @classmethod
@@ -91,7 +91,7 @@ class Account:
 
     @property
     def rests(self) -> bool:
-        """Whether contacts hold it still: its speed is below a thousandth of their impulses over its mass."""
+        """Whether contacts hold the body still: its speed is below a thousandth of their impulses over its mass."""
         return bool(np.linalg.norm(self.velocity) <= _AT_REST * (self._bearing or -1.0))
 
     @property
@@ -194,8 +194,8 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
-        Contacts at rest act while a force does. Their work is along the mean velocity without the ``kick``, (3,) m/s,
-        that they cancel: the normal force of a floor does no work on a ball that slides on it.
+        Contacts at rest cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with the mean velocity
+        without this kick: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))

@@ -1,17 +1,20 @@
-"""`Cone`: goes back through a window, from the bodies of a question to all that could affect them.
+"""`Cone`: goes back through a window, from the bodies of a question to all bodies that could affect them.
 
-Each body carries a share of the answer; the shares sum to 1 at the moment of the question. They divide in two ways:
+Each body carries a share of the answer; the shares sum to 1 at the moment of the question. Going back in time, a share
+is divided in two ways:
 
 - **Over a step**, forces are summed with the impulses that hold contacts or stop them, so that a floor and the weight
-  on it give nothing. If the sum N makes the body faster, it gave the share N·e / |v|, where e points along the velocity
-  v after it. That divides among the forces and contacts with a component along N, as these components are.
-- **Over an instant with impacts**, it divides among the velocity before and the impulses as the sizes of their
-  components along e are, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … Where the impacts stop the body, their whole sizes count.
+  on it contribute nothing. If the sum N makes the body faster, N contributed the share N·e / |v|, where e points along
+  the velocity v after the step. This share is divided among the forces and contacts with a component along N, in
+  proportion to these components.
+- **Over an instant with impacts**, the share is divided among the velocity before and the impulses, in proportion to
+the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
+magnitudes count.
 
-A sum over many short steps converges, so shares depend on the step no more than the motion does. A share given by
-forces has reached its cause. A share that passes over a contact divides between the two ends in proportion to their
-speeds along the impulse before it, from which the impulse arises. Where several bodies touch in an instant, it may also
-come from further impulses on the other end. A plane returns its whole share.
+A sum over many short steps converges, so shares depend on the step no more than the motion does. A share contributed by
+forces has reached its cause. A share that passes over a contact is divided between the two ends, in proportion to their
+speeds along the impulse before the impact, which cause the impulse. If several bodies touch in an instant, a share may
+also come from further impulses on the other end. A plane returns its whole share.
 
 Shares are between 0 and 1. Membership is exact: going back in time, a body belongs to the cone from its first contact
 with a body of the cone.
@@ -30,7 +33,7 @@ from scipy.sparse.csgraph import connected_components
 from carom.arrays import BoolArray, FloatArray, IntArray, Records
 from carom.lab.why.history import Step
 
-_ROUNDS = 16  # bodies through which a share passes in one instant
+_ROUNDS = 16  # largest number of bodies through which a share passes in one instant
 NEGLIGIBLE = 1e-9  # share that is not passed on; change of a velocity that counts as rounding
 
 
@@ -76,8 +79,8 @@ class Cone:
     count: int  # of bodies
     shares: FloatArray  # (n,) of the answer, that each body carries at the present moment
     reached: BoolArray  # (n,) whether it could have had an effect
-    since: FloatArray  # (n,) s, the last moment at which it could; NaN for bodies outside
-    from_forces: FloatArray  # (n,) share that forces on each body gave
+    since: FloatArray  # (n,) s, the last moment at which it could have had an effect; NaN for bodies outside
+    from_forces: FloatArray  # (n,) share contributed by forces on each body
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
     passages: list[Passage] = field(default_factory=list)  # the latest first
     pairs: list[IntArray] = field(default_factory=list)  # (k, 2) bodies each, all that touched so far
@@ -168,11 +171,11 @@ class Cone:
         np.subtract.at(velocity, rows["j"][body], self.inverse_mass[rows["j"][body], None] * J[body])
 
     def _bear(self, rows: Records, forces: FloatArray, before: FloatArray, after: FloatArray) -> None:
-        """Pass on the shares given by the forces of a step and by its resting contacts; velocities (n, 3) m/s."""
+        """Pass on the shares contributed by the forces and the resting contacts of a step; velocities (n, 3) m/s."""
         n, m = self.count, len(rows)
         bodies = np.flatnonzero(self.shares > NEGLIGIBLE)
         net = np.zeros((len(self.inverse_mass), 3))  # along N, of length 1
-        rate = np.zeros(len(self.inverse_mass))  # share given by a component of 1 m/s
+        rate = np.zeros(len(self.inverse_mass))  # share contributed by a component of 1 m/s
         net[bodies] = _units(after[bodies] - before[bodies])
         to, J = np.concatenate((rows["i"], rows["j"])), np.concatenate((-_vectors(rows), _vectors(rows)))
         given: FloatArray = self.inverse_mass[to] * np.maximum(0.0, (J * net[to]).sum(axis=1))  # m/s
@@ -267,7 +270,7 @@ class Cone:
         onward: FloatArray,
         opposite: NDArray[np.integer],
     ) -> FloatArray:
-        """Divide forwarded shares among the further impulses of the other ends, without the impulse itself."""
+        """Divide forwarded shares among the further impulses on the other ends, excluding the forwarding impulse."""
         others = np.maximum(total[origin] - taken[opposite], 0.0)
         rate = np.divide(onward, others, out=np.zeros(len(onward)), where=others > 0.0)
         arriving = np.bincount(origin, weights=rate, minlength=len(total))  # per unit of impulse, at each end
@@ -295,9 +298,9 @@ class Cone:
 
 
 def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatArray:
-    """Return the fractions of speeds, (k,), that the changes of velocities, (k, 3) m/s, made.
+    """Return the fractions of speeds, (k,), that are due to the changes of velocities, (k, 3) m/s.
 
-    A change is rounding if what acts, (k,) m/s in all, cancels.
+    A change counts as rounding if the contributions, ``acting`` (k,) m/s in all, cancel.
     """
     change = after - before
     squared, gain = (after * after).sum(axis=1), (change * after).sum(axis=1)
@@ -308,7 +311,7 @@ def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatAr
 
 
 def directions(after: FloatArray, before: FloatArray, total: FloatArray) -> FloatArray:
-    """Return the directions of velocities after impacts, (k, 3); zeros where the impacts, of (k,) m/s, stop a body."""
+    """Return the directions of velocities after impacts, (k, 3); zeros where impacts (``total``, m/s) stop a body."""
     speed = np.sqrt((after * after).sum(axis=1))
     stops = speed <= NEGLIGIBLE * (np.sqrt((before * before).sum(axis=1)) + total)
     result: FloatArray = np.where(stops[:, None], 0.0, _units(after))
@@ -328,16 +331,16 @@ def _vectors(rows: Records) -> FloatArray:
 
 
 def _units(vectors: FloatArray) -> FloatArray:
-    """Return vectors of length 1, (k, 3); zeros stay."""
+    """Return unit vectors, (k, 3); zero vectors stay zero."""
     length = np.sqrt((vectors * vectors).sum(axis=1))[:, None]
     result: FloatArray = np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
     return result
 
 
-# The chain of causes: the strongest way back from the bodies asked about.
+# The chain of causes: the strongest path back from the bodies of the question.
 MOST_LINKS = 50
 _WEAKEST = 0.1  # of the share that led to a body; below it, the body's own motion is the cause
-_AT_ONCE = 0.5  # an impact at the same instant as another: their order is unknown
+_AT_ONCE = 0.5  # weight of an impact at the same instant as another, since their order is unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,7 +34,7 @@ IMPULSE = np.dtype(
         ("time", np.float64),  # s
         ("i", np.int64),  # i < j
         ("j", np.int64),  # from n on: planes and walls
-        ("x", np.float64),  # N s, the impulse on j; i takes the opposite
+        ("x", np.float64),  # N s, the impulse on j; the impulse on i is the opposite
         ("y", np.float64),
         ("z", np.float64),
         ("holds", np.bool_),  # whether it holds a contact at rest
@@ -53,9 +53,9 @@ class Step:
     time: float  # s, at its end
     began: float  # s
     before: FloatArray  # (n, 3) m/s, velocities at its beginning
-    after: FloatArray  # (n, 3) m/s, and at its end
+    after: FloatArray  # (n, 3) m/s, velocities at its end
     impulses: Records  # (k,) `IMPULSE`, in order
-    kicks: list[FloatArray]  # each (b, 3) m/s, by forces, of the bodies of the question
+    kicks: list[FloatArray]  # each (b, 3) m/s, changes of velocity by forces, of the bodies of the question
     contacts: Records  # (m,) `CONTACT_ROW`, the contacts of these bodies
 
 
@@ -148,8 +148,8 @@ class Question:
     bodies: tuple[int, ...]  # the body, or the ends of the impact that are bodies
     ends: tuple[int, int] | None  # of the impact, i < j; planes have numbers from n on
     time: float  # s
-    text: str  # it, in words
-    event: str | None = None  # its name
+    text: str  # the question in words
+    event: str | None = None  # name of the event
     units: UnitSystem = SI  # units of the answer
 
 
@@ -165,12 +165,12 @@ def question_of(recording: Recording, body: str | None, at: float | None, event:
     at
         s; by default the end of the recording.
     event
-        Name of an event, as `carom view` takes it.
+        Name of an event, as for `carom view`.
 
     Raises
     ------
     RecordingError
-        If there is no such body, moment or event, or not exactly one of a body and an event is given.
+        If there is no such body, moment or event, or unless exactly one of a body and an event is given.
     """
     if (body is None) == (event is None):
         raise RecordingError("choose a body with --body, or an impact with --event")

@@ -19,21 +19,21 @@ from carom.lab.why.history import History, Question, Step, Watcher
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """The velocities of the bodies of a question, their sources, and the causes behind these."""
+    """The velocities of the bodies of a question, the terms that sum to them, and their causes."""
 
     question: Question
     time: float  # s, to which the velocities belong
     step: int
     begin: float  # s, of the window
     begin_step: int
-    source: str  # of the numbers, in words
+    source: str  # source of the numbers, in words
     accounts: list[Account]  # of the bodies of the question
     cone: Cone
     chain: list[Link]  # the latest first
 
     @property
     def is_flow(self) -> bool:
-        """Whether contacts hold a body still or gave it more than impacts: the answer is then a flow of impulse."""
+        """Whether contacts hold a body still or contributed more than impacts: the answer is then a flow of impulse."""
         return any(a.rests or a.share_of("contact", "stop") > a.share_of("impact") for a in self.accounts)
 
     @property
@@ -78,14 +78,14 @@ def why(
     Parameters
     ----------
     recording
-        What it is about.
+        The recording of the run.
     question
         The question.
     start
         s; the window begins at the last checkpoint before it. By default it goes back as far as is cheap, and at least
         to the last checkpoint before the moment.
     watch
-        Called after every step with where the replay stands.
+        Called after every step with the progress of the replay.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def why(
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
-    """Answer a question from windows, the latest first, the first of which has the moment; masses (n,) in kg."""
+    """Answer a question from windows, the latest first; the first one contains the moment. Masses are (n,) kg."""
     windows = iter(histories)
     back = _Backwards(question, next(windows), mass)
     for history in windows:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from carom.lab.why.why import Answer
 
 
-MOST_CAUSES = 12  # of a body that are printed for people
+MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
 
 
@@ -71,8 +71,7 @@ def why(
 ) -> None:
     """Explain why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
 
-    The steps before the moment are run again, so any recording can be asked. FILE may be the zip that `carom report`
-    made.
+    The steps before the moment are run again, so any recording will do. FILE may be the zip of `carom report`.
     """
     from carom import Recording
     from carom.extend import names_of, opened, refuse_itself, refuse_output, replaying
