@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from carom.cli.printing import count_text
+from carom.recording.read.recorded_scene import header_of_recording
 from carom.recording.read.recording import Recording
-from carom.recording.schema.series import PLOTS
+from carom.recording.schema import paths
+from carom.recording.schema.series import IMPULSES, IN_PLOT, PLOTS
+from carom.runs import run
+from carom.runs.replay import replay
 from carom.scene.load import scene_from_text
 from carom.scene.units.system import SI, UnitSystem
 from carom_command import carom
@@ -238,11 +244,43 @@ def test_recordings_in_different_units_are_not_compared(folder: Path) -> None:
     assert done.returncode == 2 and "cm.rrd is in SI and own.rrd in cm, ms, g" in done.stderr
 
 
-def test_plots_have_the_unit_of_the_recorded_numbers() -> None:
-    energy, own = PLOTS[0][0], UnitSystem.of_text("au, day, solar mass")
-    assert energy.name_in(SI) == energy.name_in(UnitSystem.of_table({"length": "au"})) == "Energy (J)"
-    assert energy.name_in(own) == "Energy (solar mass au²/day²)"
-    assert energy.name_in(UnitSystem.of_text("dimensionless")) == "Energy"
+def test_plots_are_in_the_units_of_the_scene(folder: Path) -> None:
+    recording = Recording.open(folder / "cm.rrd")
+    header, energy = header_of_recording(recording), PLOTS[0][0]
+    assert energy.name_in(header) == "Energy (mJ)"
+    assert energy.name_in(replace(header, units=SI)) == "Energy (J)"
+    assert energy.name_in(replace(header, drawing_rules=2)) == "Energy (J)", "older recordings have only SI"
+    assert energy.name_in(replace(header, units=UnitSystem.of_text("au, day, solar mass"))) == (
+        "Energy (solar mass au²/day²)"
+    )
+    assert energy.name_in(replace(header, units=UnitSystem.of_text("dimensionless"))) == "Energy"
+    assert IMPULSES.name_in(header) == "Impulse of impacts (g cm/ms)"
+
+
+def test_a_recording_has_the_values_of_its_plots_in_the_units_of_the_scene(folder: Path) -> None:
+    """Rerun cannot scale a curve. In these scenes 1 J is 1000 mJ, 1 s is 1000 ms and 1 N s is 100 g cm/ms."""
+    sizes = {"energy/translational": 1e3, "step/dt": 1e3, "energy/ledger/restitution": 1e3, "step/impact_rate": 1e-3}
+    in_cm, in_si = Recording.open(folder / "cm.rrd"), Recording.open(folder / "si.rrd")
+    for recording, are_there in ((in_cm, True), (in_si, False)):
+        for chunk in recording.chunks(entry for entry in recording.store.entries if not entry.is_static):
+            size = {**sizes, paths.IMPACTS: 100.0}.get(chunk.entity_path)
+            if size is None:
+                continue
+            assert (IN_PLOT in chunk.components) is are_there
+            if are_there:
+                name = "normal_impulse" if chunk.entity_path == paths.IMPACTS else "Scalars:scalars"
+                recorded, plotted = (chunk.batch[each].flatten().to_numpy() for each in (name, IN_PLOT))
+                np.testing.assert_allclose(plotted, size * recorded, rtol=1e-6)  # of float32
+    assert carom("replay", "cm.rrd", cwd=folder).returncode == 0
+
+
+def test_a_recording_by_the_older_rules_is_replayed_by_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    header_of = run.header_of
+    monkeypatch.setattr(run, "header_of", lambda space: replace(header_of(space), drawing_rules=2))
+    recording = run.run(scene_from_text(IN_CM, "scene"), tmp_path / "older.rrd")
+    monkeypatch.undo()
+    result = replay(recording)
+    assert result.same and not result.not_compared
 
 
 @pytest.mark.parametrize(

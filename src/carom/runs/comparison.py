@@ -157,6 +157,7 @@ class StaticCheck:
         circumstances = {name: recording.properties.get(name, value) for name, value in header.properties.items()}
         self._header = replace(
             header,
+            drawing_rules=int(recording.info.get("drawing_rules", header.drawing_rules)),
             record_impacts=scene.record.impacts,
             group=groups_of(scene),
             properties=circumstances,

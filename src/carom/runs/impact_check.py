@@ -145,7 +145,7 @@ class ImpactCheck:
         if not len(own):
             return None
         encoder = self._encoder
-        rows = impact_rows(impacts, numbers, self._references, encoder.header.radius, encoder.origin)
+        rows = impact_rows(impacts, numbers, self._references, encoder.header, encoder.origin)
         replayed = chunk_of(rows, self._clock)
         columns = [STEP, SIM_TIME, *replayed.components]
         return self._differ(impacts["step"], self._recorded.slice(recorded.start, len(own)), replayed, columns)

@@ -19,6 +19,7 @@ from carom.recording.read.recording import Recording
 from carom.recording.schema import palette
 from carom.recording.schema.paths import STEP
 from carom.recording.write.rows import Index, Rows
+from carom.scene.units.dimension import OF_UNIT
 from carom.scene.units.system import SI, UnitSystem
 from carom.scene.wording import body_called
 
@@ -201,7 +202,7 @@ class BodyPlots:
     def rows(self) -> Iterator[Rows]:
         """Yield the values."""
         for each in self.series:
-            columns = rr.Scalars.columns(scalars=each.value)
+            columns = rr.Scalars.columns(scalars=self._shown(each))
             yield Rows(_path(each), Index(each.step, each.time), columns, each.value.nbytes)
 
     def statics(self) -> Iterator[tuple[str, rr.AsComponents]]:
@@ -231,7 +232,7 @@ class BodyPlots:
         series = self._of(unit)
         legends = [self._legend(each) for each in series]
         title = _named(series[0]) if len(series) == 1 else TITLES[unit]
-        curves = [CurveOutline.of(each.time, each.value) for each in series]
+        curves = [CurveOutline.of(each.time, self._shown(each)) for each in series]
         return time_series_view(
             self._titled(title, unit),
             [_path(each) for each in series],
@@ -244,9 +245,12 @@ class BodyPlots:
         return self._titled(_named(series), series.quantity.unit) if self.alone else _named(series)
 
     def _titled(self, title: str, unit: str) -> str:
-        """Return a title with the recording's unit for an SI unit."""
-        recorded = self.system.recorded_unit(unit)
-        return title if recorded == "1" else f"{title} ({recorded})"
+        """Return a title with the scene's unit for an SI unit."""
+        return self.system.labelled(title, OF_UNIT[unit])
+
+    def _shown(self, series: BodySeries) -> FloatArray:
+        """Return the values in the scene's unit."""
+        return series.value / self.system.factor(OF_UNIT[series.quantity.unit])
 
     def _of(self, unit: str) -> list[BodySeries]:
         return [each for each in self.series if each.quantity.unit == unit]

@@ -19,6 +19,7 @@ from carom.recording.schema import palette, paths
 from carom.recording.schema.time_scale import TimeScale
 from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import LENGTH
+from carom.scene.units.system import UnitSystem
 from carom.show.overlays import BESIDE, beside_bodies
 
 _BODIES, _TEXT = "world/bodies", "fork"
@@ -88,7 +89,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         centres = shown.reshape(-1, 3).astype(np.float32)
         writer.send_columns(_BODIES, index, rr.Ellipsoids3D.columns(centers=centres, colors=colours).partition(count))
         with np.errstate(divide="ignore"):
-            logarithms = np.log10(forecast.band)
+            logarithms = np.log10(forecast.band / recording.units.factor(LENGTH))
         for (path, _, _), values in zip(_BAND, logarithms, strict=True):
             drawn = np.where(np.isfinite(values), values, np.nan)
             writer.send_columns(path, index, rr.Scalars.columns(scalars=drawn))
@@ -96,9 +97,7 @@ def write_forecast(out: Path, recording: Recording, forecast: Forecast) -> None:
         times = pa.array(forecast.time)
         fingerprints = pa.array([0] * len(steps), pa.uint64())
         writer.send_columns(paths.FINGERPRINT, index, rr.AnyValues.columns(True, time=times, fingerprint=fingerprints))
-        writer.send_layout(
-            _layout(camera.view(BESIDE.aspect), recording.units.recorded_unit(LENGTH.unit), len(forecast.chances) > 0)
-        )
+        writer.send_layout(_layout(camera.view(BESIDE.aspect), recording.units, len(forecast.chances) > 0))
         writer.flush()
 
 
@@ -113,9 +112,8 @@ def _write_chances(writer: Writer, clock: TimeScale, forecast: Forecast) -> None
         writer.send_columns(path, clock.columns(steps, times.tolist()), rr.Scalars.columns(scalars=values))
 
 
-def _layout(view: View, length: str, has_chances: bool) -> rrb.Blueprint:
-    unit = f" ({length})" if length != "1" else ""
-    plots = [_plot(f"log₁₀ of rms distance{unit}: median, 5 and 95 %", _BAND)]
+def _layout(view: View, units: UnitSystem, has_chances: bool) -> rrb.Blueprint:
+    plots = [_plot(f"{units.labelled('log₁₀ of rms distance', LENGTH)}: median, 5 and 95 %", _BAND)]
     if has_chances:
         plots.append(_plot("Probability of the outcome over the time of the fork", _CHANCE))
     text = rrb.TextDocumentView(name="Fork", origin=_TEXT)

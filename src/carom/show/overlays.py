@@ -98,7 +98,9 @@ def write_overlay(
     clock = TimeScale(float(a.info["time_scale"]))
     every = max(1, int(np.ceil(count * len(radius) * 60 / _LARGEST)))
     shown = islice(pairs, 0, None, every)
-    logarithms = {name: _logarithm(values)[::every] for name, values in series.items()}
+    logarithms = {
+        name: _logarithm(values / a.units.factor(_SERIES[name][2]))[::every] for name, values in series.items()
+    }
     layout = hashlib.sha256(f"{a.path.name} {b.path.name} {a.scene_toml}".encode()).hexdigest()[:12]
     extent: CameraFit | None = None
     with Writer(out, f"carom-{paths.SCHEMA_VERSION}-{layout}", str(uuid.uuid4())) as writer:
@@ -183,8 +185,7 @@ def _document(a: Recording, b: Recording, text: str, every: int) -> str:
 
 
 def _heading(what: str, dimension: Dimension, units: UnitSystem) -> str:
-    unit = units.recorded_unit(dimension.unit)
-    return f"log₁₀ of {what}{f' ({unit})' if unit != '1' else ''}"
+    return units.labelled(f"log₁₀ of {what}", dimension)
 
 
 def _layout(view: View, units: UnitSystem) -> rrb.Blueprint:

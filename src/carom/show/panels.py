@@ -55,7 +55,7 @@ def decades(recording: Recording, header: Header, curves: Curves) -> tuple[Curve
     statics: list[Static] = []
     for each in series:
         with np.errstate(divide="ignore"):
-            values = np.log10(np.abs(table[each.path.rpartition("/")[2]].to_numpy()))
+            values = np.log10(np.abs(table[each.path.rpartition("/")[2]].to_numpy() / header.plot_factor(each.unit)))
         values[~np.isfinite(values)] = np.nan
         path = f"{DECADES}/{each.path}"
         outlines[each.path] = CurveOutline.of(index.times, values)

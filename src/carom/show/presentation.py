@@ -237,7 +237,7 @@ def _curves(recording: Recording, repeated: Sequence[Rows]) -> dict[str, CurveOu
     curves = recorded_curves(recording)
     for series in repeated:
         if series.path in curves:
-            (column,) = series.columns
+            column, *_ = series.columns
             curves[series.path].insert(series.index.times, column.as_arrow_array().flatten().to_numpy())
     return curves
 

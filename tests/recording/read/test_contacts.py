@@ -380,7 +380,7 @@ def test_numbers_too_large_for_float32_are_recorded_as_infinite_without_a_warnin
         frame.impacts[name] = [1.0, 1e60]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        rows = impact_rows(frame.impacts, np.array([1, 2]), {}, np.ones(20), np.zeros(3))
+        rows = impact_rows(frame.impacts, np.array([1, 2]), {}, ScriptedRun(20).header, np.zeros(3))
     columns = {column.component_descriptor().component: column.as_arrow_array() for column in rows.columns}
     for name in ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost"):
         assert columns[name].to_pylist() == [[1.0], [np.inf]]

@@ -12,13 +12,26 @@ from types import MappingProxyType
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from rerun.blueprint.api import VisualizerLike
 from rerun.components import AggregationPolicy
+from rerun.encodings import EntityPathLike
 
 from carom.arrays import FloatArray, IntArray
 from carom.recording.layout.canvas import NONE, Additions, Area, taken_from
 from carom.recording.schema import paths
 from carom.recording.schema.header import Header
-from carom.recording.schema.series import CONTACTS, IMPULSES, PLOTS, RED, THIN, Plot, Series, all_plots, recorded
+from carom.recording.schema.series import (
+    CONTACTS,
+    IMPULSES,
+    IN_PLOT,
+    PLOTS,
+    RED,
+    THIN,
+    Plot,
+    Series,
+    all_plots,
+    recorded,
+)
 
 _SPANS = 512  # resolves the edge of a legend to a few pixels
 _CURVE_ROUNDING = 1e-9  # relative difference of equal steps, whose times are rounded
@@ -83,6 +96,16 @@ class CurveOutline:
         """Whether it is constant, ignoring its first and last value: dt begins at 0, and the last step is shortened."""
         low, high = self._between
         return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
+
+    def over(self, unit: float) -> CurveOutline:
+        """Return the outline in another unit, given the recorded numbers in one of it."""
+        if unit == 1.0:
+            return self
+        scaled = CurveOutline()
+        scaled._time, scaled._low, scaled._high = self._time, self._low / unit, self._high / unit
+        scaled._between = self._between[0] / unit, self._between[1] / unit
+        scaled._last, scaled._begun = self._last / unit, self._begun
+        return scaled
 
     def times(self) -> tuple[float, float]:
         """Return the time (s) of the first span and of the last."""
@@ -270,7 +293,7 @@ def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
 
 def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
     """Lay out the plot of the logarithms of energies."""
-    unit = header.units.recorded_unit(PLOTS[0][0].unit)
+    unit = header.plot_unit(PLOTS[0][0].unit)
     legends = [each.legend for each in recorded(header) if each.path in curves]
     paths_of = [f"{DECADES}/{path}" for path in curves]
     title = "log10 of energy" if unit == "1" else f"log10 of energy in {unit}"
@@ -280,9 +303,9 @@ def _decades(header: Header, curves: Curves, area: Area, span: IntArray | None) 
 def energy_view(header: Header, curves: Curves | None, area: Area, span: IntArray | None = None) -> rrb.View:
     """Lay out the plot of the energies alone in an area of this size, without a title; the legend states the unit."""
     plot = PLOTS[0][0]
-    unit = header.units.recorded_unit(plot.unit)
+    unit = header.plot_unit(plot.unit)
     legends = {each: f"{each.legend} ({unit})" for each in shown_series(header, plot, curves)}
-    return _laid_out(plot.name_in(header.units), legends, curves, area, span)
+    return _laid_out(header, plot, legends, curves, area, span)
 
 
 def shown_series(header: Header, plot: Plot, curves: Curves | None = None) -> list[Series]:
@@ -308,10 +331,12 @@ def _speaks(series: Series, curves: Curves, negligible: float) -> bool:
 def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: IntArray | None) -> rrb.TimeSeriesView:
     if plot == IMPULSES:
         points = rr.SeriesPoints.from_fields(colors=RED, markers="circle", marker_sizes=_MARKER, names="normal impulse")
-        largest = 0.0 if curves is None else _largest(curves, paths.IMPACTS)
-        impulses = points.visualizer(mappings=taken_from({"Scalars:scalars": "normal_impulse"}))
+        factor = header.plot_factor(plot.unit)
+        largest = 0.0 if curves is None else _largest(curves, paths.IMPACTS) / factor
+        column = "normal_impulse" if factor == 1.0 else IN_PLOT
+        impulses = points.visualizer(mappings=taken_from({"Scalars:scalars": column}))
         return rrb.TimeSeriesView(
-            name=plot.name_in(header.units),
+            name=plot.name_in(header),
             origin="/",
             contents=[paths.IMPACTS],
             overrides={paths.IMPACTS: impulses},
@@ -321,17 +346,29 @@ def _plot(header: Header, plot: Plot, curves: Curves | None, area: Area, span: I
         )
     series = shown_series(header, plot, curves)
     legends = {each: each.legend if len(series) > 1 else "" for each in series}
-    return _laid_out(plot.name_in(header.units, header.engine), legends, curves, area, span)
+    return _laid_out(header, plot, legends, curves, area, span)
 
 
 def _laid_out(
-    title: str, legends: Mapping[Series, str], curves: Curves | None, area: Area, span: IntArray | None
+    header: Header,
+    plot: Plot,
+    legends: Mapping[Series, str],
+    curves: Curves | None,
+    area: Area,
+    span: IntArray | None,
 ) -> rrb.TimeSeriesView:
-    """Lay out the plot of some series, with the texts of its legend; plots without series are left out."""
-    known = [curves[each.path] for each in legends] if curves is not None else []
+    """Lay out a plot of some series, with the texts of its legend."""
+    factor = header.plot_factor(plot.unit)
+    known = [curves[each.path].over(factor) for each in legends] if curves is not None else []
     texts = [text for text in legends.values() if text]
-    names = {each.path: text for each, text in legends.items() if text not in ("", each.legend)}
-    return time_series_view(title, [each.path for each in legends], texts, known, area, names, span)
+    styles = dict[EntityPathLike, VisualizerLike]()
+    for each, text in legends.items():
+        style = rr.SeriesLines.from_fields(names=text if text not in ("", each.legend) else None)
+        if factor != 1.0:
+            styles[each.path] = style.visualizer(mappings=taken_from({"Scalars:scalars": IN_PLOT}))
+        elif text not in ("", each.legend):
+            styles[each.path] = style
+    return time_series_view(plot.name_in(header), [each.path for each in legends], texts, known, area, styles, span)
 
 
 def time_series_view(
@@ -340,7 +377,7 @@ def time_series_view(
     legends: Sequence[str],
     curves: Sequence[CurveOutline],
     area: Area,
-    renamed: Mapping[str, str] = MappingProxyType({}),
+    styles: Mapping[EntityPathLike, VisualizerLike] = MappingProxyType({}),
     span: IntArray | None = None,
 ) -> rrb.TimeSeriesView:
     """Lay out a plot whose legend covers no curve.
@@ -357,8 +394,8 @@ def time_series_view(
         The outlines of the series; empty during the run.
     area
         Of the plot.
-    renamed
-        By path, the names of series in the legend that differ from the recorded ones.
+    styles
+        By path, what differs from the recorded style of a series.
     span
         (2,) ns, as for `time_axis`.
     """
@@ -368,7 +405,7 @@ def time_series_view(
         name=title,
         origin="/",
         contents=list(entities),
-        overrides={path: rr.SeriesLines.from_fields(names=name) for path, name in renamed.items()},
+        overrides=dict(styles),
         plot_legend=rrb.PlotLegend(place.corner, visible=bool(legends)),
         axis_x=time_axis(area, span),
         axis_y=None if place.range is None else rrb.ScalarAxis(range=place.range),

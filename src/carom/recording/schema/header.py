@@ -22,6 +22,7 @@ from carom.scene.schema import Scene
 from carom.scene.schema.settings import ENDLESS
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
+from carom.scene.units.dimension import OF_UNIT
 from carom.scene.units.system import SI, UnitSystem
 
 
@@ -84,6 +85,7 @@ _FLAGS = {
     "stabilisation": "stabilises",
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
+_PLOTS_IN_UNITS = 3  # rules of drawing from which on plots are in the units of a scene with a section [units]
 RECORDED_PARTS = (*_FLAGS, *_FORCES)  # parts of the model on which series depend
 
 
@@ -149,13 +151,25 @@ class Header:
     exact: bool = False  # whether every frame has a checkpoint
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
-    drawing_rules: int = 2  # of what is drawn (docs/recording.md, The rules of drawing); 1 in older recordings
+    drawing_rules: int = 3  # of what is drawn (docs/recording.md, The rules of drawing); 1 in the first recordings
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""
         if part in _FLAGS:
             return bool(getattr(self, _FLAGS[part]))
         return (_FORCES[part].name if part in _FORCES else part) in self.forces
+
+    def plot_unit(self, si: str) -> str:
+        """Name the unit in which plots show a quantity, given its SI unit; "1" for none."""
+        if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
+            return self.units.recorded_unit(si)
+        return self.units.unit(OF_UNIT[si]) or "1"
+
+    def plot_factor(self, si: str) -> float:
+        """Return the recorded numbers in one unit of the plots, given the SI unit of a quantity."""
+        if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
+            return 1.0
+        return self.units.factor(OF_UNIT[si])
 
     @property
     def coloured_by(self) -> str:

@@ -22,7 +22,6 @@ from carom.recording.schema.palette import LINES
 from carom.recording.schema.paths import ENERGY, STEPS
 from carom.scene.extensions import names_of
 from carom.scene.forces import FORCES, ForceKind, kind_called
-from carom.scene.units.system import UnitSystem
 
 if TYPE_CHECKING:
     from carom.physics.checkpoint import Checkpoint
@@ -41,10 +40,10 @@ class Plot:
     title: str
     unit: str
 
-    def name_in(self, units: UnitSystem, engine: str = "") -> str:
-        """Return the title of the plot, with the unit of the scene or of another engine's run."""
-        unit, title = units.recorded_unit(self.unit), self.title
-        if engine and self == _TAKEN:
+    def name_in(self, header: Header) -> str:
+        """Return the title of the plot, with its unit."""
+        unit, title = header.plot_unit(self.unit), self.title
+        if header.engine and self == _TAKEN:
             title = "Energy lost while touching"
         return title if unit == "1" else f"{title} ({unit})"
 
@@ -58,6 +57,9 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
 _MOTION = "wall.motion"  # key of the scene, which a wall must have, for the work of moving walls
+# component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
+# that of a scene with a section [units] is recorded
+IN_PLOT = "in_plot"
 IMPULSES = Plot("Impulse of impacts", "N s")  # one point for each recorded impact, from its own row
 
 

@@ -284,7 +284,7 @@ class ContactEncoder:
         if len(impacts):
             # if the tap left out some, the numbers apply to the contacts that it kept
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
-            yield impact_rows(impacts, numbers, self._references, header.radius, self._origin)
+            yield impact_rows(impacts, numbers, self._references, header, self._origin)
 
     def instants(self, batch: Sequence[Frame], before: Frame | Checkpoint | None) -> list[Instant]:
         """Return the states at the impacts that get a frame.

@@ -35,7 +35,7 @@ from carom.recording.schema.paths import (
     PHASE,
     TORQUE,
 )
-from carom.recording.schema.series import Sample, recorded
+from carom.recording.schema.series import IN_PLOT, Sample, Series, recorded
 from carom.recording.write import encoding_kernels as encoding
 from carom.recording.write.arrow_floors import ArrowFloors
 from carom.recording.write.contact_encoder import BatchContacts, ContactEncoder, contact_columns, force_rows
@@ -133,7 +133,7 @@ class BatchEncoder:
         yield from self._series(index, batch, extremes)
         for rows in self.at_impacts(found):
             if rows.path in self.curves:
-                (column,) = rows.columns
+                column, *_ = rows.columns
                 self.curves[rows.path].insert(rows.index.times, column.as_arrow_array().flatten().to_numpy())
             yield rows
         yield from self._changes(DT_LIMIT, batch, lambda frame: frame.dt_limit)
@@ -181,8 +181,7 @@ class BatchEncoder:
         for series in self._recorded:
             if series.path in STEPPING:
                 values = np.ascontiguousarray(energies[:, STEPPING.index(series.path)])
-                column = plain_column(rr.Scalars.descriptor_scalars(), values)
-                yield Rows(series.path, twice, [column], array_bytes(values))
+                yield Rows(series.path, twice, *self._scalars(series, values))
         yield from spin_rows(self.header, found, points)
 
     def _drawn(
@@ -340,8 +339,15 @@ class BatchEncoder:
                 # the function may belong to another package
                 raise RecordingError(f"the series {series.path}: {type(error).__name__}: {error}") from error
             self.curves[series.path].see(index.times, values)
-            column = plain_column(rr.Scalars.descriptor_scalars(), values)
-            yield frame_rows(series.path, index, [column], array_bytes(values))
+            yield frame_rows(series.path, index, *self._scalars(series, values))
+
+    def _scalars(self, series: Series, values: FloatArray) -> tuple[list[ComponentColumn], int]:
+        """Return the columns of a series, and their bytes: its values, and those of its plot if its unit differs."""
+        columns = [plain_column(rr.Scalars.descriptor_scalars(), values)]
+        factor = self.header.plot_factor(series.unit)
+        if factor == 1.0 or series.plot is None:
+            return columns, array_bytes(values)
+        return [*columns, any_column(IN_PLOT, values / factor)], 2 * array_bytes(values)
 
     def _changes(self, path: str, batch: Sequence[Frame], state: Callable[[Frame], str]) -> Iterable[Rows]:
         """Yield rows only for frames whose state differs from that of the previous frame."""

@@ -17,6 +17,7 @@ from carom.recording.layout import drawing
 from carom.recording.layout.drawing import single
 from carom.recording.schema.header import Header
 from carom.recording.schema.paths import IMPACT_ENERGY, IMPACTS
+from carom.recording.schema.series import IMPULSES, IN_PLOT
 from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
 
@@ -310,7 +311,7 @@ def impact_rows(
     impacts: Records,
     numbers: IntArray,
     references: Mapping[str, float],
-    radius: FloatArray,
+    header: Header,
     origin: FloatArray,
 ) -> Rows:
     """Return one row for each impact.
@@ -323,15 +324,15 @@ def impact_rows(
         (k,) their numbers among all impacts of the run, from 1.
     references
         The impulse (N s) and the energy (J) in the middle of their scales.
-    radius
-        (n,) m.
+    header
+        Of the recording.
     origin
         (3,) m, of what is drawn.
     """
     point = np.stack([impacts["x"], impacts["y"], impacts["z"]], axis=1) - origin
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]])
     lost = impacts["restitution_loss"] + impacts["friction_loss"]
-    sizes = drawing.point_radii(radius)
+    sizes = drawing.point_radii(header.radius)
     positions = single(point)
     radii = sizes[drawing.level(impacts["normal_impulse"], references.get(IMPACTS, 1.0))]
     colours = drawing.COLOURS[drawing.level(lost, references.get(IMPACT_ENERGY, np.inf))]
@@ -343,6 +344,8 @@ def impact_rows(
         "tangential_impulse": np.sqrt(np.sum(friction * friction, axis=0)),
         "energy_lost": lost,
     }
+    if (factor := header.plot_factor(IMPULSES.unit)) != 1.0:
+        scalars[IN_PLOT] = impacts["normal_impulse"] / factor
     rounded = {name: single(values) for name, values in scalars.items()}
     mode = np.ascontiguousarray(impacts["mode"])
     columns = [

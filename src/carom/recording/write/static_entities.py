@@ -270,19 +270,21 @@ def _data(header: Header) -> str:
 
 
 def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.dtype[np.float64]]) -> str:
-    x, y, z = origin
-    m, torque, turning = (_drawn(header, unit) for unit in ("m", "N m", "rad/s²"))
+    units = header.units
+    x, y, z = (units.shown(each, LENGTH) for each in origin.tolist())
+    torque, turning = (_drawn(header, unit) for unit in ("N m", "rad/s²"))
     lines = ["## Scales", *_units(header)]
-    lines.append(f"{_lengths(header)} from the centre of mass of the first frame at ({x:g}, {y:g}, {z:g}){m}.")
+    at = f"({x:g}, {y:g}, {z:g}) {units.unit(LENGTH)}".rstrip()
+    lines.append(f"{_lengths(header)} from the centre of mass of the first frame at {at}.")
     if clock.scale != 1.0 or header.units.own:
         scaled = "**Time is scaled**: one" if clock.scale != 1.0 else "One"
-        stands_for = f"{clock.scale:g}{_drawn(header, 's')} of the simulation"
+        stands_for = f"{units.text(clock.scale, TIME, 'g')} of the simulation"
         lines.append(f"- {scaled} second on `sim_time` stands for {stands_for}.")
     if header.has_torque:
         lines.append(
             "- Arrows start at a body's centre. What sticks out of the sphere is L = L_max · s / (1 + s) long, with "
-            f"s = (m / m_ref)^⅓. L_max is {arrow_length(header, TORQUE):.4g}{m} for torques and "
-            f"{arrow_length(header, ANGULAR_ACCELERATION):.4g}{m} for angular accelerations; m_ref "
+            f"s = (m / m_ref)^⅓. L_max is {units.text(arrow_length(header, TORQUE), LENGTH, '.4g')} for torques and "
+            f"{units.text(arrow_length(header, ANGULAR_ACCELERATION), LENGTH, '.4g')} for angular accelerations; m_ref "
             f"({', '.join(unit.strip() for unit in (torque, turning) if unit)}) stands "
             "in the recording's property `arrows`."
         )
@@ -293,10 +295,12 @@ def _scales(header: Header, clock: TimeScale, origin: np.ndarray[tuple[int], np.
         names = in_series([wall.name or wall.shape for wall in header.shapes])
         lines.append(f"- Walls, drawn as translucent surfaces: {names}. Some extend beyond what is drawn.")
     if header.walls is not None:
-        lines.append("- Walls with sides " + " × ".join(f"{side:g}" for side in header.walls) + f"{m}.")
+        sides = " × ".join(f"{units.shown(side, LENGTH):g}" for side in header.walls.tolist())
+        lines.append(f"- Walls with sides {sides} {units.unit(LENGTH)}".rstrip() + ".")
     if header.box is not None:
-        sides = [f"{axis} with {side:g}{m}" for axis, side in zip("xyz", header.box, strict=True) if side < ENDLESS]
-        lines.append(f"- Space is periodic along {in_series(sides)}.")
+        box = zip("xyz", header.box.tolist(), strict=True)
+        periods = [f"{axis} with {units.text(side, LENGTH, 'g')}" for axis, side in box if side < ENDLESS]
+        lines.append(f"- Space is periodic along {in_series(periods)}.")
     return "\n".join(lines)
 
 
@@ -313,7 +317,7 @@ def _units(header: Header) -> list[str]:
         return []
     if units.own:
         return ["- The numbers have no units." if units.dimensionless else f"- Numbers are in {units.named}."]
-    return [f"- The recording is in SI. The scene is written in {units.named}."]
+    return [f"- Plots, legends and texts are in the units of the scene, {units.named}; the recorded data are in SI."]
 
 
 def _lengths(header: Header) -> str:
@@ -352,14 +356,14 @@ def _contacts(header: Header) -> str:
 
 def _impulse_legend(header: Header) -> list[str]:
     """Explain how impulses and impacts are drawn."""
-    longest, m, joules = arrow_length(header, FORCE_NORMAL), _drawn(header, "m"), _drawn(header, "J")
+    longest, joules = header.units.text(arrow_length(header, FORCE_NORMAL), LENGTH, ".4g"), _drawn(header, "J")
     friction = ", and the friction on it (purple)" if header.has_friction else ""
     lines = [
         "- In the view of impulses the same lines are wide and bright by the normal impulse J of the step: "
         "u = s / (1 + s), s = (J / m_ref)^⅓, from dark purple (u = 0) over red (⅓) and orange (⅔) to pale yellow (1). "
         "Chains of wide lines carry the load. m_ref is the median of the frame.",
         "- The contacts of the largest impulses have arrows at the contact point: the normal impulse on the second "
-        f"body (yellow){friction}, {longest:.4g}{m} · u long.",
+        f"body (yellow){friction}, {longest} · u long.",
     ]
     if header.engine:
         return [*lines, "- An impulse is the force that the engine reports, times the time since the frame before."]
