@@ -1,7 +1,7 @@
 """The contact constraints of a step as records, and the other arrays of the solver's kernels.
 
-Records fill whole cache lines: what the iterations use is in other lines than what only the phases before and after
-them use.
+Records fill whole cache lines: fields used by the iterations are in other lines than fields used only by the phases
+before and after them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from carom.scene.schema import Coefficients
 BODIES_PER_BLOCK = 1024
 CONTACTS_PER_BLOCK = 1024
 SHARED_FROM = 2048  # contacts; with fewer, threads cost as much time as they save
-# contacts or bodies: all phases are shared or none, since sharing moves records from one core's cache to the other's
+# Contacts or bodies per task. Either all phases are shared or none, since sharing moves records between the caches of
+# cores.
 MIN_PER_TASK = SHARED_FROM // 2
 
 
@@ -53,7 +54,7 @@ class SlidingWallContactRecord(SurfaceVelocity, ContactRecord, Protocol):
 
 
 class RollingWallContactRecord(SurfaceVelocity, RollingContactRecord, Protocol):
-    """A contact in such a scene whose law resists rolling."""
+    """A contact in a scene with moving walls, whose law resists rolling."""
 
 
 class ContactStateRecord(Protocol):
@@ -74,7 +75,7 @@ class ContactStateRecord(Protocol):
     push_y: float
     push_z: float
     push_fraction: float  # of the overlap, removed by one position correction
-    apart: bool  # whether it was detected with a gap
+    apart: bool  # whether the contact was detected with a gap
     biased: bool  # whether Baumgarte's bias makes it separate
     slides: bool  # whether it slid in the last iterations and may not stick again
 
@@ -157,7 +158,7 @@ class PieceResultsRecord(Protocol):
     largest_push: float  # N s, the largest impulses of either sign
     largest_pull: float
     slope: float  # J, s·c of the line search
-    step_limit: float  # of the line search: the largest α at which no contact pulls
+    step_limit: float  # largest α of the line search at which no impulse is attractive
     fastest: float  # m/s, the fastest approach
     restitution_loss: float  # J, the ledger of the piece
     friction_loss: float
@@ -205,7 +206,7 @@ class SettingsRecord(Protocol):
     tolerance: float  # in multiples of `tolerated`
     fastest: float  # m/s, the fastest approach before the impulses of impacts
     any_rests: bool  # whether a contact was at rest before them
-    spins: bool  # whether impulses turn bodies
+    spins: bool  # whether impulses exert torques
     impacts_only: bool  # whether resting contacts are skipped
     refines: bool  # whether conjugate gradients follow the iterations
     as_needed: bool  # whether small changes and small overlaps end the iterations

@@ -19,7 +19,7 @@ class SleepCheckpoint:
 
 @dataclass(frozen=True, slots=True)
 class ContactCheckpoint:
-    """The contacts of a step that the next one needs, and the impulses of its last kick.
+    """The contacts of a step that the next step needs, and the impulses of the last kick.
 
     Its arrays are never written to.
     """
@@ -34,6 +34,6 @@ class ContactCheckpoint:
 
     @property
     def highest(self) -> int:
-        """The highest index of a body or plane in it, or -1 without contacts."""
+        """The highest index of a body or plane in a contact, or -1 without contacts."""
         slept = self.held_pairs[:0] if self.sleep is None else self.sleep.pairs
         return max((int(pairs.max()) for pairs in (self.pairs, self.held_pairs, slept) if len(pairs)), default=-1)

@@ -34,7 +34,7 @@ from carom.scene.schema import Coefficients
 if TYPE_CHECKING:
     from carom.physics.contact.sleep.sleepers import SleepingContacts
 
-MOST_IMPACTS = 100_000  # kept between two frames, 15 MB; of more, the largest are kept and the others counted
+MOST_IMPACTS = 100_000  # stored between two frames, 15 MB; of more, the largest are stored and the others counted
 
 
 NO_ANGULAR_IMPULSES: FloatArray = np.empty((0, 0))
@@ -128,9 +128,9 @@ class ContactTap:
         self._drift = NO_IMPACTS
 
     def add_hold(self, pairs: IntArray, solver: ContactSolver) -> None:
-        """Keep the impulses that held contacts after the first kick.
+        """Store the impulses that held contacts after the first kick.
 
-        The records do not change until the next step finds its contacts. Their ledger does, so it is copied.
+        The records do not change until the next step finds its contacts, but their ledger does, so it is copied.
         """
         self._held = Held(pairs, solver.order.place, solver.contacts, solver.ledger.copy())
 
@@ -167,7 +167,7 @@ class ContactTap:
     ) -> Records:
         """Return the contact table of this step, (m,) `CONTACT_ROW`, sorted by pair.
 
-        It holds the contacts of the graph, and those that exerted an impulse and have opened since.
+        It contains the contacts of the graph, and contacts that exerted an impulse and have opened since.
 
         Parameters
         ----------
@@ -250,7 +250,7 @@ class ImpactStore:
         self._pieces: list[Records] = []
 
     def add(self, rows: Records) -> None:
-        """Add impacts, all later than those before."""
+        """Add impacts, all later than the stored ones."""
         self._pieces.append(rows)
         self._count += len(rows)
         if self._count > 2 * MOST_IMPACTS:
@@ -265,7 +265,7 @@ class ImpactStore:
         return self._pieces[0] if self._pieces else NO_ROWS
 
     def _leave_out(self) -> None:
-        """Keep the impacts with the largest normal impulses; of equal ones the first."""
+        """Keep the impacts with the largest normal impulses; among equal impulses, the first."""
         rows = joined(self._pieces, CONTACT_ROW)
         kept = np.sort(np.argsort(-rows["normal_impulse"], kind="stable")[:MOST_IMPACTS])
         self.left_out += len(rows) - len(kept)

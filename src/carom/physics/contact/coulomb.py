@@ -13,12 +13,14 @@ import numpy as np
 from carom.physics.jit.decorators import inline
 from carom.scene.schema import Coefficients
 
-REACHED = 1e-9  # of μ_k λ_n; the rounding of sums over iterations and kicks is about 1e-15 each
+REACHED = (
+    1e-9  # relative deviation from μ_k λ_n at which a contact slides; sums over iterations and kicks round by 1e-15
+)
 
 
 @inline
 def restitution(material: Coefficients, approach: float, rest_speed: float) -> float:
-    """Return e; 0 for contacts that close no faster than one at rest."""
+    """Return e; 0 for contacts that close no faster than the rest speed."""
     return material.restitution if approach > rest_speed else 0.0
 
 

@@ -66,7 +66,7 @@ def are_near(dx: float, dy: float, dz: float, radii: float, box: Vector, scale: 
 
 @inline
 def smaller_arm(contact: ContactRecord) -> float:
-    """Return the lever arm of the smaller body, or at a plane of the body, in m."""
+    """Return the lever arm of the smaller body, or of the body that touches a plane, in m."""
     arm: float = min(contact.arm_i, contact.arm_j) if contact.arm_j > 0.0 else contact.arm_i
     return arm
 

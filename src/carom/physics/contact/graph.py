@@ -24,7 +24,7 @@ from carom.physics.jit.decorators import inline, kernel
 from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
-OVERFLOW = 64  # colour of the contacts for which 64 stages are not enough: resolved last, one by one
+OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are resolved last, one by one
 CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; they take an iteration a few microseconds
 
 
@@ -70,7 +70,7 @@ def comes_before(i: float, j: float, other_i: float, other_j: float) -> bool:
 
 @kernel
 def first_of(body: int, pairs: IntArray) -> int:
-    """Return the index of the first of sorted pairs whose first body is not below a given one."""
+    """Return the index of the first of the sorted pairs whose first body has at least a given number."""
     first, end = 0, len(pairs)
     while first < end:
         middle = (first + end) // 2
@@ -84,8 +84,8 @@ def first_of(body: int, pairs: IntArray) -> int:
 def colour_contacts(pairs: IntArray, inverse_mass: FloatArray) -> IntArray:
     """Colour contacts greedily, in order, so that no two of a colour share a moving body.
 
-    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that 64 colours cannot hold have the
-    colour `OVERFLOW`.
+    Equal spheres touch at most 12 others, so 23 colours suffice for them. Contacts that do not fit into 64 colours have
+    the colour `OVERFLOW`.
 
     Parameters
     ----------

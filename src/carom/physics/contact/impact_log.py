@@ -15,7 +15,7 @@ from carom.arrays import FloatArray, IntArray, Records, dtype_of
 from carom.physics.contact.rolling import AngularImpulse
 from carom.physics.diagnostics.ledger import terms_of
 
-ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is rounding
+ROUNDING = 1e-14  # of the speed of a body, and of a radius per drift; slower closing is a rounding error
 
 
 class ImpactRecord(Protocol):
@@ -33,7 +33,7 @@ class ImpactRecord(Protocol):
     restitution_loss: float  # J
     friction_loss: float
     stabilisation_gain: float
-    vix: float  # m/s, velocities right after it
+    vix: float  # m/s, velocities right after the impact
     viy: float
     viz: float
     vjx: float

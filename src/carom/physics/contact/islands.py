@@ -1,4 +1,4 @@
-"""Rest speeds, the restitution thresholds of islands: a contact that closes no faster is at rest, not an impact.
+"""Rest speeds, the restitution thresholds of islands: a contact that closes no faster than this is at rest.
 
 A contact at rest closes no faster than the acceleration of gravity can make it in one step. The bodies of an island
 share its load, so the largest acceleration of the whole island counts: in the middle of a pile nothing accelerates, but
@@ -6,7 +6,7 @@ the load is greatest. An island is a connected component of the collision graph 
 no influence. The uniform field is subtracted, since it accelerates all bodies alike, unless something is fixed and does
 not fall. Without gravity, the speed is 0, and every contact is an impact.
 
-Islands are found by union-find: each is a tree whose root is its lowest body (Galler & Fischer 1964).
+Islands are found by union-find: each island is a tree whose root is its lowest body (Galler & Fischer 1964).
 """
 
 from __future__ import annotations
@@ -279,6 +279,6 @@ def number_sets(first: IntArray, second: IntArray, label: IntArray) -> int:
         if label[i] == i:
             label[i] = count
             count += 1
-        else:  # the parent is lower, so it has its number
+        else:  # the parent is lower, so it already has its number
             label[i] = label[label[i]]
     return count

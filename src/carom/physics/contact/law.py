@@ -7,10 +7,10 @@ are compiled separately for each law, and `KernelCache` stores them under these 
 
 All laws share three things:
 
-- Contacts push and never pull: λ_n ≥ 0, the condition of the solver. A law with adhesion would change the places where
-  the solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
+- Normal impulses are repulsive, λ_n ≥ 0: a condition of the solver. A law with adhesion would change the places where
+the solver releases a contact: `solver.solve`, `solver.refine`, `solver.phases` and `statistics`.
 - The warm start keeps one normal and one tangential impulse, `IMPULSES`, and one angular impulse (`rolling`).
-- The ledger books the energy that the normal impulse takes out as restitution, and the rest as friction.
+- The ledger books the energy removed by the normal impulse as restitution, and the remaining loss as friction.
 
 `carom.physics.reference_api.CollisionContext` repeats Coulomb's law in vector form, for tests to compare.
 """
@@ -35,7 +35,7 @@ NORMAL, FRICTION_X, FRICTION_Y, FRICTION_Z = range(len(IMPULSES))  # their colum
 LAW = coulomb  # for plain Python, which supports this law only
 
 _MARK = "contact_law_"  # prefix of the first field of a material whose law is not Coulomb's
-_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and by their own
+_laws: dict[str, dict[str, Callable[..., Any]]] = {}  # functions by the name of that field and by their own names
 
 
 class Materials(NamedTuple):
@@ -61,9 +61,9 @@ def materials_of(pairs: PairCoefficients) -> Materials:
 
 
 def _mark_of(laws: tuple[str, ...]) -> str:
-    """Return the name of the field that stands for a list of laws; empty for Coulomb's.
+    """Prepare the functions of a list of laws for kernels; return the name of the field that identifies the list.
 
-    Prepare the functions of these laws for kernels.
+    The name is empty for Coulomb's law.
     """
     own = functions_of(laws)
     if not own:
@@ -253,7 +253,7 @@ def inverse_tangent_mass(Kn: float, ri: float, rj: float, inverse_inertia_i: flo
 def friction_of_impact(
     material: Coefficients, Jn: float, ux: float, uy: float, uz: float, Kt: float
 ) -> tuple[float, float, float, float]:
-    """Return the tangential impulse of an impact in N s, and the energy in J that it takes out.
+    """Return the tangential impulse of an impact in N s, and the energy in J that it removes.
 
     Parameters
     ----------
@@ -275,5 +275,5 @@ def friction_of_impact(
 
 @inline
 def normal_loss(Jn: float, vn: float, Kn: float) -> float:
-    """Return the energy in J that a normal impulse takes out, given v_n before it and K_n = 1/m_i + 1/m_j."""
+    """Return the energy in J that a normal impulse removes, given v_n before it and K_n = 1/m_i + 1/m_j."""
     return -Jn * (vn + 0.5 * Jn * Kn)

@@ -5,14 +5,14 @@ slip differs: at the contact point p, the surface of a wall that rotates at Ω a
 
     s = Ω × (p - c),    u = v_t + s - ρ_i ω_i × n
 
-Friction λ_t and an angular impulse Λ act on the wall, and their opposites on the body. The ledger books what both
-dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
+Friction λ_t and an angular impulse Λ act on the wall, and their opposites on the body. The ledger books the energy that
+both dissipate, -λ_t·u - Λ·(Ω - ω_i). The wall does the work
 
     W = -λ_t·s - Λ·Ω
 
-on the body, which is an entry of its own. Records of contacts have s, and records of solids Ω and c, only in scenes
-with such walls. Without these fields the functions below change nothing, by the type of the record, when Numba compiles
-a kernel.
+on the body, which the ledger books as a separate entry. Only in scenes with such walls do records of contacts have the
+field s, and records of solids the fields Ω and c. Numba compiles the functions below by the type of the record; without
+these fields they do nothing.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def slip_on_wall(contact: object, ux: float, uy: float, uz: float) -> tuple[floa
 
 
 def slope_on_wall(contact: object, slope: float, tx: float, ty: float, tz: float) -> float:
-    """Return a sum of impulses times velocities in J with λ_t·s added, which velocities of bodies do not contain."""
+    """Add λ_t·s to a sum of impulses times velocities in J; the velocities of bodies do not contain s."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -143,10 +143,10 @@ def set_velocities_in_drift(
     surface: Any,
     drift: float,
 ) -> None:
-    """Set s of contacts before a drift (s) to that at its middle, so that a rolling body follows the wall's motion.
+    """Set s of contacts before a drift (s) to its value at the middle of the drift.
 
-    The point of the wall moves on with the body. With s as the drift begins, a ball that rolls on a rotating disc would
-    spiral outwards, with an error of first order in dt.
+    The contact point moves along the wall with the body. With the value of s at the beginning of the drift, a ball that
+    rolls on a rotating disc would spiral outwards, an error of first order in dt.
     """
     n = len(position)
     for c in range(len(pairs)):
@@ -183,7 +183,7 @@ def work_of_contacts(
     surface
         The solids.
     bodies
-        Their number; ends from it on are solids.
+        Number of bodies; ends from this number on are solids.
     """
     work = 0.0
     for c in range(len(pairs)):

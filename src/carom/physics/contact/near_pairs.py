@@ -1,4 +1,4 @@
-"""The pairs of a step that are listed as contacts: those that touch, and those that soon may.
+"""The pairs of a step that are listed as contacts: touching pairs, and pairs that may soon touch.
 
 Pairs that touch are near. If contacts last, so are pairs that a fall from rest could close within a step. Iterations
 that end early leave small gaps. If such pairs were not listed, their contacts would start without an impulse in the

@@ -147,8 +147,8 @@ class ContactPipeline:
             self._sleepers.forget()
         if self._needs.torque.modelled:
             self._torques.remember()
-        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to none of its contacts
-        self.work_of_walls = 0.0  # J, that moving walls did on bodies in the step
+        self.ledger_apart = NO_ENTRIES  # (k, 3) J, entries of the step that belong to no contact
+        self.work_of_walls = 0.0  # J, work of moving walls on bodies in the step
         self.impacts: Impacts = NO_IMPACTS  # of the drift
         self.statistics = NO_CONTACTS  # of the step's contacts
         self.counts_impacts = True  # whether they include impacts during the drift; a look-ahead needs no statistics
@@ -236,7 +236,7 @@ class ContactPipeline:
                 pressed[: len(self._bodies)] = self._sleepers.asleep
             self.solver.mark_pressed(self._impulses)
         if self._is_at_rest():
-            if self.tap:  # a step begins; these entries belong to the previous step, which is booked
+            if self.tap:  # a step begins; these entries belong to the previous step, which is already booked
                 self.solver.ledger[:] = 0.0
             self._hold_contacts(self._dt, kick, dt, 0.0, booked, against)
             self.ledger_apart = self.solver.audited
@@ -298,7 +298,7 @@ class ContactPipeline:
         return self._impulses.kick
 
     def add_steady_steps(self, kick: float, dt: float, sweeps: int) -> None:
-        """Account for steps with the same contacts; the kick and the length of the last one in s."""
+        """Account for steps with the same contacts; ``kick`` and ``dt`` are those of the last step, in s."""
         self._impulses = ImpulseCache(self.contacts.pairs, self.contacts.order.place, self.solver.contacts, kick)
         self._dt, self.sweeps = dt, sweeps
         self.ledger_apart, self.impacts = NO_ENTRIES, NO_IMPACTS
@@ -501,11 +501,11 @@ class ContactPipeline:
         return self._snapshots.snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Keep the ledger of this step; the function later returns the entries of each contact, (m, 3) J."""
+        """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
         return self._snapshots.keep_contributions()
 
     def _compile(self) -> None:
-        """Run every kernel without contacts, so that the first contact does not wait for a compiler."""
+        """Run every kernel without contacts, so that the first contact does not wait for compilation."""
         self.forget()
         if self._pushes:
             self.solver.correct_positions(1)

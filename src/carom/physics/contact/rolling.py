@@ -1,13 +1,12 @@
 """Angular impulses of contacts, where the law resists rolling or twisting.
 
-A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation and takes out
-energy:
+A contact exerts an angular impulse Λ on body j and -Λ on body i. It changes their relative rotation and removes energy:
 
     ΔΩ = K Λ,    Ω = ω_j - ω_i,    K = 1/I_i + 1/I_j,    ΔE = -Λ·(Ω + ½ K Λ)
 
 The law limits Λ, given the angular impulse that would end Ω. The component in the tangential plane resists rolling, the
-component along the normal twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Without them the
-functions below read 0 and write nothing, by the type of the record, when Numba compiles a kernel.
+component along the normal resists twisting. Only records of such laws have the fields `ANGULAR_IMPULSE`. Numba compiles
+the functions below by the type of the record; without these fields they read 0 and write nothing.
 """
 
 from __future__ import annotations
@@ -171,7 +170,7 @@ def limited(
     material
         Of the contact.
     normal
-        N s, the normal impulse that limits it.
+        N s, the normal impulse that limits the angular impulse.
     x, y, z
         N m s, the angular impulse that would end Ω.
     """
@@ -185,7 +184,7 @@ def limited(
 
 @inline
 def angular_loss(x: float, y: float, z: float, wx: float, wy: float, wz: float, K: float) -> float:
-    """Return the energy in J that an angular impulse in N m s takes out, given Ω before it and K in 1/(kg m²)."""
+    """Return the energy in J that an angular impulse in N m s removes, given Ω before it and K in 1/(kg m²)."""
     return -(x * (wx + 0.5 * K * x) + y * (wy + 0.5 * K * y) + z * (wz + 0.5 * K * z))
 
 

@@ -67,7 +67,7 @@ class ContactSnapshot:
         graph, late = self.graph, len(self.graph)
         pairs = np.concatenate((graph.pairs, impacts.pairs))
         approach = np.concatenate((self.approach, impacts.approach))
-        # of each pair, the contact at the end comes first, then the hardest impact
+        # entries of a pair are in this order: the contact at the end, then impacts, the hardest first
         softness = -np.concatenate((np.full(late, np.inf), impacts.approach))
         order = np.lexsort((softness, pairs[:, 1], pairs[:, 0]))
         first = np.flatnonzero(np.any(np.diff(pairs[order], axis=0, prepend=-1), axis=1))
@@ -159,7 +159,7 @@ class SnapshotSource:
         return self._snapshot
 
     def keep_contributions(self) -> Callable[[], FloatArray]:
-        """Keep the ledger of this step; the function later returns the entries of each contact, (m, 3) J."""
+        """Store the ledger of this step; the returned function returns the entries of each contact, (m, 3) J."""
         snapshot, place, impacts = self.snapshot, self._place, self._impacts.ledger
         late = np.concatenate((self._solver.ledger, np.zeros((1, 3))))  # the last row is for sleepers
         return lambda: snapshot.sums(late[place], impacts)
@@ -218,7 +218,7 @@ class _Contacts(NamedTuple):
 
 
 class _Kept(NamedTuple):
-    """Those that are kept."""
+    """The contacts that are kept, as arguments of `late_contacts`."""
 
     pairs: IntArray  # (m, 2)
     normals: FloatArray  # (m, 3)
@@ -233,8 +233,8 @@ class _Kept(NamedTuple):
 def _copy_touching(given: _Contacts, kept: _Kept) -> int:
     """Copy the contacts that touched or carry an impulse; return their number.
 
-    Normals and overlaps are those before the position correction. A contact that the correction opened is still
-    resolved. Otherwise the body would fall and be pushed back in each step.
+    Normals and overlaps are from before the position correction. A contact that the correction opened is still
+    resolved; otherwise the body would fall and be pushed back in each step.
     """
     pairs, colours, place, contacts, states, normals = given
     kept_pairs, kept_normals, overlaps, kept_colours, approach, rest_speed, kept_place = kept

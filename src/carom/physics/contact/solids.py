@@ -1,9 +1,10 @@
 """The solids of a scene in kernels: planes, and walls of any shape.
 
-Kernels reach a solid by its number and ask for its tangent plane, at the point nearest to a body. With planes alone,
-``surface`` has their normals and ``offset`` their distances from the origin, and the tangent plane is read. With walls,
-``surface`` has a record for each solid, whose type names the functions of all shapes (`WallShape`); Numba chooses them
-by that type when it compiles a kernel, so that scenes without walls have kernels without them.
+Kernels refer to a solid by its number and use its tangent plane at the point nearest to a body. With planes alone,
+``surface`` contains their normals and ``offset`` their distances from the origin, which are the tangent planes. With
+walls, ``surface`` contains a record for each solid. The type of the records names the functions of all shapes
+(`WallShape`), and Numba selects the functions by that type when it compiles a kernel. Kernels of scenes without walls
+therefore do not contain them.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces, half_spaces
 from carom.scene.wall_shapes import shape_called
 
-_MARK = "walls_"  # how the name of the first field of the records begins
+_MARK = "walls_"  # prefix of the name of the records' first field
 _PLANE = ("plane_x", "plane_y", "plane_z", "plane_offset")
-_nearest: dict[str, Callable[..., Any]] = {}  # by that name
-ARC_PASSES = 3  # of Newton's method, each of which doubles the number of digits
-LARGEST_ARC = 0.5  # of the focal distance, that a body may move along a wall in a step
+_nearest: dict[str, Callable[..., Any]] = {}  # functions by the name of that field
+ARC_PASSES = 3  # of Newton's method; each doubles the number of correct digits
+LARGEST_ARC = 0.5  # fraction of the focal distance by which a body may move along a wall in a step
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class SolidsWithWalls(HalfSpaces):
 
     @property
     def spin(self) -> FloatArray:
-        """The angular velocity of each, (p, 3) rad/s."""
+        """The angular velocity of each solid, (p, 3) rad/s."""
         return np.stack([self.records[name] for name in MOTION[:3]], axis=1) if self.moves else super().spin
 
     @property
@@ -110,7 +111,7 @@ def _motion_of(wall: Wall) -> FloatArray:
 
 
 def _mark_of(shapes: list[str]) -> str:
-    """Return the name of the field that stands for shapes; prepare their functions for kernels."""
+    """Prepare the functions of shapes for kernels; return the name of the field that identifies these shapes."""
     functions = [shape_called(name).nearest for name in shapes]
     mark = f"{_MARK}{'_'.join(shapes)}_{identity_of(*functions)}"
     if mark not in _nearest:
@@ -122,13 +123,13 @@ def _mark_of(shapes: list[str]) -> str:
 
 
 def _of_plane(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Return what `WallShape.nearest` returns, of a plane."""
+    """Return the values of `WallShape.nearest` for a plane."""
     distance = -p.plane_offset + p.plane_x * x + p.plane_y * y + p.plane_z * z
     return p.plane_x, p.plane_y, p.plane_z, distance, np.inf
 
 
 def _either(kind: int, one: Callable[..., Any], other: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the function of a solid that is ``one`` for a kind of solid, and ``other`` for those before it."""
+    """Return a function of a solid: ``one`` for the given kind of solid, and ``other`` for the kinds before it."""
 
     def chosen(p: Any, x: float, y: float, z: float) -> Any:
         if p.kind == kind:
@@ -154,7 +155,7 @@ def tangent_plane(
 def nearest_point(
     surface: FloatArray, solid: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float]:
-    """Return what `WallShape.nearest` returns, of a solid in a scene with walls."""
+    """Return the values of `WallShape.nearest` for a solid in a scene with walls."""
     raise NotImplementedError("only kernels call it")
 
 
@@ -179,9 +180,9 @@ def bias_along_wall(
     Parameters
     ----------
     surface, solid
-        The solids, and the number of the one that the body touches.
+        The solids, and the number of the solid that the body touches.
     bias
-        m/s, the same for a plane.
+        m/s, the closing speed at which a body would just touch a plane.
     radius, x, y, z
         m, of the body and of its centre.
     nx, ny, nz, tx, ty, tz
@@ -255,7 +256,7 @@ def _bias_on_curve(
     tz: float,
     drift: float,
 ) -> float:
-    """Find `bias_along_wall` by Newton's method: the distance after the drift has to be the radius."""
+    """Find `bias_along_wall` by Newton's method, from the condition that the distance after the drift is the radius."""
     focal = nearest_point(surface, solid, x, y, z)[4]
     c, path = bias, drift * np.sqrt(tx * tx + ty * ty + tz * tz)
     if not 0.0 < path < LARGEST_ARC * focal:
@@ -291,8 +292,8 @@ def add_arc_speeds(
 ) -> None:
     """Add the closing speeds of bodies that roll along walls to the rest speeds of the contacts [lo, hi).
 
-    A body that moves straight for dt s along a wall with the radius of curvature f closes at v_t² dt/f more than on a
-    plane.
+    After a straight drift of dt s along a wall with the radius of curvature f, a body closes faster by v_t² dt/f than
+    on a plane.
     """
     n = len(x)
     for c in range(from_front(lo), hi):

@@ -27,7 +27,7 @@ MIN_BLOCKS_PER_TASK = 2
 class BlockCountsRecord(LedgerRecord, Protocol):
     """Statistics of one block of contacts."""
 
-    contacts: float  # numbers
+    contacts: float  # number of contacts; the next field counts impacts
     impacts: float
     struck: float  # J, Σ ½ μ v_n² of the impacts
     hardest: float  # J
@@ -48,8 +48,8 @@ class ContactStatistics(NamedTuple):
     contacts: int
     impacts: int  # every impact during the drift; at the end of the step, contacts faster than the rest speed
     struck: float  # J, Σ ½ μ v_n² of these impacts
-    hardest: float  # J, the hardest of them; 0 without impacts
-    hardest_pair: tuple[int, int]  # the first of equally hard ones
+    hardest: float  # J, energy of the hardest impact; 0 without impacts
+    hardest_pair: tuple[int, int]  # ends of the hardest impact, the first of equally hard ones
     deepest: float  # overlap / smaller radius
     deepest_pair: tuple[int, int]
 
@@ -98,7 +98,7 @@ class ContactStatistics(NamedTuple):
         states: RecordArray[ContactStateRecord],
         inverse_mass: FloatArray,
     ) -> ContactStatistics:
-        """Add the impacts during the drift of a step; a pair with several counts as one contact, by its hardest.
+        """Add the impacts during the drift of a step; a pair with several counts as one contact, by the hardest one.
 
         Parameters
         ----------
@@ -184,7 +184,7 @@ def _add_impacts(
     contacts
         Number of pairs without a contact at the end.
     energy
-        J, the sum of the impacts' energies, to which the hardest of each pair is added.
+        J, the energies of the hardest impact of each pair, less the energies that contacts at the end already count.
     hardest, i, j
         J, of the hardest impact, and its ends.
     """

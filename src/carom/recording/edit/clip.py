@@ -29,15 +29,15 @@ from carom.scene.units.dimension import TIME
 from carom.scene.units.system import UnitSystem
 from carom.scene.wording import bodies_called
 
-_ROUNDING = 8 * float(np.finfo(np.float32).eps)  # of a few float32 operations on a coordinate
+_ROUNDING = 8 * float(np.finfo(np.float32).eps)  # relative error of a few float32 operations on a coordinate
 
 
 class Selection:
     """Keeps the spheres and arrows of selected bodies, and the contacts among them.
 
-    A contact is kept if both of its bodies are, or if its body is and the other end is a plane. Recordings before
-    schema 3 lack the numbers of a contact's bodies. They are derived from the ends of its line, so the chunk with the
-    centres must come before the chunk with the contacts.
+    A contact is kept if both of its bodies are kept, or if its body is kept and the other end is a plane. Recordings
+    before schema 3 lack the numbers of a contact's bodies. They are derived from the ends of its line, so the chunk
+    with the centres must come before the chunk with the contacts.
 
     Parameters
     ----------
@@ -224,8 +224,8 @@ def clip(
     bodies
         Numbers of the bodies to show; None shows all.
     exact
-        Whether the clip holds the exact states of all bodies. Without them, it is smaller and contains nothing about
-        the other bodies, but cannot be replayed.
+        Whether the clip contains the exact states of all bodies. Without them, the clip is smaller and contains nothing
+        about the other bodies, but cannot be replayed.
 
     Raises
     ------

@@ -30,7 +30,7 @@ from carom.recording.write.whole_file import Writer
 from carom.scene.units.dimension import TIME
 from carom.scene.units.system import SI, UnitSystem
 
-_LOOKS = 50  # frames for fitting the camera
+_LOOKS = 50  # number of frames to which the camera is fitted
 
 
 def new_layout(recording: Recording) -> rrb.Blueprint:

@@ -1,4 +1,4 @@
-"""Gives each frame of a recording a place for each body of its run, where bodies came after the first frame."""
+"""Gives each frame of a recording a place for each body of the run, if bodies came after the first frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WITH_ENDS = (paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION)
 
 
 def widen(path: Path) -> None:
-    """Rewrite a recording whose frames have as many places as bodies had come by then.
+    """Rewrite a recording whose frames have a place only for each body that had come by then.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def widen(path: Path) -> None:
 
 
 def _last_statics(recording: Recording) -> Iterator[Entry]:
-    """Yield static chunks; of an entity that was sent again, those from the last time on."""
+    """Yield static chunks; for an entity that was sent more than once, the chunks of the last time."""
     entries = [entry for entry in recording.store.entries if entry.is_static]
     renewed = (paths.SCENE, paths.BODIES, paths.STATIC_STATE, paths.LIVES)
     last = {entry.entity_path: entry for entry in sorted(entries, key=lambda entry: entry.offset)}
@@ -85,7 +85,7 @@ def _positions(chunk: Chunk, row: int) -> np.ndarray:
 
 
 def _padded(chunk: Chunk, n: int) -> Chunk:
-    """Return rows of drawn bodies with n values each: bodies that do not exist yet are nowhere."""
+    """Return rows of drawn bodies with n values each: the positions of bodies that do not exist yet are NaN."""
     counts = pc.list_value_length(chunk.batch[_centres(chunk)]).to_numpy().astype(np.int64)
     rows = len(counts)
     arrays = []
@@ -110,7 +110,7 @@ def _padded(chunk: Chunk, n: int) -> Chunk:
 
 
 def _renumbered(chunk: Chunk, counts: IntArray, n: int) -> Chunk:
-    """Return rows of contacts in which planes have numbers from n on, and not from the count of each row."""
+    """Return rows of contacts in which planes are numbered from n on, instead of from the count of each row."""
     column = chunk.batch["bodies"]
     ends = column.flatten().to_numpy().astype(np.int64)
     own = np.repeat(counts, pc.list_value_length(column).to_numpy())

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 class Snapshot:
     """The bodies that exist and that a recording shows, at the end of a step, in float64 and SI units."""
 
-    state: Checkpoint  # of all bodies
+    state: Checkpoint  # the state of all bodies
     body: IntArray  # (n,) numbers of the shown bodies
     mass: FloatArray  # (n,) kg
     radius: FloatArray  # (n,) m
@@ -106,7 +106,7 @@ def _kept(recording: Recording, steps: IntArray) -> Iterator[Snapshot]:
 def _own(recording: Recording, fixed: BoolArray) -> tuple[IntArray, FloatArray, FloatArray, dict[str, NDArray[Any]]]:
     """Return the numbers, masses, radii and further columns of the shown bodies.
 
-    Further columns are moments of inertia (kg m²), fixed bodies and names, where these differ from the default.
+    Further columns are moments of inertia (kg m²), fixed bodies and names, if these differ from the defaults.
     """
     bodies, shown, found = recording.bodies, np.array(recording.shown, dtype=np.int64), dict[str, NDArray[Any]]()
     mass, radius, inertia = (np.asarray(each)[shown] for each in (bodies.mass, bodies.radius, bodies.inertia))

@@ -17,7 +17,7 @@ from carom.recording.schema.header import Header
 from carom.recording.schema.paths import SIM_TIME, STEP
 from carom.recording.schema.time_scale import TimeScale
 
-_OF_LATE = 1 / 300  # time for which an impact stays visible, as a fraction of the duration
+_OF_LATE = 1 / 300  # fraction of the duration for which an impact stays visible
 
 
 def force_arrows(header: Header) -> list[str]:
@@ -44,7 +44,7 @@ def edges_by_impulse(header: Header, theme: str) -> Overrides:
 
 
 def plain_edges(header: Header, theme: str) -> Overrides:
-    """Draw edges in one colour on white paper, where the yellow and white ones of some stages would be invisible."""
+    """Draw edges in one colour on white paper, where the yellow and white edges of some stages would be invisible."""
     if theme == "dark" or not header.collides:
         return {}
     return {paths.CONTACTS: rr.LineStrips3D.from_fields(colors=palette.VERMILION)}
@@ -100,7 +100,7 @@ def drawn_bodies(header: Header, view: View, area: Area, recoloured: bool = Fals
         case "points":
             colours = "Ellipsoids3D:colors" if recoloured else "Points3D:colors"
             return {paths.BODIES: _points(sizes, "Points3D:positions", colours)}
-        case _ if recoloured:  # all instances of a mesh have one colour
+        case _ if recoloured:  # all instances of a mesh have the same colour
             return {paths.BODIES: _points(sizes, "InstancePoses3D:translations", "Points3D:colors")}
         case _:
             return {}

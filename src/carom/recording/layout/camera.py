@@ -5,10 +5,10 @@ target's coordinate along e. A sphere with centre o and radius r lies inside the
 
     o·e − t + r √(1 + s²)  ≤  s (D − o·d).
 
-Each border therefore requires the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders together
-determine the smallest D and its t. The eye looks along the smallest principal axis of the motion, tilted so that the
-horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a textbook, unless bodies move along
-the line of sight.
+Each border therefore gives a bound by the largest o·e + s o·d + r √(1 + s²) of the bodies. Two opposite borders
+together determine the smallest D and the corresponding t. The eye looks along the smallest principal axis of the
+motion, tilted so that the horizon is level and the ground is seen from above. Slopes are seen edge-on, as in a
+textbook, unless bodies move along the line of sight.
 """
 
 from __future__ import annotations
@@ -38,27 +38,30 @@ _DEPTHS = 25.0  # smallest distance of a narrow lens, in depths of the scene: eq
 FEW = 40  # bodies; with at most as many, all motion is inside the view and has trails
 _FEW_NEAR = 5  # bodies; with at most as many, none is too far away to be shown
 _ESCAPING = 0.05  # largest fraction of more than `FEW` bodies that may be outside the view
-_NEARBY = 1.6  # largest distance, over that without the escaping bodies, at which these are inside, too
+_NEARBY = 1.6  # escaping bodies are inside the view, too, if this increases the distance by at most this factor
 _FAR = 20.0  # times the median distance from the middle; farther bodies may lie outside the picture
-_FILLED = 0.9  # of the picture's shorter side, filled by the bodies of the first moment
-_LOOSE = 1.7  # largest distance over that which just contains the first moment, whose bodies then fill 53 %
-_LOOSE_PATHS = 25.0  # the same for paths: 23 if e = 0.7, at pericentre, in a picture 3.3 times as wide as high
-_SMALL = 400.0  # height of the picture over the median radius, up to which all motion of few bodies is inside
-_MOST, _LARGEST = 20_000, 1000  # bodies that are measured; of more, every k-th and an equal number of the largest
-_MOST_SPHERES = 4000  # spheres kept of all moments; of more, the outermost ones in each of many directions
+_FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the first moment fill
+_LOOSE = 1.7  # largest distance, over the smallest at which the first moment is inside; its bodies then fill 53 %
+_LOOSE_PATHS = 25.0  # the same for paths; an orbit of e = 0.7 at pericentre needs 23 if width is 3.3 heights
+_SMALL = 400.0  # largest height of the picture, over the median radius, for which all motion of few bodies is inside
+_MOST, _LARGEST = (
+    20_000,
+    1000,
+)  # number of bodies above which only every k-th and the largest are measured; of the latter
+_MOST_SPHERES = 4000  # stored spheres of all moments; of more, only the outermost in each of many directions are stored
 
 _UP = np.array([0.0, 0.0, 1.0])
 _USUAL = np.array([0.75, -1.0, 0.55]) / np.linalg.norm([0.75, -1.0, 0.55])  # towards the eye
 _PREFERENCE = 0.15  # weight of the usual direction if principal axes are similar, as a fraction of the variance
 _STEEP = 1e-6  # sine of the angle to the vertical below which a direction has no azimuth
 _LOWEST, _HIGHEST = np.radians(15.0), np.radians(60.0)  # elevations of the eye
-_SLOPE = float(np.sin(np.radians(3.0)))  # of the angle to a floor and to a wall, from which on a plane is a slope
-_ALONG = 0.1  # largest share of the motion along the line of sight to a slope that is seen edge-on
+_SLOPE = float(np.sin(np.radians(3.0)))  # sine of the smallest angle of a slope to a floor and to a wall
+_ALONG = 0.1  # largest fraction of the motion along the line of sight, if a slope is seen edge-on
 _OUTWARD = np.array([v for v in product((-1.0, 0.0, 1.0), repeat=3) if any(v)])  # in which extreme bodies are kept
 _OUTWARD /= np.linalg.norm(_OUTWARD, axis=1)[:, None]
 _ALL_ROUND = np.array([v for v in product(np.linspace(-1.0, 1.0, 9), repeat=3) if max(map(abs, v)) == 1.0])
 _ALL_ROUND /= np.linalg.norm(_ALL_ROUND, axis=1)[:, None]
-_BESIDE = 0.25  # of the width of the motion: walls that are farther away may lie outside the picture
+_BESIDE = 0.25  # of the width of the motion; walls that are farther away may lie outside the picture
 _TURNS = 12  # directions from which an orbiting camera is fitted
 
 _HUGE = np.errstate(over="ignore", invalid="ignore")  # squares of lengths beyond 10¹⁵⁴ m are infinite: handled below
@@ -385,7 +388,7 @@ def turned(vector: FloatArray, axis: FloatArray, angle: float) -> FloatArray:
 def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
     """Choose the direction to the eye: the smallest principal axis of the motion, from above and with a level horizon.
 
-    Where axes are about as long as each other, the usual direction decides.
+    Where axes have similar lengths, the usual direction decides.
     """
     usual = _USUAL @ _upright(up)
     count = moments[3, 3]
@@ -404,7 +407,7 @@ def _direction(moments: FloatArray, up: FloatArray) -> FloatArray:
 
 
 def _upright(up: FloatArray) -> FloatArray:
-    """Return axes (3, 3) of which the last points up: those of the scene, unless gravity points elsewhere."""
+    """Return axes (3, 3), the last of which points up: the axes of the scene, unless gravity points elsewhere."""
     if float(up @ _UP) > 1.0 - _STEEP:
         return np.eye(3)
     across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
@@ -440,7 +443,7 @@ def _distance(borders: FloatArray, slopes: FloatArray) -> float:
 
 
 def _weights(radius: FloatArray) -> FloatArray:
-    """Return the weights of bodies, by number and by area, so that a planet counts among 1000 moons; 1 for points."""
+    """Return the weights of bodies by number and by area, so that a planet counts among 1000 moons; 1 for points."""
     area = (radius / max(radius.max(), np.finfo(float).tiny)) ** 2
     return np.asarray(0.5 / len(radius) + 0.5 * area / area.sum() if area.sum() > 0.0 else np.ones(len(radius)))
 

@@ -54,7 +54,7 @@ class Canvas:
     width: int = 1600
     height: int = 1000
     framed: bool = True  # whether nobody can rotate the view, so that it may have a narrow lens
-    rendered: bool = False  # without a person who may turn the view, so that it can have a narrow lens
+    rendered: bool = False  # whether nobody can rotate the view, so that it may have a narrow lens
     theme: str = "dark"
 
     def area(self, across: float = 1.0, down: float = 1.0) -> Area:
@@ -78,7 +78,7 @@ class Additions:
     field: bool = False  # whether an arrow and axes show a uniform field
     struck: bool = False  # whether a strip shows the impacts
     decades: Curves | None = None  # logarithms of energies that grow by decades, by the paths of the energies
-    moment: bool = False  # whether a picture shows one moment, so that the others need not be inside of it
+    moment: bool = False  # whether a picture shows one moment, so that other moments need not be inside it
     tips: FloatArray | None = None  # (k, 3) m, of the arrows that are drawn at the moment
     span: IntArray | None = None  # (2,) ns, first and last time of plots that nobody will zoom
 
@@ -128,8 +128,8 @@ def views_of(part: rrb.Container | rrb.View) -> list[rrb.View]:
 
 
 # Rerun's eye has a field of view of 55° (Rerun 0.43). Only an eye that tracks a pinhole camera has the field of view of
-# that camera. It loses it when somebody rotates the view; the eye is then at a far point with 55°, and rotates about a
-# point one unit before it. Only pictures and movies therefore have a narrow lens, not the viewer's windows.
+# that camera. When somebody rotates the view, the eye returns to 55°, far from the bodies, and rotates about a point
+# one unit in front of it. Only pictures and movies therefore have a narrow lens, not the viewer's windows.
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class Lens:
     """A camera that the eye of a view tracks, for its narrow field of view."""
 
     path: str
-    view: View  # whose slope is that of the lens
+    view: View  # its slope is the slope of the lens
     larger: float  # scale of the space in which the view shows the scene
 
     def pinhole(self) -> rr.Pinhole:
@@ -177,7 +177,7 @@ def spatial_view(
 ) -> rrb.Spatial3DView:
     """Lay out a 3D view of some entities, in a magnified space if the eye is very near.
 
-    The eye follows an entity if one is given, or all bodies if ``view`` does.
+    The eye follows the given entity, if any, or all bodies if ``view`` follows them.
     """
     origin = space(view.distance)
     larger = scale(origin)

@@ -101,11 +101,11 @@ def reference(magnitude: FloatArray, natural_unit: float) -> float:
 
 
 class References(dict[str, float]):
-    """Magnitudes m_ref by name. The first frame with arrows chooses the magnitudes that are not given.
+    """Magnitudes m_ref by name. The first frame with arrows determines the magnitudes that are not given.
 
     Attributes
     ----------
-    The first frame with arrows determines the magnitudes that are not given.
+    chosen
         The values chosen by the frames, also where a magnitude was given.
     """
 

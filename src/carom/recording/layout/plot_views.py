@@ -93,12 +93,12 @@ class CurveOutline:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is constant, ignoring its first and last value: dt begins at 0, and the last step is shortened."""
+        """Whether the series is constant, without its ends: dt begins at 0, and the last step is shorter."""
         low, high = self._between
         return high <= low or high - low <= _CURVE_ROUNDING * max(abs(low), abs(high))
 
     def over(self, unit: float) -> CurveOutline:
-        """Return the outline in another unit, given the recorded numbers in one of it."""
+        """Return the outline in another unit, given the size of that unit in recorded numbers."""
         if unit == 1.0:
             return self
         scaled = CurveOutline()
@@ -229,10 +229,10 @@ def _union(curves: Sequence[CurveOutline], *window: float) -> tuple[float, float
 
 Curves = Mapping[str, CurveOutline]  # by the paths of the series
 
-_ROUNDING = 1e-12  # of the largest energy, of its scale, or of a radius; a curve of less shows rounding errors
+_ROUNDING = 1e-12  # of the largest energy, of its scale, or of a radius; a smaller curve shows rounding errors
 _SHARES = ("energy/relative_error", "step/relative_overlap")  # series whose unit is such a scale
 _RATE = "step/impact_rate"
-_ABOVE = 1.1  # of the largest impulse, the end of the axis
+_ABOVE = 1.1  # end of the axis over the largest impulse
 _MARKER = 3.5  # points, radius of the mark of an impact
 _NUMBER = 28.0  # points, half the width of a number below a plot
 _NUMBERS = (60.0, 18.0)  # points, width of the numbers beside a plot and height of those below it
@@ -248,8 +248,8 @@ def plot_views(
     header
         Of the recording; it determines the series.
     curves
-        The outlines of the recorded series, None during the run. Plots are omitted if all their curves stay at 0, or
-        are energies, errors or overlaps due to rounding.
+        The outlines of the recorded series; None during the run. Plots are omitted if all their curves stay at 0, or
+        show only rounding errors of energies, errors or overlaps.
     row
         The area of all columns together.
     added
@@ -259,7 +259,7 @@ def plot_views(
     for column in all_plots(recorded(header)):
         shown = [plot for plot in column if shown_series(header, plot, curves)]
         if CONTACTS in column and header.records_contacts and (curves is None or _largest(curves, _RATE) > 0.0):
-            # impacts where impacts are, else contacts, which last; as long as nothing is known, and where a plot of all
+            # impacts if there are any, otherwise lasting contacts; as long as nothing is known, and where a plot of all
             # impacts would slow the viewer down, contacts
             shown.insert(0 if curves is not None and paths.IMPACTS in curves else 1, IMPULSES)
         if shown:
@@ -283,7 +283,7 @@ DECADES = "decades"
 
 
 def grows_by_decades(curves: Iterable[CurveOutline]) -> bool:
-    """Return whether the largest of some energies is a thousand times that of the first or of most moments."""
+    """Return whether the largest of some energies is a thousand times the energies at first or at most moments."""
     outlines = list(curves)
     largest = max((curve.largest for curve in outlines), default=0.0)
     usual = max((curve.usual for curve in outlines), default=0.0)
@@ -395,7 +395,7 @@ def time_series_view(
     area
         Of the plot.
     styles
-        By path, what differs from the recorded style of a series.
+        By path, the overrides of the recorded style of a series.
     span
         (2,) ns, as for `time_axis`.
     """

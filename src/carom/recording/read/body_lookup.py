@@ -24,7 +24,7 @@ def body_number(recording: Recording, body: int | str) -> int:
     Parameters
     ----------
     recording
-        Whose bodies they are.
+        The recording.
     body
         The number, the name, or the number as text, such as "3"; "#3" if another body has the name "3".
 
@@ -50,7 +50,7 @@ def body_number(recording: Recording, body: int | str) -> int:
 
 
 def _asked_for(number: int, names: Sequence[str]) -> str:
-    """Return the number of a body that the recording shows; see `body_number`."""
+    """Return the text that selects a body by its number in `body_number`."""
     return f'"#{number}"' if str(number) in names else str(number)
 
 
@@ -103,7 +103,7 @@ def _others(text: str, names: Sequence[str]) -> str:
 
 
 def names_of(recording: Recording) -> Names:
-    """Return the names of all bodies, planes and walls; planes have none if this version cannot read the scene."""
+    """Return the names of all bodies, planes and walls; planes are unnamed if this version cannot read the scene."""
     if recording.engine:
         return Names(recording.bodies.name, str(recording.info.get("plane_names", "")).split("\n"))
     try:

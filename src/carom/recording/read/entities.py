@@ -41,7 +41,7 @@ def reading(path: Path) -> Iterator[None]:
     Raises
     ------
     RecordingError
-        Raised instead of an exception from inside.
+        In place of an exception raised within the context.
     """
     try:
         yield

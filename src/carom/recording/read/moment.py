@@ -1,6 +1,6 @@
-"""The time that is shown by default: that of the hardest impact or, without impacts, of the most contacts.
+"""The time that is shown by default: the time of the hardest impact or, without impacts, of the most contacts.
 
-A killed run has recorded neither; its time is that of the frame before which contacts dissipated most energy.
+A killed run has recorded neither. For it, the frame before which contacts dissipated most energy is shown.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def check_times(**times: object) -> None:
             raise RecordingError(f"{name} = {time!r}: a time is a number, in seconds")
 
 
-_RELATIVE_TOLERANCE = 1e-8  # people type the nine digits of a time that `carom inspect` prints
+_RELATIVE_TOLERANCE = 1e-8  # `carom inspect` prints nine digits of a time, which people type again
 
 
 def moment(recording: Recording, at: float | None) -> float:

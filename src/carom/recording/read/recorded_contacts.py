@@ -38,12 +38,12 @@ SCHEMA = pa.schema(
         ("tangential_impulse", pa.float64()),  # N s
         ("mode", pa.string()),
         ("energy_lost", pa.float64()),  # J
-        ("normal_force", pa.float64()),  # N, the impulse over the step; null for impacts
+        ("normal_force", pa.float64()),  # N, the impulse over the length of the step; null for impacts
         ("tangential_force", pa.float64()),  # N, null for impacts
     ]
 )
 MEASURED = ("approach_speed", "normal_impulse", "tangential_impulse", "energy_lost")  # recorded in float32
-UNITS = {  # of the columns that have one
+UNITS = {  # of the columns that have a unit
     "time": "s",
     **dict.fromkeys(("x", "y", "z"), "m"),
     "approach_speed": "m/s",
@@ -150,7 +150,7 @@ def contacts(recording: Recording, at: float | None, *, replay: bool, watch: Wat
 
 
 def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
-    """Return the contacts (k,) `CONTACT_ROW` in a frame of another engine's run, and the time (s) since the one before.
+    """Return the contacts (k,) `CONTACT_ROW` in a frame of another engine's run, and the time (s) since the last frame.
 
     Raises
     ------

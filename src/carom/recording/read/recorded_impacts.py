@@ -109,7 +109,7 @@ def _measured(recording: Recording, rows: pa.Table) -> pa.Table:
 
 
 def impacts_until(recording: Recording, step: int) -> RecordedImpacts:
-    """Count the impacts up to a step that has a frame; in a clip, those since its first frame.
+    """Count the impacts up to a step that has a frame; in a clip, the impacts since its first frame.
 
     In a clip of some bodies, only recorded impacts count, since the others may belong to bodies outside the clip.
     """
@@ -177,7 +177,8 @@ def count_at(recording: Recording, step: int) -> int:
 def _recorded(recording: Recording, first: float, last: float) -> pa.Table:
     frames = recording.fingerprints()
     steps, times = frames[STEP].to_numpy(), frames["time"].to_numpy()
-    # impacts of a step are not later than its end: chunks that end before the interval, or begin after it, are not read
+    # impacts of a step are not later than its end, so chunks that end before the interval or begin after it are not
+    # read
     lowest = int(steps[max(0, int(np.searchsorted(times, first)) - 1)])
     later = int(np.searchsorted(times, last, side="right"))
     highest = int(steps[later]) if later < len(steps) else int(steps[-1]) + 1

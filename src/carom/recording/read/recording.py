@@ -1,4 +1,4 @@
-"""`Recording`: opens a recording of carom and reads from it; nothing is loaded before it is needed."""
+"""`Recording`: opens a recording of carom and reads from it; data are loaded when they are needed."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ class Recording(FrameTables):
         body
             Number or name of a body whose impacts are returned; by default all impacts.
         replay
-            Whether to recompute the steps in any case, for all impacts and all numbers in float64.
+            Whether to recompute the steps in any case, to get all impacts, and all numbers in float64.
         watch
             Called now and then during a replay with its progress.
 
@@ -194,8 +194,8 @@ class Recording(FrameTables):
         contacts
             The columns of `impacts`. Point and normal are those at the end of the step or, for a pair that has
             separated by then, at its hardest impact. Recorded contacts have approach_speed and energy_lost only for
-            impacts (null otherwise), and lack contacts that held after the first kick but opened within the step. The
-            metadata of the schema state the ``source``.
+            impacts (null otherwise). They do not include contacts that held after the first kick but opened within the
+            step. The metadata of the schema state the ``source``.
 
         Raises
         ------
@@ -271,8 +271,8 @@ class Recording(FrameTables):
     def moment(self, at: float | None = None) -> float:
         """Return the time (s) to show: the given one, or that of the hardest impact, the most contacts, or the end.
 
-        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, it is
-        their impact with the largest impulse.
+        A closed run has recorded its hardest impact; otherwise the frames are searched. In a clip of some bodies, the
+        impact of these bodies with the largest impulse counts.
 
         Raises
         ------

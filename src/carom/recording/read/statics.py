@@ -91,7 +91,7 @@ def named(
 
     @wraps(read)
     def reads(self: _Own, /, *args: _Parameters.args, **kwargs: _Parameters.kwargs) -> _Result:
-        arguments.bind(self, *args, **kwargs)  # a TypeError here is the caller's, and no damage of the file
+        arguments.bind(self, *args, **kwargs)  # a TypeError here is a mistake of the caller, not damage of the file
         with reading(self.path):
             return read(self, *args, **kwargs)
 
@@ -103,7 +103,7 @@ class Statics:
 
     def __init__(self, container: Container, store: Store) -> None:
         self.path = container.path
-        self.finished = container.finished  # the file has its footer, so the run closed it
+        self.finished = container.finished  # whether the file has its footer, that is, the run closed it
         self.store = store
         self._entities = Entities(container, store)
 
@@ -139,7 +139,7 @@ class Statics:
 
     @property
     def drawing_rules(self) -> int:
-        """The rules of what is drawn, see `Header.drawing_rules`."""
+        """The version of the rules of drawing, see `Header.drawing_rules`."""
         return int(self.info.get("drawing_rules", 1))
 
     @property

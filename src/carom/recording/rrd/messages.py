@@ -21,9 +21,9 @@ from carom.errors import DamageError
 from carom.recording.rrd.framing import Message
 from carom.recording.schema.paths import SIM_TIME, STEP
 
-# Decodes an Arrow IPC stream into a record batch, whose claims are checked before memory is allocated. In some Arrow
-# types, a hundred bytes can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views, dictionaries. Buffers
-# can be compressed a second time, or shared. carom writes none of these and refuses them.
+# An Arrow IPC stream is decoded into a record batch; the sizes that it claims are checked before memory is allocated.
+# In some Arrow types, a hundred bytes can represent 10⁸ rows: nulls, run-end encoding, fixed-size lists, views,
+# dictionaries. Buffers can be compressed a second time, or shared. carom writes none of these and refuses them.
 
 LARGEST = 1 << 31  # bytes of a chunk; carom writes about 4 MB, or 1.3 GB for the state of 10⁷ spinning bodies
 
@@ -33,8 +33,8 @@ _NOT_COMPRESSED, _LZ4 = (0, 1), 2
 _LZ4_RATIO, _LZ4_SLACK = 255, 64  # largest compression by LZ4
 _DEEPEST = 8  # nested types; Rerun's layouts have five levels
 _WIDEST = 16  # values in a list of fixed size: a quaternion has 4, an identifier 16
-_MOST_COLUMNS = 10_000  # of an index: four a component
-_BITS = 8  # no value takes less than one bit
+_MOST_COLUMNS = 10_000  # in an index, which has four columns per component
+_BITS = 8  # values per byte, at most: no value takes less than one bit
 
 _LEAVES = {
     *(pa.bool_(), pa.string(), pa.binary(16), pa.timestamp("ns"), pa.duration("ns"), pa.float32(), pa.float64()),
@@ -127,12 +127,12 @@ def _admit(column: pa.Field, depth: int = 0) -> None:
         _admit(kind.field(k), depth + 1)
 
 
-# Decodes the fields of a Protocol Buffers message, as far as the messages of an .rrd need it.
+# The fields of a Protocol Buffers message are decoded, as far as the messages of an .rrd need it.
 
 Fields = dict[int, list["int | memoryview"]]
 
 _LONGEST_VARINT = 64  # bits
-_MOST_FIELDS = 1000  # fields in a message; those of an .rrd have up to six
+_MOST_FIELDS = 1000  # fields in a message; messages of an .rrd have up to six
 
 
 def fields(message: memoryview) -> Fields:
@@ -321,7 +321,7 @@ def decode(body: bytes) -> tuple[Store, Chunk]:
 def entry_of(chunk: Chunk, message: Message) -> Entry:
     """Make the index entry of a decoded chunk."""
     first = last = None
-    if STEP in chunk.timelines and chunk.batch.num_rows:  # the exact start of a clip has a component of that name
+    if STEP in chunk.timelines and chunk.batch.num_rows:  # in the exact start of a clip, a component has that name
         ends = pc.min_max(chunk.batch[STEP])
         first, last = ends["min"].as_py(), ends["max"].as_py()
     return Entry(chunk.entity_path, chunk.is_static, chunk.batch.num_rows, first, last, message.offset, message.length)

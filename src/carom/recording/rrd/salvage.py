@@ -15,7 +15,7 @@ from carom.recording.rrd.messages import LARGEST, RECORDING, Entry, Store, read_
 
 _WINDOW = 1 << 22  # bytes searched at a time
 _MESSAGE = re.compile(rb"[\x00-\x03]\x00{7}[\x00-\xff]{5}\x00{3}\n", re.DOTALL)  # its body starts with field 1, bytes
-_PATIENCE = 4  # largest number of bytes read in search of messages, over the size of the file
+_PATIENCE = 4  # largest number of bytes read in the search for messages, over the size of the file
 
 
 @dataclass(frozen=True, slots=True)

@@ -69,7 +69,7 @@ class PartialCheckpoint(Checkpoint):
 
 
 def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoint:
-    """Give the state of the bodies that exist a place for each body of the run."""
+    """Spread the state of the bodies that exist over places for all bodies of the run."""
     values = {field.name: getattr(found, field.name) for field in fields(found)}
     for name in _OF_BODIES:
         if values[name] is not None:
@@ -82,7 +82,7 @@ def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoi
 def size(frame: Frame) -> int:
     """Return the bytes of the checkpoint of a frame."""
     contacts = 0 if frame.memory is None else len(frame.memory.pairs)
-    if frame.memory is not None and frame.memory.sleep is not None:  # and 4 numbers per body
+    if frame.memory is not None and frame.memory.sleep is not None:  # sleep adds 4 numbers per body
         contacts += len(frame.memory.sleep.pairs) + 32 * len(frame.position) // _CONTACT_BYTES
     further = len(frame.energy.others) + len(frame.energy.ledger.forces)
     return _size(len(frame.position), frame.angular_velocity is not None, contacts, further) + _carried_size(frame)

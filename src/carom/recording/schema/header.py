@@ -80,12 +80,12 @@ _FLAGS = {
     "contact": "collides",
     "friction": "has_friction",
     "record.impacts": "records_contacts",  # not a part of the model, but required by series of contacts
-    "wall.motion": "drives",  # likewise, by the work of moving walls
+    "wall.motion": "drives",  # not a part of the model, but required by the work of moving walls
     "spin": "spins",
     "stabilisation": "stabilises",
 }
 _FORCES = {kind.recorded_with: kind for kind in FORCES}
-_PLOTS_IN_UNITS = 3  # rules of drawing from which on plots are in the units of a scene with a section [units]
+_PLOTS_IN_UNITS = 3  # first version of the rules of drawing with plots in the units of a scene with [units]
 RECORDED_PARTS = (*_FLAGS, *_FORCES)  # parts of the model on which series depend
 
 
@@ -151,7 +151,7 @@ class Header:
     exact: bool = False  # whether every frame has a checkpoint
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
-    drawing_rules: int = 3  # of what is drawn (docs/recording.md, The rules of drawing); 1 in the first recordings
+    drawing_rules: int = 3  # version of the rules of drawing (docs/recording.md); 1 in the first recordings
 
     def models(self, part: str) -> bool:
         """Return whether the scene requires a part of the model, by its name in `carom explain`."""
@@ -166,7 +166,7 @@ class Header:
         return self.units.unit(OF_UNIT[si]) or "1"
 
     def plot_factor(self, si: str) -> float:
-        """Return the recorded numbers in one unit of the plots, given the SI unit of a quantity."""
+        """Return the size of a plot's unit in recorded numbers, given the SI unit of a quantity."""
         if self.drawing_rules < _PLOTS_IN_UNITS or si not in OF_UNIT:
             return 1.0
         return self.units.factor(OF_UNIT[si])
@@ -193,7 +193,7 @@ class Header:
 
     @property
     def drawn_box(self) -> FloatArray | None:
-        """The size of the periodic box as drawn, (3,) m: where an axis does not repeat, that of the walls, or flat."""
+        """Size of the periodic box as drawn, (3,) m; along an axis that does not repeat, that of the walls, or 0."""
         if self.box is None:
             return None
         return np.where(self.box < ENDLESS, self.box, 0.0 if self.walls is None else self.walls)

@@ -87,7 +87,7 @@ DT_LIMITS = {
 MOST_SINGLE = 70  # most single bodies with hues in rotation; with more, a hue would have more than ten bodies
 
 _GOLDEN = 0.6180339887498949  # the fractional parts of its first k multiples fill (0, 1) evenly for every k
-_SHADE = 0.45  # how much darker than its hue the darkest body of a group is
+_SHADE = 0.45  # fraction by which the darkest body of a group is darker than its hue
 
 
 _BRIGHTEST, _DARKEST = 0.3, 0.12  # luminance with a contrast of 3 to 1 on white, and on a dark plot
@@ -100,7 +100,8 @@ def legible(colours: Iterable[int], theme: str = "") -> NDArray[np.uint32]:
     ----------
     theme
         "dark" leaves them unchanged, since the palette is for a dark background; "light" darkens bright ones for white
-        paper. By default they suit both, as curves must: a viewer's plots have the background of its theme.
+        paper. By default the colours suit both, as those of curves must: plots have the background of the viewer's
+        theme.
     """
     given = np.array([*colours], dtype=np.uint32)
     if theme == "dark":

@@ -53,7 +53,7 @@ CENTRES = ("Ellipsoids3D:centers", "Points3D:positions", "InstancePoses3D:transl
 
 CLOSING = frozenset({"extreme", "end"})  # written when a run ends; a resumed run writes its own
 
-_BY_TEXT = (  # beginnings of the texts of events, for older recordings without kinds
+_BY_TEXT = (  # first words of events, for older recordings without kinds
     (re.compile(r"^end: "), "end"),
     (re.compile(r" of the run[,:.]"), "extreme"),
     (re.compile(r"^Energy rose"), "energy-rise"),

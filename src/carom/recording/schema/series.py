@@ -57,8 +57,8 @@ PLOTS = (  # from left to right; the plots of a column are tabs
 (_ENERGY,), (_TAKEN, _ERROR), (CONTACTS, _FORCE, _IMPACTS, _SOLVER), (_OVERLAP, _DT) = PLOTS
 _TABLE = "record.impacts"  # key of the scene, which must not be "none", for series of the contact table
 _MOTION = "wall.motion"  # key of the scene, which a wall must have, for the work of moving walls
-# component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
-# that of a scene with a section [units] is recorded
+# Component of a series or impact: the value in the unit of its plot. The viewer cannot scale a curve (Rerun 0.41), so
+# the scaled values are recorded, too, if the scene has a section [units].
 IN_PLOT = "in_plot"
 IMPULSES = Plot("Impulse of impacts", "N s")  # one point for each recorded impact, from its own row
 
@@ -69,7 +69,7 @@ class Sample(NamedTuple):
     frame: Frame
     before: Frame | Checkpoint | None  # the previous frame; None at the first frame
     overlap: float  # m, the deepest of the frame's contacts; 0 without any
-    relative_overlap: float  # the largest overlap / smaller radius of a contact
+    relative_overlap: float  # the largest overlap over the smaller radius of the contact's bodies
     colours: float  # number of colours of the contacts
     energy: Energy  # of the frame, J
     mass: FloatArray  # (n,) kg
@@ -100,7 +100,7 @@ class Series:
     part: str | None = None
     past: Past = Past.NONE
     width: float = THIN
-    inside: bool = False  # whether it is internal to the solver, so that runs of other engines lack it
+    inside: bool = False  # whether the series is internal to carom's solver, so that runs of other engines lack it
     # whether the plot of a constant series is omitted, too; a series of zeros is never plotted
     flat_is_dull: bool = False
 
@@ -209,7 +209,7 @@ SERIES = (
 # fmt: on
 
 
-# for other engines, whose impulses are unknown: path → legend and meaning
+# For other engines, whose impulses are unknown: legend and meaning by path.
 OF_ENGINES = {
     "energy/ledger/restitution": (
         "lost while touching",

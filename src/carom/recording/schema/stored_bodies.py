@@ -31,8 +31,8 @@ _COUNT, _FIRST = "name_count", "name_first"
 def encode_names(names: Sequence[str]) -> dict[str, Any]:
     """Return the components that hold the names.
 
-    Without numbered names there is one, ``name``. Otherwise ``name_count`` is the number of bodies with a prefix (0 for
-    a whole name), and ``name_first`` the number in the name of the first of them.
+    Without numbered names, the only component is ``name``. Otherwise ``name_count`` is the number of bodies with a
+    prefix (0 for a complete name), and ``name_first`` the number in the name of the first of these bodies.
     """
     parts = names.parts if isinstance(names, JoinedNames) else (names,)
     if not any(isinstance(part, NumberedNames) for part in parts):
@@ -73,7 +73,7 @@ def decode_names(stored: Stored) -> Sequence[str]:
 
 
 def encode_bodies(data: Sequence[BodyColumns]) -> dict[str, Any]:
-    """Return the components, without those that are zero for all bodies."""
+    """Return the components; components that are zero for all bodies are left out."""
     vectors = {name: np.concatenate([getattr(columns, name) for columns in data]).ravel() for name in VECTORS}
     kept = {name: values for name, values in vectors.items() if name == "position" or values.any()}
     fixed = np.concatenate([columns.fixed for columns in data])

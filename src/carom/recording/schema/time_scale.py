@@ -31,7 +31,7 @@ class TimeScale:
     def fitting(cls, duration: float, shortest_dt: float) -> TimeScale:
         """Choose the scale: 1 if possible, above 1 for long scenes, below 1 for very short steps.
 
-        If a scene has both, the duration fits, and short steps are rounded.
+        If a scene is long and has very short steps, the duration fits, and short steps are rounded.
         """
         least = math.ceil(math.log10(duration / _LONGEST)) if _positive(duration) else -300
         if least > 0:

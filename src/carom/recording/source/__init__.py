@@ -1,1 +1,1 @@
-"""Runs of other engines: the states that they expose, and what can be judged from these alone."""
+"""Runs of other engines: the states that they expose, and the audit of these states."""

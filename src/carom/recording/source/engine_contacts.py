@@ -1,4 +1,4 @@
-"""Contacts with forces as other engines report them, and the rows of the contact table that are made of them."""
+"""Contacts with forces as other engines report them, and their conversion to rows of the contact table."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CONTACT = np.dtype(
         ("friction", np.float64, 3),  # N, the tangential force on j
     ]
 )
-_ROUGHLY = 0.01  # of the length of a normal
+_ROUGHLY = 0.01  # largest relative error of the length of a normal
 
 
 def has_forces(contacts: Any) -> bool:
@@ -66,7 +66,7 @@ def rows_of_contacts(contacts: Records, step: int, time: float, dt: float) -> Re
     """Return a row of the contact table for each pair, (k,) `CONTACT_ROW`, sorted by pair.
 
     Several contacts of a pair become one: their total force at the centre of their normal forces. The impulse is the
-    force over the time (s) since the frame before.
+    force times the time (s) since the previous frame.
     """
     if len(contacts) == 0:
         return NO_ROWS

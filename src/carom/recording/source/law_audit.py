@@ -110,17 +110,17 @@ class AuditFinding:
 
     faults: list[Fault] = field(default_factory=list)
     taken: float = 0.0  # J, absorbed by contacts; negative where contacts returned energy
-    unjudged: float = 0.0  # J, lost by clusters that contain bodies that are not judged
+    unjudged: float = 0.0  # J, lost by clusters with unjudged bodies
     struck: float = 0.0  # J, Σ ½ μ v_n² of the contacts whose velocity reversed
     impacts: int = 0  # number of these contacts
-    hardest: float = 0.0  # J, the hardest of them
+    hardest: float = 0.0  # J, ½ μ v_n² of the hardest of these contacts
     hardest_pair: tuple[int, int] = (0, 0)
 
 
 UNCHANGED = 1e-3  # of the closing speed; a smaller change does not count as contact
 TUNNELLED = 0.5  # of the closing speed; bodies that keep more of it while passing through each other did not collide
 SHALLOW = 1e-3  # of the smaller radius; such bodies count as apart
-FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must push
+FOUND = 5e-3  # of the smaller radius; at this depth even a soft contact must exert a force
 STILL = 0.05  # of the typical speed; slower contacts are at rest, where forces may balance
 AT_LEAST = 1e-2  # of a typical body's momentum or energy; smaller changes are noise
 MOST_NAMED = 8  # bodies in a sentence
@@ -213,7 +213,7 @@ class LawAudit:
             yield from ((f"{key}.step", first.step), (f"{key}.time", first.time), (f"{key}.text", first.text))
 
     def go_on(self, earlier: LawAudit) -> None:
-        """Continue the counts of the audit of other bodies."""
+        """Continue the counts of an earlier audit, of other bodies."""
         self.counts, self.first, self.broken = earlier.counts, earlier.first, earlier.broken
         self._typical, self._scale, self._allowed = earlier._typical, earlier._scale, earlier._allowed
 
@@ -360,7 +360,7 @@ class LawAudit:
         at = near.directions_of_touch()
         plane = near.pairs[:, 1] >= n
         normal = np.where(plane[:, None], near.normal, at)
-        # a plane does not fall, so the speed that the field adds towards it is not an impulse
+        # a plane does not fall, so the speed that the field adds towards the plane is not due to an impulse
         push = np.where(plane, normal @ setup.gravity * dt, 0.0)
         closing = -np.einsum("ij,ij->i", near.relative_before, normal)
         after = -np.einsum("ij,ij->i", near.relative_now, normal) - push

@@ -50,9 +50,9 @@ class Observer:
     tolerances
         Of the audit.
     units
-        Of the numbers, and of the numbers in messages of faults.
+        Units of the numbers, and of the numbers in messages about faults.
     present
-        Where bodies come and go, those that exist, of which ``setup`` has the constants.
+        Where bodies come and go, the bodies that exist; ``setup`` has their constants.
     """
 
     def __init__(
@@ -80,16 +80,16 @@ class Observer:
         self._ledger = Ledger()
         self._lowest_error, self._gain = 0.0, NOTHING
         self._error = 0.0  # J, the integration error at the last frame
-        self._pull: float | None = None  # J, gravitational energy at the last frame
+        self._pull: float | None = None  # J, gravitational energy at the last frame; None without gravity
         self._before: EngineMoment | None = None
         self._began = first.time
         self._last_time: float | None = None  # s, of the last frame; None before the first one
 
     def continued(self, present: Present, state: State) -> Observer:
-        """Return the observer of the bodies that exist from a state on.
+        """Return the observer for the bodies that exist from a state on.
 
-        The change of energy from the frame before is that of the bodies that came and went. It is no error, and no
-        energy that contacts absorbed. Momenta are compared with those of this state.
+        The change of energy since the previous frame is due to the bodies that came and went. It counts neither as an
+        error nor as absorbed by contacts. Momenta are compared with those of this state.
         """
         new = Observer(present.setup, state, self._tolerances, self.units, present)
         new.extremes, new._ledger, new._last_time = self.extremes, self._ledger, self._last_time

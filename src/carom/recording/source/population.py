@@ -1,4 +1,4 @@
-"""`Population`: the bodies of another engine's run in which bodies come and go, each with its number in the recording.
+"""`Population`: numbers the bodies of another engine's run in which bodies come and go.
 
 A recording numbers all bodies that ever existed. A frame has a place for each of them; a body that does not exist has
 the position NaN, which is not drawn. Frames are computed for the present bodies, and then spread over these places.
@@ -19,7 +19,7 @@ from carom.recording.schema.checkpoint_columns import PartialCheckpoint
 from carom.recording.source.source import MASSLESS, SPHERE, Model, Setup, State, array_of
 from carom.scene.wording import Names, SomeNames
 
-FIRST_PLANE = 1 << 40  # number of the first plane, where the number of bodies is not known yet
+FIRST_PLANE = 1 << 40  # number of the first plane while the number of bodies is not known yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class Present:
 
     @property
     def lasting_ends(self) -> IntArray:
-        """The same, with numbers of planes that do not change when bodies come."""
+        """The same, with numbers of planes that stay when bodies come."""
         return np.concatenate((self.numbers, FIRST_PLANE + np.arange(len(self.setup.planes))))
 
 
@@ -76,16 +76,16 @@ class PartialFrame(Frame):
 class Population:
     """Numbers the bodies of states by their ids.
 
-    A body whose mass or radius changes, as in a merger, ends, and another begins.
+    If the mass or radius of a body changes, as in a merger, this body ends and another begins.
 
     Parameters
     ----------
     setup
         The constants of the first state.
     model
-        The model from which they were made.
+        The model from which these constants were made.
     ids
-        (n,) of the bodies of the model.
+        (n,) ids of the bodies of the model.
     """
 
     def __init__(self, setup: Setup, model: Model, ids: IntArray) -> None:
@@ -99,7 +99,7 @@ class Population:
         self._bodies_of_id = dict.fromkeys(ids.tolist(), 1)  # bodies so far by id
 
     def find(self, state: State) -> Present:
-        """Return the bodies of a state; the same object as for the state before if none came or went.
+        """Return the bodies of a state; if none came or went, the same object as for the previous state.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class Population:
 
 
 _COLUMNS = ("mass", "radius", "inertia", "fixed", "judged", "touches")  # of a setup, one value for each body
-_AGAIN = " ("  # before the number of a body that has the id of an earlier one
+_AGAIN = " ("  # in a name, before the number of a body that reuses the id of an earlier one
 
 
 def ids_of(engine: str, ids: Any, count: int) -> IntArray:
@@ -187,7 +187,7 @@ def _same(sizes: FloatArray, known: FloatArray) -> BoolArray:
 
 
 def spread(frame: Frame, present: Present) -> PartialFrame:
-    """Give a frame of present bodies a place for each body of the run."""
+    """Spread a frame of the present bodies over places for all bodies of the run."""
     ends, n = present.ends, present.bodies
 
     def wide(values: FloatArray | None, missing: FloatArray) -> FloatArray:
@@ -218,7 +218,7 @@ def spread(frame: Frame, present: Present) -> PartialFrame:
 
 
 def _renumbered(rows: Records, ends: IntArray) -> Records:
-    """Return rows of contacts between other numbers, by pair."""
+    """Return rows of contacts whose ends have other numbers, sorted by pair."""
     found = rows.copy()
     i, j = ends[rows["i"]], ends[rows["j"]]
     found["i"], found["j"] = np.minimum(i, j), np.maximum(i, j)

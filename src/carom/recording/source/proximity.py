@@ -29,9 +29,9 @@ class EngineMoment:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Pairs that may have touched since the moment before: bodies, and planes from n on."""
+    """Pairs that may have touched since the previous moment: bodies, and planes from n on."""
 
-    pairs: IntArray  # (k,) m, r_i + r_j
+    pairs: IntArray  # (k, 2) i < j; planes from n on
     reach: FloatArray  # (k,) m, r_i + r_j
     small: FloatArray  # (k,) m, the smaller radius
     before: FloatArray  # (k, 3) m, from i to j; to a plane, from the centre to the plane

@@ -18,9 +18,9 @@ from carom.recording.schema.properties import LARGEST
 from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 
-MASSLESS = 1e-30  # of the largest mass, instead of a test particle's 0
-DRAWN_RADIUS = 0.01  # of the bodies' extent, instead of a point mass's 0
-ROUGHLY = 0.01  # of the length of a quaternion
+MASSLESS = 1e-30  # of the largest mass; the mass of a test particle, in place of 0
+DRAWN_RADIUS = 0.01  # of the bodies' extent; the radius of a point mass, in place of 0
+ROUGHLY = 0.01  # largest relative error of the length of a quaternion
 SPHERE = 0.4  # moment of inertia / (m r²)
 
 
@@ -66,8 +66,8 @@ class Model:
     units
         Units of all numbers, as in `Recorder`; empty for SI.
     every
-        Calls of `Recorder.frame` per frame, unless the recorder sets it: above 1 for engines that are slow to copy a
-        state.
+        Calls of `Recorder.frame` per recorded frame, unless the recorder sets it; above 1 for engines whose states are
+        slow to copy.
     """
 
     engine: str
@@ -100,7 +100,7 @@ class State:
     contacts: Any = (
         None  # (m,) `CONTACT` with forces, or (m, 2) indices of touching bodies, n + k for plane k; None: unknown
     )
-    # where bodies come and go, (n,) whole numbers that identify those of this state; None: those of the first state
+    # where bodies come and go, (n,) whole numbers that identify the bodies of this state; None: the bodies of the first
     ids: Any = None
     mass: Any = None  # (n,) kg and m, with ids: needed in states with new bodies; a body whose mass or radius changes
     radius: Any = None  # ends, and another begins
@@ -317,11 +317,11 @@ class StateMemory:
     Parameters
     ----------
     state
-        Whose arrays are views of the blocks.
+        A state whose arrays are views of the block.
     block
         The array that holds all numbers of the state.
     parts
-        Views of it that a `BulkSource` fills.
+        Views of the block that a `BulkSource` fills.
     """
 
     def __init__(self, state: State, block: _Floats, parts: tuple[NDArray[Any], ...] = ()) -> None:
@@ -357,7 +357,7 @@ class StateMemory:
         own.contacts = None if state.contacts is None else np.array(state.contacts)
 
     def _take_bodies(self, state: State) -> None:
-        """Copy what identifies the bodies of a state, and fit the memory to their number."""
+        """Copy the ids, sizes and names of a state's bodies, and fit the memory to their number."""
         own = self.state
         for name in ("ids", "mass", "radius", "names"):
             values = getattr(state, name)
@@ -374,7 +374,8 @@ class StateMemory:
     @property
     def bounded(self) -> bool:
         """Whether all numbers are finite and below the overflow bound."""
-        # both return NaN, which fails the comparison; compared as Python floats, since float32 ends before LARGEST
+        # with NaN both return NaN, which fails the comparison; Python floats are compared, since LARGEST exceeds
+        # float32
         return (
             -LARGEST <= self.state.time <= LARGEST
             and float(_LEAST(self.block, None)) >= -LARGEST
@@ -394,12 +395,12 @@ class BulkSource(Protocol):
 
 
 def memory_of(source: Source, like: State) -> Callable[[], StateMemory]:
-    """Return the function that allocates memory for the states of a source."""
+    """Return a function that allocates memory for the states of a source."""
     return source.memory if isinstance(source, BulkSource) else lambda: StateMemory.like(like)
 
 
 def reader_of(source: Source) -> Callable[[StateMemory], None]:
-    """Return the function that copies the present state of a source into a snapshot."""
+    """Return a function that copies the present state of a source into a snapshot."""
     return source.read if isinstance(source, BulkSource) else lambda snapshot: snapshot.take(source.state())
 
 

@@ -18,13 +18,13 @@ _ROUNDING = 1e-9  # of the largest magnitude in the recorded frames so far
 class ArrowFloors:
     """The magnitudes below which arrows of a recording are not drawn, by the entity of the arrows.
 
-    The largest magnitude of a run is known only at its end, so floors rise with the largest so far. Each frame holds
+    The largest magnitude of a run is known only at its end, so floors rise with the largest so far. Each frame contains
     its floors. A replay or a resumed run that begins at a later frame thus has the floors of the whole run.
 
     Parameters
     ----------
     header
-        Of the recording; by its first rules of drawing, all arrows are drawn.
+        Header of the recording; with version 1 of the rules of drawing, all arrows are drawn.
     before
         The floors before the first frame.
     """

@@ -33,7 +33,7 @@ class BatchContacts:
     ----------
     frames
         The arrays of each frame.
-    (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
+    edges, contacts, impacts
         (frames,) numbers of edges of the graph, and of `CONTACT_ROW` of contacts and of impacts.
     """
 
@@ -211,7 +211,7 @@ class ContactEncoder:
     origin
         (3,) m, of the drawing.
     references
-        Magnitudes in the middle of the scales; the first frame with something to draw adds unknown ones.
+        Magnitudes in the middle of the scales; the first frame with something to draw determines missing ones.
     floors
         Magnitudes below which arrows are not drawn.
     before
@@ -282,7 +282,7 @@ class ContactEncoder:
         )
         self._recorded += len(impacts)
         if len(impacts):
-            # if the tap left out some, the numbers apply to the contacts that it kept
+            # if the tap left some impacts out, the numbers apply to the stored impacts
             numbers = np.repeat(self._before, kept.impacts) + 1 + self._chosen
             yield impact_rows(impacts, numbers, self._references, header, self._origin)
 

@@ -58,7 +58,7 @@ class DiskReserve:
 
 
 FLUSH = 60.0  # s, for Rerun's stream to the pipe; a disk that takes longer counts as failed
-_SPARE = 32 << 20  # bytes of address space for the last messages if `ulimit -v` leaves no other; never touched
+_SPARE = 32 << 20  # bytes of address space for the last messages, if `ulimit -v` leaves no other; otherwise unused
 _PIPE = 1 << 20  # bytes; a user with many pipes gets smaller ones
 _POLL = 0.001  # s
 _GATHER = 0.002  # s between two reads; each acquires the interpreter lock, which the physics needs
@@ -171,7 +171,7 @@ class DurableSink:
             self._splitter.add(piece)
 
     def _write(self, message: memoryview) -> None:
-        if self.error is not None:  # of a message before
+        if self.error is not None:  # from an earlier message
             return
         if self._limit is not None and self.written + len(message) > self._limit - self._reserve.size:
             self._use_reserve()  # treat a file size limit like a full disk, before it is reached
@@ -248,7 +248,7 @@ class AddressReserve:
             )
 
     def _keep(self, size: int) -> bool:
-        """Reserve at least so many bytes; return whether that succeeded."""
+        """Reserve at least ``size`` bytes; return whether that succeeded."""
         if size > self._size:
             self.release()
             try:

@@ -105,7 +105,7 @@ class BatchEncoder:
         self._box = np.zeros(3) if header.box is None else np.asarray(header.box, dtype=np.float64)
 
     def extend(self, header: Header) -> None:
-        """Encode later frames with more bodies, drawn as those so far."""
+        """Encode later frames with more bodies, drawn in the same way as the bodies so far."""
         self.header = replace(header, drawn_as=drawing.shape(self.header))
         if self._contacts:
             self._contacts.header = self.header
@@ -269,7 +269,7 @@ class BatchEncoder:
         return frame_rows(path, index, columns, array_bytes(*arrows, body))
 
     def _above_floor(self, path: str, torques: TorqueList, inertia: FloatArray) -> tuple[TorqueList, FloatArray]:
-        """Keep the torques τ whose τ/I are not below the floors of the arrows; return also these, (frames,)."""
+        """Keep the torques τ with τ/I not below the floors of the arrows; return them and the floors, (frames,)."""
         frame = np.repeat(np.arange(len(torques.each)), torques.each)
         with np.errstate(over="ignore"):
             size = torques.magnitude / inertia[torques.body]
@@ -342,7 +342,7 @@ class BatchEncoder:
             yield frame_rows(series.path, index, *self._scalars(series, values))
 
     def _scalars(self, series: Series, values: FloatArray) -> tuple[list[ComponentColumn], int]:
-        """Return the columns of a series, and their bytes: its values, and those of its plot if its unit differs."""
+        """Return the columns of a series, and their bytes: its values, and those of its plot if the unit differs."""
         columns = [plain_column(rr.Scalars.descriptor_scalars(), values)]
         factor = self.header.plot_factor(series.unit)
         if factor == 1.0 or series.plot is None:

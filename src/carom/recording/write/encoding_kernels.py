@@ -34,7 +34,7 @@ class TorqueList(NamedTuple):
     """Torques that can be drawn, frame by frame."""
 
     torque: FloatArray  # (frames, n, 3) N m, of all bodies
-    each: IntArray  # (frames,) how many bodies each frame lists
+    each: IntArray  # (frames,) number of listed bodies in each frame
     body: NDArray[np.uint32]  # (m,) the bodies listed
     magnitude: FloatArray  # (m,) N m, of their torques
 
@@ -77,7 +77,7 @@ def cast_orientations(orientation: FloatArray, turned: SingleArray) -> None:
 
 @long_kernel
 def list_torques(torques: TorqueList) -> int:
-    """Fill the list of the bodies with a torque that can be drawn, which has room for all; return its length.
+    """Fill the list of the bodies with a torque that can be drawn, allocated for all bodies; return its length.
 
     The largest component is the unit, so that no square overflows.
     """
@@ -180,7 +180,8 @@ def write_contacts(
     Parameters
     ----------
     pairs, rows
-        Of the edges, and of the contacts, which are more if some opened within the step; both sorted by pair.
+        Pairs of the edges, and rows of the contacts, both sorted by pair. There are more contacts than edges if some
+        contacts opened within the step.
     middle
         N s, the impulse in the middle of the scale.
     scale, widths
@@ -205,7 +206,7 @@ def write_contacts(
 def middle_of(rows: Records, positive: FloatArray) -> float:
     """Return the median of the normal impulses (N s) that are more than zero; 1 if there are none.
 
-    ``positive``, at least as many numbers, is overwritten.
+    ``positive`` is overwritten; it must be at least as long as ``rows``.
     """
     count = 0
     for c in range(len(rows)):

@@ -1,7 +1,7 @@
-"""Frames at the instants of impacts: bodies, edges and impulses at these times, energies and spins around them.
+"""Frames at the instants of impacts: bodies, edges and impulses at these times, energies and spins before and after.
 
-They are between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts. Other
-changes between the two frames are assumed to be linear in time: energies, spins, orientations.
+These frames lie between two frames of the run, and have no step. Impulses, losses and normals are those of the impacts.
+Other changes between the two frames are assumed to be linear in time: energies, spins, orientations.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ STEPPING = (  # the series that change at an impact, in the order of `Instant.en
     "energy/ledger/friction",
 )
 _SPIN_ARROW = 1.3  # length of the faster spin's arrow, in radii of the smaller body
-_SPIN_WIDTH = 0.04  # its radius, in the same unit
+_SPIN_WIDTH = 0.04  # radius of the arrow, in radii of the smaller body
 _BEFORE, _AFTER = 0x8A93A6FF, 0x5CE0B0FF
 
 
@@ -92,7 +92,7 @@ def instants(
 
 
 def _together(impacts: Records, k: int) -> tuple[Records, CollisionGraph]:
-    """Return the impacts at the time of one impact, and their graph; of a pair that meets twice, the larger one."""
+    """Return the impacts at the time of one impact, and their graph; for a pair that meets twice, the larger impact."""
     rows = impacts[impacts["time"] == impacts["time"][k]]
     rows = rows[np.argsort(-rows["normal_impulse"], kind="stable")]
     pairs, first = np.unique(np.stack([rows["i"], rows["j"]], axis=1), axis=0, return_index=True)
@@ -114,7 +114,7 @@ class _Jumps:
         terms = terms_of(impacts)
         rotational = np.zeros(len(impacts)) if self._kicks is None else self._gains(header)
         lost = terms[:, 0] + terms[:, 1] - terms[:, 2]
-        # of each impact, in the order of `STEPPING`
+        # change by each impact, in the order of `STEPPING`
         self._jump = np.stack([-lost - rotational, rotational, -lost, terms[:, 0], terms[:, 1]], axis=1)
 
     def energies(self, k: int) -> FloatArray:
@@ -162,7 +162,7 @@ def _kicks(header: Header, before: Frame | Checkpoint, frame: Frame, impacts: Re
     """Return the changes of both spins in each impact, (k, 2, 3) rad/s; zero for planes and fixed bodies."""
     normal = np.stack([impacts["nx"], impacts["ny"], impacts["nz"]], axis=1)
     friction = np.stack([impacts["friction_x"], impacts["friction_y"], impacts["friction_z"]], axis=1)
-    torque = np.cross(normal, -friction)  # on both bodies, over their radii
+    torque = np.cross(normal, -friction)  # N s, torque impulse on each body over its radius
     still = np.all((before.position == frame.position) & (before.velocity == 0.0) & (frame.velocity == 0.0), axis=1)
     per_torque = np.append(np.where(still, 0.0, header.radius / header.inertia), 0.0)  # the last is that of planes
     ends = np.minimum(np.stack([impacts["i"], impacts["j"]], axis=1), header.bodies)
@@ -179,7 +179,7 @@ def _terms(energy: Energy) -> FloatArray:
 
 
 def spin_rows(header: Header, found: Sequence[Instant], points: SingleArray) -> Iterable[Rows]:
-    """Draw the spins of the bodies that meet, with those before in grey; on the timeline of impacts only.
+    """Draw the spins of the bodies that meet, the earlier spins in grey; on the timeline of impacts only.
 
     Parameters
     ----------

@@ -22,8 +22,8 @@ from carom.recording.write.encoding_kernels import count_moved
 from carom.recording.write.rows import Index, Rows, any_column, array_bytes, plain_column, vector_column
 
 # Positions of the bodies at impacts between two frames. A body with impacts between the frames is at the contact point
-# of each, and on straight lines in between. The others follow the cubic through their positions and velocities in both
-# frames. Orientations are interpolated.
+# of each impact, and moves on straight lines in between. Other bodies follow the cubic through their positions and
+# velocities in both frames. Orientations are interpolated.
 
 
 def positions_at(
@@ -81,7 +81,7 @@ class _ImpactsByBody(NamedTuple):
 class _Corners(NamedTuple):
     """Buffer for the corners of the path of one body: both frames, and its impacts between them.
 
-    Allocated in `_pass_through`, the arrays took a second to compile.
+    If `_pass_through` allocated these arrays, it would take a second longer to compile.
     """
 
     time: FloatArray  # s
@@ -143,12 +143,12 @@ def _pass_through(
 
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
-SHARE = 0.22  # of everything else in the file; with data not counted here, a fifth of the whole
+SHARE = 0.22  # of everything else in the file; including data not counted here, a fifth of the whole file
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
-_HARDER = 1.25  # times as hard as every impact with a frame: an impact that gets a frame beyond the budget
+_HARDER = 1.25  # impulse over that of every impact with a frame, above which an impact gets a frame beyond the budget
 _SCENE = 600  # bytes of a frame at an impact, in addition to its bodies: edge, arrows, energies, spins
-_CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # bytes in the file, packed, as measured
+_CONTACT, _IMPACT, _ARROW = 12.5, 85, 32  # measured bytes in the file, compressed
 _SCALARS = 500  # bytes of a frame's scalars
 
 
@@ -169,21 +169,21 @@ class Kept(NamedTuple):
 
     impacts: IntArray  # impacts since the previous frame, with the largest normal impulses
     arrows: IntArray  # contacts drawn with arrows
-    scenes: IntArray  # of these, the largest ones, which have a frame of their instant
+    scenes: IntArray  # the largest of these impacts, which get a frame of their own
 
 
 class _Counts(NamedTuple):
     """Numbers in each frame of a batch, (frames,), and of all bodies."""
 
     bodies: int
-    moved: IntArray  # bodies drawn elsewhere than in the frame before
+    moved: IntArray  # bodies drawn at other positions than in the previous frame
     edges: IntArray
     contacts: IntArray
     impacts: IntArray
 
 
 class _BodyColumns(NamedTuple):
-    """What a frame has for each body besides its position."""
+    """The data that a frame has for each body besides its position."""
 
     orientation: bool
     torque: bool
@@ -196,8 +196,9 @@ class ImpactPlan:
     are kept, at least one per frame. The choice depends on the frames but not on the batches, so that the same run
     always has the same rows.
 
-    Impacts get frames of their instants from a budget, which the first ones of a crowded scene spend. A much harder one
-    gets a frame nevertheless: at most ten for each decade of impulses, whatever the length of the run.
+    Impacts get frames at their exact times from a budget, which the first impacts of a crowded scene use up. After
+    that, much harder impacts still get a frame: at most ten for each decade of impulses, whatever the length of the
+    run.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ class ImpactPlan:
     oriented, turned
         Whether bodies have orientations and torques.
     exceeds
-        Whether much harder impacts get frames beyond the budget; not by the first rules of drawing.
+        Whether much harder impacts get frames beyond the budget; False for version 1 of the rules of drawing.
     """
 
     def __init__(self, *, everything: bool, oriented: bool, turned: bool, exceeds: bool = True) -> None:
@@ -214,7 +215,7 @@ class ImpactPlan:
         self._budget = np.zeros(1, _BUDGET)
         self._budget["others"] = FILE_BYTES
         self._exceeds, self._hardest = exceeds, 0.0  # N s, of the impacts with frames
-        self._before: SingleArray | None = None  # (n, 3) m, as drawn in the frame before
+        self._before: SingleArray | None = None  # (n, 3) m, as drawn in the previous frame
 
     @classmethod
     def of(cls, header: Header, *, everything: bool = False) -> ImpactPlan:

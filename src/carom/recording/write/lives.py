@@ -12,12 +12,12 @@ from carom.recording.source.population import PartialFrame
 
 
 class Lives:
-    """Follows which bodies the frames of a run have.
+    """Records which bodies exist in the frames of a run.
 
     Attributes
     ----------
     change
-        Whether a body came or went so far.
+        Whether a body has come or gone so far.
     """
 
     def __init__(self, bodies: int) -> None:
@@ -45,7 +45,7 @@ class Lives:
     def columns(self) -> dict[str, IntArray]:
         """Return the components that are recorded: the first and the last step of each body.
 
-        A body that exists in the last frame has the last step -1, and one that no frame has, the first step -1.
+        For a body that exists in the last frame, the last step is -1; for a body without a frame, the first step is -1.
         """
         last = self._last.copy()
         last[self._present] = -1

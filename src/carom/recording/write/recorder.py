@@ -1,4 +1,4 @@
-"""`FrameRecorder`: writes frames of the physics to an .rrd in a thread of its own, with occasional checkpoints."""
+"""`FrameRecorder`: writes frames of the physics to an .rrd in a separate thread, with occasional checkpoints."""
 
 from __future__ import annotations
 
@@ -105,8 +105,9 @@ class BatchQueue(Generic[_Item]):
 class CheckpointPlan:
     """Decides which frames carry a checkpoint, so that checkpoints take about a tenth of the recording.
 
-    The first frame always carries one. So does the frame before a warning, until warnings have used another tenth. The
-    choice depends on the frames but not on the batches, so that the same run always has the same checkpoints.
+    The first frame always carries one. The frame before a warning also carries one, until these have used another
+    tenth. The choice depends on the frames but not on the batches, so that the same run always has the same
+    checkpoints.
 
     Parameters
     ----------
@@ -215,8 +216,8 @@ class FrameRecorder:
         self._error: RecordingError | None = None
         self._closed = False
         self._start: FloatArray | None = None  # (n, 3) m, of the centres
-        self._start_known = threading.Event()  # or the recorder is closed
-        self._begun = threading.Event()  # static data are in the file, or never will be
+        self._start_known = threading.Event()  # set once `_start` is known, or the recorder is closed
+        self._begun = threading.Event()  # set once static data are in the file, or never will be
         self._thread = threading.Thread(target=self._run, name="carom-recorder", daemon=True)
         self._thread.start()
 
@@ -237,7 +238,7 @@ class FrameRecorder:
         """
         self._start = position.copy()
         self._start_known.set()
-        if self._addresses.limited:  # contacts may leave too few addresses to encode it
+        if self._addresses.limited:  # contacts may leave too little address space to encode it
             self._begun.wait()
 
     def store_for(self, bodies: Bodies) -> FrameStore:
@@ -247,7 +248,7 @@ class FrameRecorder:
         return self._store
 
     def extend(self, header: Header) -> None:
-        """Add bodies: later frames have those of a header that begins with the bodies of the header before."""
+        """Add bodies: later frames have the bodies of this header, which begins with those of the previous header."""
         self._extended[header.bodies] = header
         self.bodies = header.bodies
 
@@ -325,7 +326,7 @@ class FrameRecorder:
             for rows in encoder.rows(part, self._store):
                 self._stream.send(rows, self._clock)
         known = encoder.arrow_references
-        # sent now, so that a killed run has them
+        # sent now, so that the file of a killed run has them
         self._stream.send_property("arrows", {name: known[name] for name in known if name not in self._references})
         self._references = set(known)
         if self._lives.add(batch):

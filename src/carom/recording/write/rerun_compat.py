@@ -1,7 +1,7 @@
 """Rerun's private interfaces, each with a fallback for versions of Rerun that lack it.
 
-No other module of carom uses them. Without them, recordings are written, read, resumed and shown just the same; what is
-lost is memory, or the layout of a clip. test_rerun_compat.py tries each interface and each fallback, as a canary for
+No other module of carom uses them. Without them, recordings are written, read, resumed and shown in the same way; only
+memory, or the layout of a clip, is lost. test_rerun_compat.py tries each interface and each fallback, as a canary for
 new versions of rerun-sdk. 0.41 is the first version whose viewer renders pictures; 0.40 can only record and replay.
 
 The page of `carom view --web` drives the web viewer by the undocumented interface of Rerun's `re_viewer.js`. The slow
@@ -41,8 +41,8 @@ _DRIVEN_BY = ("connect", "open", "get_state", "set_time", "take_screenshot")  # 
 def end_earlier_streams() -> None:
     """Free the threads and memory that Rerun keeps for each closed stream until `rr.init` is called.
 
-    Without that function of Rerun, they stay. A forked child lacks the threads of its parent and cannot end its
-    streams; Rerun raises RuntimeError.
+    If Rerun lacks the private function for this, they stay allocated. A forked child lacks the threads of its parent
+    and cannot end its streams; Rerun raises RuntimeError.
     """
     with contextlib.suppress(RuntimeError, *_UNKNOWN):
         bindings.flush_and_cleanup_orphaned_recordings()
@@ -72,7 +72,7 @@ def send_layout(stream: rr.RecordingStream, application: str, layout: rrb.Bluepr
 
 
 def send_to_notebook(viewer: Viewer, rrd: bytes) -> None:
-    """Give a notebook's viewer a file; Rerun's public way is a stream that reads the file and writes it again."""
+    """Send a file to a notebook's viewer. Rerun's public interface would read the file and write it again."""
     try:
         viewer._flush_hook(rrd)
     except _UNKNOWN:

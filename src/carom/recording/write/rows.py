@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from carom.physics.frame import Frame
 
 
-# Columns of a batch: the values of a component, row after row, and their number in each row. Rerun's own columns copy
-# their values, and compute offsets for every single value before a column is partitioned. That took most of the
-# recorder's time, while holding the interpreter lock. These wrap the arrays without a copy.
+# Columns of a batch: the values of a component, row after row, and their number in each row. The columns below wrap the
+# arrays without a copy. Rerun's own columns copy their values, and compute offsets for every single value before a
+# column is partitioned, which took most of the recorder's time and held the interpreter lock.
 
 Each = IntArray | int  # values in each row; one number if all rows have the same
 Descriptor = rr.ComponentDescriptor
@@ -85,7 +85,7 @@ def line_column(ends: SingleArray, each: Each) -> ComponentColumn:
 
 
 def _offsets(each: Each, count: int) -> Int32Array:
-    """Return where each row begins, and the end of the last one."""
+    """Return the index at which each row begins, and the end of the last row."""
     if isinstance(each, int):
         return np.arange(0, count + 1, each, dtype=np.int32)
     found = np.zeros(len(each) + 1, dtype=np.int32)
@@ -103,7 +103,7 @@ class Index(NamedTuple):
     steps: IntArray  # empty for rows within a step, and for rows on the timeline of impacts only
     times: FloatArray  # s
     impacts: IntArray = NO_STEPS  # numbers of impacts, where the rows are on their timeline
-    # s, times of the next frames, for rows within a step, which lie before their nanosecond
+    # s, for rows within a step: times of the next frames, before whose nanosecond the rows must lie
     ends: FloatArray = _NO_TIMES
 
     @classmethod

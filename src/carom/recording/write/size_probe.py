@@ -50,7 +50,9 @@ def probe(path: Path, header: Header, frames: Sequence[Frame]) -> dict[str, Take
     batch = [replace(frames[k % len(frames)], step=k, time=float(k), slot=None) for k in range(count)]
     stream = Stream(path, header, batch_bytes=BATCH_BYTES, live=None)
     try:
-        _send(batch, stream, BatchEncoder(header, origin), clock)  # the first call loads libraries and kernels
+        _send(
+            batch, stream, BatchEncoder(header, origin), clock
+        )  # not measured: the first call loads libraries and kernels
         sizes, profile = _send(batch, stream, BatchEncoder(header, origin), clock)
     finally:
         stream.close()

@@ -93,16 +93,16 @@ BATCH_BYTES = 4_000_000  # a batch costs some milliseconds, whatever its size
 # of 2 GB, the largest readable one.
 PROMPT_BATCHES = 100  # first batches, which are written without joining
 OF_TIME = 0.01  # largest fraction of its time that a killed run may lose
-OF_SIZE = 0.004  # of the recorded bytes
+OF_SIZE = 0.004  # largest fraction of the recorded bytes that it may lose
 JOINED_BYTES = 64_000_000  # the largest joined batch, for recordings above 16 GB; 28 800 of them are 1.8 TB
 _ENCODED = 1.3  # bytes in the file per byte of data, at most
 _ENDING = 400_000  # bytes for blueprint, properties and the footer of a small recording
-_CONTINUED_BYTES = 16_000_000  # that wait in Rerun's encoder
+_CONTINUED_BYTES = 16_000_000  # of continued frames that wait in Rerun's encoder
 _FOOTER_BYTES = 120  # a message's share of the footer; 50 were measured
 
 
 def frames_in_batch(bodies: int) -> int:
-    """Return how many frames of a number of bodies fill a batch; 0 if one frame is larger."""
+    """Return the number of frames that fill a batch, given the number of bodies; 0 if one frame is larger."""
     return BATCH_BYTES // (40 * bodies + 500)
 
 

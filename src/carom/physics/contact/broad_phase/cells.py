@@ -30,7 +30,7 @@ from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
 from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
 
-WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour out of reach
+WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour beyond the neighbouring cells
 HUGE = 1e300  # m, less than `carom.scene.schema.settings.ENDLESS`, the period of an axis that does not repeat
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would exceed that margin
 MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
@@ -309,7 +309,7 @@ def _assign(
     bucket: Int32Array,
     rank: Int32Array,
 ) -> None:
-    """Find the bucket of each body, and its number in the bucket, which depends on the order of the threads."""
+    """Find the bucket of each body, and its number in the bucket; the number depends on the order of the threads."""
     origin, ends, body = layout.origin, before.ends, before.body
     L, last = 0, len(body) - 1
     periodic = is_periodic(layout.box)

@@ -1,8 +1,8 @@
 """Hierarchical grid: each body searches the nearby cells in the grid of its own octave and in others.
 
-A pair within an octave is found from the earlier cell. A pair of two octaves is found from one of the two. Either the
-smaller bodies search the few cells of the larger ones near them, or the larger bodies search the many cells that they
-cover, whichever is fewer cells in all. Gravel on a planet is the first case, power-law radii are the second.
+A pair within an octave is found by the body in the earlier cell. A pair of two octaves is found by one of the bodies.
+Either the smaller bodies search the few cells of the larger ones near them, or the larger bodies search the many cells
+that they cover, whichever is fewer cells in all. Gravel on a planet is the first case, power-law radii are the second.
 
 Rejected: searching from the smaller bodies always, with each octave in a hashed grid of its own (4 times the time for
 10⁵ radii from 1 to 100).
@@ -162,7 +162,8 @@ def _search_grid(a: int, K: int, L: int, scope: Scope, m: int, end: int) -> tupl
     fx, lx, once_x = _cells_along(ox, search_radius, grid.kx, grid.nx, repeats(box[0]))
     fy, ly, once_y = _cells_along(oy, search_radius, grid.ky, grid.ny, repeats(box[1]))
     fz, lz, once_z = _cells_along(oz, search_radius, grid.kz, grid.nz, repeats(box[2]))
-    # within an octave, half of the neighbours; if a cell is a neighbour on both sides, the later bodies of all
+    # Within an octave, half of the neighbours are searched. If a cell is a neighbour on both sides, all neighbours are
+    # searched, but only for later bodies.
     half = K == L and not _meets_itself(grid, scope.scale, scope.skin, box)
     later = K == L and not half
     cx, cy, cz = 0, 0, 0

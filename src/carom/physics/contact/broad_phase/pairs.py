@@ -1,6 +1,6 @@
 """Searches for touching pairs, and a list of pairs that avoids most searches (Verlet 1967).
 
-The list is rebuilt only when bodies have moved far enough. It holds all pairs within the search distance, and those
+The list is rebuilt only when bodies have moved far enough. It contains all pairs within the search distance, and pairs
 farther apart by at most a margin. Two bodies that have each moved by at most d since then have come closer by at most
 2d. As long as 2d is within the margin, the list holds all pairs within the search distance. The listed pairs pass the
 same exact test, in the same order, so the result equals that of a search.
@@ -27,7 +27,7 @@ from carom.physics.placement.neighbours import overlapping_pairs
 from carom.physics.vector import between, is_periodic, minimum_image, sizes
 
 LEAST_MARGIN, MOST_MARGIN = 0.2, 1.0  # of the smallest radius; in a heap they give 1.3 and 3 times as many pairs
-CALLS = 10  # calls that a list is made for
+CALLS = 10  # number of calls for which a list is made
 LEAST_CALLS = 4  # calls that a list must last at the present speed; making one costs as much as one and a half searches
 ROUNDING = 1e-14  # of the largest coordinate and distance; the test of a pair errs by about 1e-16
 BODIES_PER_BLOCK = 2048
@@ -101,7 +101,7 @@ class PairList:
     def __init__(self, grid: HierarchicalGrid, radius: FloatArray, box: FloatArray, team: Team = SOLO) -> None:
         self._grid, self._radius, self._box, self._team = grid, radius, box, team
         self._smallest, self._largest = float(radius.min()), float(radius.max())
-        self._widest = 0.5 * float(box.min()) if box[0] > 0.0 else np.inf  # m, beyond which another image may be nearer
+        self._widest = 0.5 * float(box.min()) if box[0] > 0.0 else np.inf  # m; beyond this, another image may be nearer
         self._listed = np.empty((0, 2), dtype=np.int64)
         self._start = np.full((len(radius), 3), np.inf)  # m, positions when the list was made, or at the last call
         self._moves = np.zeros(-(-len(radius) // BODIES_PER_BLOCK), FARTHEST)

@@ -1,11 +1,11 @@
 """Planes in the broad phase: the bodies that touch them, and a guard that lets no body pass through one within a step.
 
 Planes are tested at the positions at the end of a drift. A body that drifts farther than its radius may end behind a
-plane. The same holds for a body with more impacts than a drift resolves, or one that a position correction moves off a
-much larger body. If the centre of a body was in front of a plane when the step began and is now behind it, the body is
-moved back along the straight line between both positions, to where it first touches a plane. The region in front of all
-planes is convex, so this position is in front of each of them, also in a corner. The impact follows at the end of the
-step, like any other.
+plane. The same may happen to a body with more impacts than a drift resolves, or to a body that a position correction
+moves away from a much larger one. If the centre of a body was in front of a plane when the step began and is now behind
+it, the body is moved back along the straight line between both positions, to where it first touches a plane. The region
+in front of all planes is convex, so this position is in front of each of them, also in a corner. The impact follows at
+the end of the step, like any other.
 
 The potential of the body changes by -m a·Δx, which is booked as stabilisation, as for a position correction.
 """
@@ -35,7 +35,7 @@ DEEPEST = 0.5  # of the radius: upper limit of that overlap where coordinates ar
 
 
 class PlaneSearch:
-    """Adds the contacts (i, n + k) of bodies with planes k, and drops those of two fixed bodies.
+    """Adds the contacts (i, n + k) of bodies with planes k, and drops contacts of two fixed bodies.
 
     Parameters
     ----------
@@ -160,15 +160,15 @@ class PlaneGuard:
                 fraction = np.where(crossed, (before - (radius - depth)[:, None]) / (before - after), 1.0).min(axis=1)
         places: FloatArray = start + np.clip(fraction, 0.0, 1.0)[:, None] * (end - start)
         lost = ((self._planes.heights(places) < 0.0) & (before >= 0.0)).any(axis=1)
-        places[lost] = start[lost]  # rounding, if a radius is a few units in the last place
+        places[lost] = start[lost]  # due to rounding, if a radius is only a few units in the last place
         return places
 
     def _fraction_before_walls(
         self, start: FloatArray, end: FloatArray, crossed: BoolArray, touching: FloatArray
     ) -> FloatArray:
-        """Return the fraction of each path, (k,), up to which the body is at least ``touching`` m from what it crosses.
+        """Return the fraction of each path, (k,), up to which the body is ``touching`` m or more from these walls.
 
-        Found by bisection: the distance from a curved wall is not linear along the path.
+        It is found by bisection, since the distance from a curved wall is not linear along the path.
         """
         low, high = np.zeros(len(start)), np.ones(len(start))
         for _ in range(np.finfo(np.float64).nmant):

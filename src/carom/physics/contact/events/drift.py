@@ -159,7 +159,7 @@ class EventDrivenDrift:
         self._compile()
 
     def _compile(self) -> None:
-        """Run every kernel without impacts, so that the first impact does not wait for a compiler."""
+        """Run every kernel without impacts, so that the first impact does not wait for compilation."""
         T, nobody = self.trajectories, np.empty((0, 2), dtype=np.int64)
         self._kernels.begin(T, 1.0, 0.0, 0.0, False, np.ones(len(T.rest_speed), dtype=np.bool_))
         self._straighten(ImpulseCache.empty(), None)
@@ -298,16 +298,17 @@ def resolve_touching(T: Trajectories, pairs: IntArray, log: RecordArray[ImpactRe
 
     An integrator that ends its steps at impacts calls this at each of them. The pairs are resolved one by one, in the
     same order as in the event loop, until none closes. Rigid bodies have no unique solution where several pairs meet at
-    once. If that does not end, the contacts are held (`held_group`).
+    once. If the sequence of impacts does not end, the contacts are held (`held_group`).
 
     Parameters
     ----------
     T
         The bodies at the impact. In `DRIFT`, clock and kick are equal, and ``exhausted`` and ``strays`` are 0.
-    (m, 2) buffer for the pairs that touch; the first row is a pair that does, whatever its gap.
-        If the buffer is empty, nothing is done. If it is empty, nothing is done.
+    pairs
+        (m, 2) buffer for the pairs that touch. The first row is a touching pair, whatever its gap. Without rows,
+        nothing is done.
     log
-        (k,) `IMPACT`, buffer for their log.
+        (k,) `IMPACT`, buffer for the log of the impacts.
     """
     count, row = _touching_pairs(T, pairs), 0
     for i in range(len(T.x) if count > 0 else 0):
@@ -345,7 +346,7 @@ def _exhaust(i: int, T: Trajectories) -> None:
 
 @inline
 def _touching_pairs(T: Trajectories, pairs: IntArray) -> int:
-    """Write the other touching pairs behind the first one; return the number of all."""
+    """Write the other touching pairs after the first one; return the number of all touching pairs."""
     x, radius, offset, surface, n = T.x, T.radius, T.offset, T.surface, len(T.x)
     count = min(1, len(pairs))
     for i in range(n if count > 0 else 0):

@@ -1,17 +1,17 @@
-"""Contacts that are held for the rest of a drift, where impacts do not end.
+"""Contacts that are held for the remaining drift, because their impacts do not end.
 
 A light ball between a heavy one and a floor rattles: to stop the heavy ball, it needs about as many impacts as the
 ratio of the masses, and with e < 1 there may be infinitely many in a finite time. In that limit the contacts neither
-close nor rebound. A body that has had its largest number of impacts in a drift is exhausted, and its contacts go
-straight to this limit. From then on, each impact is that of a group: the pair, all bodies that touch an exhausted body
-of the pair, all that touch an exhausted one of these, and so on. For each contact of the group,
+close nor rebound. A body that has had the largest number of impacts in a drift is exhausted, and its contacts are set
+to this limit at once. From then on, each impact involves a group: the pair, all bodies that touch an exhausted body of
+the pair, all bodies that touch an exhausted body among these, and so on. For each contact of the group,
 
     v_n + max(0, gap) / (time left) ≥ 0,    λ ≥ 0,    one of them 0,
 
-so that in this drift gaps do not become negative and overlaps do not grow. Of all velocities that satisfy this, the
-solution differs least from the velocities before, in kinetic energy. The dual method of Goldfarb & Idnani (1983) finds
-it in finitely many steps. It works with orthogonal directions of the scaled velocities √m v. The matrix of the contacts
-would lose a light body between heavy ones to rounding at mass ratios above 10¹².
+so that in this drift gaps do not become negative and overlaps do not grow. Of all velocities that satisfy these
+conditions, the solution is nearest to the previous velocities in kinetic energy. The dual method of Goldfarb & Idnani
+(1983) finds it in finitely many steps. It works with orthogonal directions of the scaled velocities √m v. At mass
+ratios above 10¹², the matrix of the contacts would lose a light body between heavy ones to rounding.
 
 Bodies that separate and meet again could also be held infinitely often. Each time, the gap up to which their contacts
 are held doubles, until it covers the whole drift.
@@ -54,13 +54,13 @@ class Group(NamedTuple):
 
     body: IntArray  # (MOST_BODIES,) the bodies that move
     v: FloatArray  # (MOST_BODIES, 3) m/s, their velocities in the drift
-    root: FloatArray  # (MOST_BODIES,) of the inverse mass, in the unit of the group
+    root: FloatArray  # (MOST_BODIES,) square root of the inverse mass, in the unit of the group
     ends: IntArray  # (MOST_CONTACTS, 2) body, and body or plane
-    place: IntArray  # (MOST_CONTACTS, 2) of the ends in `body`; -1 of one that does not move
+    place: IntArray  # (MOST_CONTACTS, 2) indices of the ends in `body`; -1 for an end that does not move
     normal: FloatArray  # (MOST_CONTACTS, 3) from the first to the second end
-    before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before
+    before: FloatArray  # (MOST_CONTACTS,) m/s, v_n in the drift before the group is held
     allowed: FloatArray  # (MOST_CONTACTS,) m/s, closing speed that the gap allows
-    impulse: FloatArray  # (MOST_CONTACTS,) N s, once divided by that unit
+    impulse: FloatArray  # (MOST_CONTACTS,) N s after division by the unit of the group
 
 
 @inner
@@ -238,7 +238,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
     """
     most = min(contacts, 3 * bodies)
     active, count = np.empty(most, np.int64), 0  # contacts that are held
-    Q, R = np.empty((most, 3 * bodies)), np.empty((most, most))  # of their directions
+    Q, R = np.empty((most, 3 * bodies)), np.empty((most, most))  # QR factors of the directions of the held contacts
     load, weight, z = np.empty(most), np.empty(most), np.empty(3 * bodies)  # load: √kg m/s
     scale, ignored = np.empty(contacts), np.zeros(contacts, np.bool_)
     for c in range(contacts):
@@ -266,7 +266,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
                 if weight[k] > 0.0 and load[k] < partial * weight[k]:
                     partial, opened = load[k] / weight[k], k
             step = min(full, partial)
-            if step == np.inf:  # it depends on contacts that no impulse can open
+            if step == np.inf:  # its direction depends on those of contacts that no impulse can open
                 ignored[c] = True
                 break
             if full < np.inf:
@@ -284,7 +284,7 @@ def find_impulses(bodies: int, contacts: int, negligible: float, group: Group) -
             for k in range(opened, count - 1):
                 active[k], load[k] = active[k + 1], load[k + 1]
             count -= 1
-            for k in range(count):  # computed anew: a group is small, and contacts seldom open
+            for k in range(count):  # recomputed from the start: a group is small, and contacts seldom open
                 _extend(k, _project(active[k], k, scale[active[k]], group, Q, R, weight, z), Q, R, weight, z)
     for k in range(count):
         group.impulse[active[k]] = load[k] / scale[active[k]]
@@ -308,8 +308,8 @@ def _project(
 ) -> float:
     """Write the component of a contact's direction orthogonal to those of the first ``count`` held contacts to ``z``.
 
-    Return its square. The column ``count`` of ``R`` gets the components along the others, and ``weight`` the rates at
-    which their impulses fall as that of the contact rises.
+    Return the square of its length. The column ``count`` of ``R`` gets the components along the held directions, and
+    ``weight`` the rates at which the held impulses fall as the impulse of the contact rises.
     """
     z[:] = 0.0
     for end in range(2):
@@ -319,7 +319,7 @@ def _project(
                 z[3 * k + d] += (2 * end - 1) * group.normal[c, d] * group.root[k] / scale
     for k in range(count):
         weight[k] = 0.0
-    for _ in range(2):  # twice, since rounding remains after the first
+    for _ in range(2):  # a second pass removes the rounding errors of the first
         for k in range(count):
             component = 0.0
             for d in range(len(z)):
@@ -342,7 +342,7 @@ def _project(
 
 @inline
 def _extend(count: int, square: float, Q: FloatArray, R: FloatArray, weight: FloatArray, z: FloatArray) -> None:
-    """Add the direction that `_project` has written to the held ones."""
+    """Add the direction written by `_project` to the held directions."""
     length = np.sqrt(square)
     R[count, count] = length
     for d in range(len(z)):

@@ -1,10 +1,10 @@
-"""The contacts of a step in one kernel, as long as they are those of the step before.
+"""The contacts of a step in one kernel, as long as they are the contacts of the previous step.
 
 `ContactPipeline` calls some forty kernels a step. With few bodies, that takes a hundred times as long as the kernels
-themselves. The functions here call the same kernels in the same order, so the bits are the same, without Python between
-them. Where a step has something that Python must see, they return false: other pairs than before, an impact, a body
-behind a plane, a deep overlap, a contact that still closes, a number that is not finite. `steady_steps` then undoes the
-step.
+themselves. The functions here call the same kernels in the same order without Python in between, so the bits are the
+same. They return False if Python must process the step: it has other pairs than the previous step, an impact, a body
+behind a plane, a deep overlap, a contact that still closes, or a number that is not finite. `steady_steps` then undoes
+the step.
 """
 
 from __future__ import annotations
@@ -41,60 +41,60 @@ from carom.physics.jit.decorators import inline, unowned
 from carom.physics.jit.team import ALONE
 from carom.physics.vector import between, sizes, vector
 
-MOST_CONTACTS = CONTACTS_PER_BLOCK  # more are counted in several blocks
+MOST_CONTACTS = CONTACTS_PER_BLOCK  # more contacts would be counted in several blocks
 
 
 class SteadyRules(NamedTuple):
     """How contacts are resolved."""
 
-    board: IntArray  # empty, and this and the next two as in `phases.work`
+    board: IntArray  # empty; this and the next two fields are arguments of `phases.work`
     addresses: IntArray
     kind: int
     most_sweeps: int
     pushes: bool  # whether overlaps are corrected
     bends: bool  # whether a uniform field bends the paths of bodies
     anchored: bool  # whether something is fixed
-    deepest: float  # of the smaller radius, overlap of which a run warns
+    deepest: float  # overlap over the smaller radius, above which a run warns
     field: FloatArray  # (3,) m/s², the uniform field if it accelerates all bodies alike; otherwise zeros
 
 
 class SteadyBuffers(NamedTuple):
-    """Memory: what a step begins with, and workspaces."""
+    """Copies of the state at the beginning of a step, and workspaces."""
 
-    contacts: IntArray  # words of `CONTACT` records as the step begins
-    states: IntArray  # words of `CONTACT_STATE` records likewise
-    recorded: IntArray  # words of `RECORDED` records likewise
-    normals: FloatArray  # (m, 3) likewise
-    spins: FloatArray  # (n, 3) rad/s likewise; no rows where nothing spins
-    orientations: FloatArray  # (n, 4) likewise
-    held: RecordArray[ContactRecord]  # (m,) as the positions change
-    held_words: IntArray  # the same as words
+    contacts: IntArray  # words of `CONTACT` records at the beginning of the step, as in the next five fields
+    states: IntArray  # words of `CONTACT_STATE` records
+    recorded: IntArray  # words of `RECORDED` records
+    normals: FloatArray  # (m, 3)
+    spins: FloatArray  # (n, 3) rad/s; no rows where nothing spins
+    orientations: FloatArray  # (n, 4)
+    held: RecordArray[ContactRecord]  # (m,) the contacts as held, before the positions change
+    held_words: IntArray  # the words of ``held``
     parent: IntArray  # (n + p,)
     largest: FloatArray  # (n + p,)
     flags: BoolArray  # (2,)
     counts: RecordArray[BlockCountsRecord]  # (1,)
     near: IntArray  # (n (n - 1) / 2, 2) pairs that may meet during the drift
-    later: Neighbours  # the same as the neighbours of each body
+    later: Neighbours  # the same pairs as the neighbours of each body
 
 
 class SteadyContacts(NamedTuple):
-    """The contacts of a step, which those of the next ones have to match."""
+    """The contacts of a step, which the contacts of the next steps have to match."""
 
     system: ConstraintSystem
     trajectories: Trajectories
     rules: SteadyRules
     buffers: SteadyBuffers
     pairs: IntArray  # (m, 2), sorted
-    place: IntArray  # (m,) of each one's record
+    place: IntArray  # (m,) index of each contact's record
     counts: IntArray  # (n + p,) contacts of each body and plane
-    normals: FloatArray  # (m, 3) as found
+    normals: FloatArray  # (m, 3) before the position correction
     contact_words: IntArray  # the records as words
     state_words: IntArray
     recorded_words: IntArray
     mass: FloatArray  # (n,) kg
     inertia: FloatArray  # (n,) kg m²
     torque: FloatArray  # (n, 3) N m; no rows where none are modelled
-    angular_acceleration: FloatArray  # (n, 3) rad/s², likewise
+    angular_acceleration: FloatArray  # (n, 3) rad/s²; no rows where no torques are modelled
 
     @classmethod
     def of(cls, contact: ContactPipeline, bodies: Bodies) -> SteadyContacts:
@@ -139,7 +139,7 @@ class SteadyContacts(NamedTuple):
 
 @inline
 def remember_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
-    """Keep what `undo_contacts` restores."""
+    """Store the state that `undo_contacts` restores."""
     B = contacts.buffers
     copy_words(contacts.contact_words, B.contacts)
     copy_words(contacts.state_words, B.states)
@@ -151,7 +151,7 @@ def remember_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: F
 
 @inline
 def undo_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: FloatArray) -> None:
-    """Restore records, orientations and spins as they were when the step began."""
+    """Restore records, orientations and spins to the beginning of the step."""
     B = contacts.buffers
     copy_words(B.contacts, contacts.contact_words)
     copy_words(B.states, contacts.state_words)
@@ -163,7 +163,7 @@ def undo_contacts(contacts: SteadyContacts, orientation: FloatArray, spin: Float
 
 @unowned
 def copy_words(words: IntArray, to: IntArray) -> None:
-    """Copy words; NumPy's way would look for overlaps."""
+    """Copy words; NumPy's assignment would check for overlapping memory."""
     for k in range(len(words)):
         to[k] = words[k]
 
@@ -178,7 +178,7 @@ def copy_rows(rows: FloatArray, to: FloatArray) -> None:
 
 @inline
 def write_support(contacts: SteadyContacts, kick: float, supported: FloatArray) -> None:
-    """Write the part of each acceleration that contacts bore in the last kick, of so many seconds."""
+    """Write the supported acceleration of each body in the last kick, which lasted ``kick`` s."""
     system, inverse_mass = contacts.system, contacts.system.inverse_mass
     for i in range(len(supported)):
         supported[i] = 0.0
@@ -197,9 +197,9 @@ def hold_steady(contacts: SteadyContacts, kick: float, last_kick: float, last_dt
     Parameters
     ----------
     kick, last_kick
-        This kick and the one before.
+        This kick and the previous one.
     last_dt, drift
-        The step before and the drift to come.
+        The previous step and the coming drift.
     """
     system, place, m = contacts.system, contacts.place, len(contacts.pairs)
     for i in range(len(system.pressed)):
@@ -245,7 +245,7 @@ def drift_steady(contacts: SteadyContacts, kick: float, dt: float) -> bool:
 
 @unowned
 def find_steady(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, dt: float) -> bool:
-    """Begin the contacts at the positions after a drift, and correct their overlaps; see `ContactPipeline.find`.
+    """Set up the contacts at the positions after a drift, and correct their overlaps; see `ContactPipeline.find`.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def resolve_steady(
     Returns
     -------
     is_steady, sweeps
-        Whether nothing happened that Python must see, and the iterations.
+        Whether Python need not process the step, and the number of iterations.
     """
     system, rules, m = contacts.system, contacts.rules, len(contacts.pairs)
     shapes = x, radius, system.box, system.surface, system.offset
@@ -365,7 +365,7 @@ def _is_behind(normal: FloatArray, offset: FloatArray, x: FloatArray) -> bool:
 
 @inline
 def _are_same(contacts: SteadyContacts, x: FloatArray, radius: FloatArray, scale: float, skin: float) -> bool:
-    """Return whether the near pairs are those of the step before."""
+    """Return whether the near pairs are the same as in the previous step."""
     system, pairs, n, m = contacts.system, contacts.pairs, len(x), len(contacts.pairs)
     c, size, inverse_mass = 0, sizes(system.box), system.inverse_mass
     for i in range(n):

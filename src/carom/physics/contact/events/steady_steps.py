@@ -1,13 +1,12 @@
 """Many steps of few bodies in one kernel, as long as the same contacts last: at rest, sliding or rolling.
 
-A step of two balls in contact takes a few microseconds in a kernel, and nearly two hundred where Python calls a kernel
-for each of its parts. `KickDriftStepper` therefore hands over the steps before the next frame or check, as it does
-where nothing touches (`carom.physics.free_flight`). The step that ends at the frame or check is its own, since Python
-looks at its contacts. The kernels are those of single steps, and so are the bits.
+A step of two balls in contact takes a few microseconds in one kernel, and nearly two hundred if Python calls a kernel
+for each of its stages. `KickDriftStepper` therefore leaves the steps before the next frame or check to this module, as
+it leaves steps without contacts to `carom.physics.free_flight`. It makes the step that ends at the frame or check
+itself, since Python needs the contacts of this step. The kernels and the bits are those of single steps.
 
-What a step adds to the books is summed here in the same order: the ledger, the numbers of contacts, the deepest
-overlap. A step of which Python must see more is undone and left to `KickDriftStepper`; `steady_contacts` says which
-these are.
+Entries of the books are summed here in the same order: the ledger, the numbers of contacts, the deepest overlap. A step
+that Python must process is undone and left to `KickDriftStepper`; `steady_contacts` lists these cases.
 """
 
 from __future__ import annotations
@@ -55,12 +54,12 @@ from carom.physics.time_step import Timestep
 from carom.physics.world import World
 from carom.plan.auto import integrator
 
-PATIENCE = 256  # single steps before the kernel is loaded, compiled if need be, or left alone for as many steps again
-LONGEST_PAUSE = 16  # single steps between two calls where each call finds that Python must see the step
+PATIENCE = 256  # single steps after which it is decided, each time, whether to load or compile the kernel
+LONGEST_PAUSE = 16  # single steps between two calls if each call ends at a step that Python must process
 
 
 class SteadyTotalsRecord(Protocol):
-    """What steps add to the books."""
+    """Totals of steps, to be added to the books."""
 
     restitution: float  # J, this and the next two as in `Ledger`
     friction: float
@@ -84,7 +83,7 @@ STEADY_TOTALS = dtype_of(SteadyTotalsRecord)
 
 
 class SteadySteps:
-    """Takes steps of a world in which the same contacts last.
+    """Makes steps of a world in which the same contacts last.
 
     Parameters
     ----------
@@ -93,7 +92,7 @@ class SteadySteps:
     timestep
         Chooses the steps.
     flight
-        Has the laws and the state.
+        Provides the laws and the state.
     """
 
     def __init__(self, world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> None:
@@ -103,15 +102,15 @@ class SteadySteps:
         kept = kept._replace(supported=np.empty(len(world.bodies.ends.radius) if timestep.spares_held else 0))
         self._arguments = laws, moved, kept, buffers
         self._totals = np.zeros(1, STEADY_TOTALS)
-        self._last: OrderedContacts | None = None  # the contacts of the step that was last looked at
-        self._go_on: Callable[..., tuple[Any, ...]] | None = None  # once it is worthwhile
-        self._first: float = np.inf  # number of the step that was looked at first
-        self._pause, self._next_pause = 0, 1  # single steps before the next call; after another one in vain
-        self._waited = 0  # single steps that the kernel could have taken
-        self._next_decision = PATIENCE  # the number of them at which to ask again whether the kernel is worthwhile
+        self._last: OrderedContacts | None = None  # the contacts of the last step that was examined
+        self._go_on: Callable[..., tuple[Any, ...]] | None = None  # the kernel; None until it is worthwhile
+        self._first: float = np.inf  # number of the first step that was examined
+        self._pause, self._next_pause = 0, 1  # single steps before the next call, and after it if it is in vain
+        self._waited = 0  # single steps that the kernel could have made
+        self._next_decision = PATIENCE  # number of such steps at which to decide again whether the kernel is worthwhile
 
     def advance(self, goal: Goal) -> bool:
-        """Do the steps before the next frame or check, if the same contacts last; return whether there were any."""
+        """Make the steps before the next frame or check, if the same contacts last; return whether there were any."""
         world, books, contact, clock = self._world, self._books, self._contact, self._world.clock
         lasts, self._last = contact.contacts is self._last, contact.contacts
         self._first = min(self._first, clock.step)
@@ -151,13 +150,13 @@ class SteadySteps:
         return True
 
     def _is_patient(self) -> bool:
-        """Count a single step in place of the kernel; return whether there were enough for a decision."""
+        """Count a single step that the kernel could have made; return whether there were enough for a decision."""
         self._waited += 1
         return self._waited >= self._next_decision or compiles_all()
 
 
 def make(world: World, books: Bookkeeper, timestep: Timestep, flight: FreeFlight) -> SteadySteps | None:
-    """Return what takes steps with lasting contacts; None if the kernel does not know all that such a step has."""
+    """Return a `SteadySteps`; None if the scene has features that its kernel does not support."""
     contact, substeps = world.contact, integrator(world.scene).substeps
     if PLAIN or contact is None or contact.event_drift is None or contact.sleeps or len(substeps) > 1:
         return None
@@ -178,7 +177,7 @@ def _go_on(
     contacts: SteadyContacts,
     totals: RecordArray[SteadyTotalsRecord],
 ) -> tuple[int, float, float, float, int, float]:
-    """Take steps; return their number, the time before and after the last one, its length and limit, the average."""
+    """Make steps; return their number, the times before and after the last one, its length, limit, and the average."""
     time, end, until, most, average, _ = clock
     position, velocity, acceleration, orientation, spin = moved
     T, saved, n = totals[0], buffers.saved, len(position)
@@ -254,7 +253,7 @@ def _write_torques(contacts: SteadyContacts, spin: FloatArray, dt: float) -> Non
 
 @inline
 def _book(contacts: SteadyContacts, totals: RecordArray[SteadyTotalsRecord], step: int, time: float) -> None:
-    """Add what the contacts of a step add to the books."""
+    """Add the entries of a step's contacts to the books."""
     T, counts = totals[0], contacts.buffers.counts[0]
     T.restitution += counts.restitution_loss
     T.friction += counts.friction_loss

@@ -36,11 +36,11 @@ from carom.physics.vector import Vector, between, nearest_image, vector
 MOST_PASSES = 100
 GAP_TOLERANCE = 2.0**-50  # of the sum of radii; a smaller gap is rounding
 
-# of `step_by_impacts`
+# Constants of `step_by_impacts`.
 PASSES = 3  # each uses the mean velocity up to the impact found by the previous pass
-SLOW_CONTACT = 2.0  # times the speed that a contact at rest may gain in the time; slower closing is no impact
-APPROACH = 0.9  # of the time until the impact
-SHORT = 1e-4  # of the span; a nearer impact is passed by a step of this length
+SLOW_CONTACT = 2.0  # least closing speed of an impact, over the speed that a contact at rest may gain in the span
+APPROACH = 0.9  # fraction of the time until the impact that a step covers
+SHORT = 1e-4  # fraction of the span; a step of this length passes a nearer impact
 
 
 @kernel
@@ -125,7 +125,7 @@ def time_of_impact_on_parabola(
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
-    return np.inf  # a graze
+    return np.inf  # a grazing pass
 
 
 @kernel

@@ -1,4 +1,4 @@
-"""Trajectories of the bodies through a drift: straight lines whose direction changes at impacts.
+"""Trajectories of the bodies through a drift: straight lines whose directions change at impacts.
 
 Under a uniform acceleration g the true path is a parabola. At the time s of a drift of length dt, the parabola lags
 behind the straight line by ½ g s (dt - s), whatever impacts happened before. Stored positions are on the straight
@@ -17,7 +17,7 @@ The record of each body holds its own time, its next impact, and its search radi
 meet only bodies in its list of neighbours.
 
 The event queue is a binary heap of the bodies with a predicted impact, the earliest first. A body is in it at most
-once, with its own next impact. For an impact of two bodies, one entry is enough: that of the body whose impact was
+once, with its own next impact. For an impact of two bodies, one entry is enough: the entry of the body whose impact was
 predicted last. Simultaneous impacts are in the order of their pairs.
 """
 
@@ -38,8 +38,10 @@ from carom.physics.jit.decorators import inner, kernel, long_kernel
 from carom.physics.vector import Vector, add, along, between, nearest_image, vector
 from carom.scene.schema import Coefficients
 
-FIRST_STANDOFF = 1e-9  # of the radius: the standoff of a body that is exhausted for the first time
-MOST_HOLDS = 100  # of an exhausted body in a drift; then only others can meet it, since its standoff exceeds every gap
+FIRST_STANDOFF = 1e-9  # of the radius, the standoff of a body that is exhausted for the first time
+MOST_HOLDS = (
+    100  # of an exhausted body in a drift; its standoff then exceeds every gap, so only other bodies can meet it
+)
 MAX_SEARCH_RADIUS = 1e150  # m; its square is finite
 
 
@@ -80,7 +82,7 @@ class DriftRecord(Protocol):
     """The drift of a step."""
 
     dt: float  # s, length of the drift
-    kick: float  # s, the kick before it: velocities are those of this time
+    kick: float  # s, length of the kick before it: the time in the drift to which velocities belong
     damping: float  # 1/s, rate at which drag slows bodies down; 0 without drag
     clock: float  # s, the present time
     slow: float  # of the rest speed; slower contacts are left to the end of the step
@@ -140,7 +142,7 @@ def write_search_radii(
     body: RecordArray[TrajectoryRecord],
     drift: RecordArray[DriftRecord],
 ) -> float:
-    """Write the search radius of each body in dt, and the velocity it is relative to; return the largest in body radii.
+    """Write the search radius of each body in dt, and its reference velocity; return the largest in body radii.
 
     A search radius is the distance that a body covers at its own speed plus the mean speed of all bodies, relative to
     the centre of mass or to fixed objects. It suffices after most impacts, and one fast body does not widen the radii
@@ -194,7 +196,7 @@ def begin(T: Trajectories, dt: float, kick: float, damping: float, bends: bool, 
 
 @inner
 def arrive(i: int, T: Trajectories) -> None:
-    """Begin the path of a body at the present time, with no impacts so far."""
+    """Begin the path of a body at the present time, without impacts so far."""
     body = T.body[i]
     body.now, body.strays, body.exhausted = T.drift[0].clock, False, False
     body.standoff, body.holds = FIRST_STANDOFF * T.radius[i], 0 if T.inverse_mass[i] > 0.0 else MOST_HOLDS

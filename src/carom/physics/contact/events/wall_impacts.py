@@ -1,9 +1,10 @@
 """Times of impact of bodies with walls.
 
-The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. The wall is d(x) away, and the gap of
-a body of the radius r is d - r. Where d is a signed distance, the gap cannot close before the path is as long, and its
-second derivative is at least -(g + u²/f), where u is the speed and f the distance of the nearest centre of curvature.
-Both bounds lead to the first root from below, the second at the rate of Newton's method, as in `time_of_impact`.
+The path of a body in a drift is x + v t + ½ g t², with g the field that bends it. With d(x) the distance of the wall,
+the gap of a body of the radius r is d - r. Two bounds hold for the signed distance d. The gap cannot close before the
+path is as long as the gap, and its second derivative is at least -(g + u²/f), where u is the speed and f the distance
+of the nearest centre of curvature. Steps by either bound lead to the first root from below; with the second, they
+converge as fast as Newton's method, as in `time_of_impact`.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from carom.physics.contact.solids import nearest_point
 from carom.physics.jit.decorators import inner
 from carom.physics.vector import Vector, along, vector
 
-FOCAL_PART = 0.5  # of the focal distance, that a body may move in a pass
+FOCAL_PART = 0.5  # fraction of the focal distance by which a body may move in a pass
 
 
 def predict_with_solids(lo: int, hi: int, T: Trajectories) -> None:
@@ -50,7 +51,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
         x, y, z = x - behind * gx, y - behind * gy, z - behind * gz
         wx, wy, wz = vx + since_kick * gx, vy + since_kick * gy, vz + since_kick * gz
         bend = np.sqrt(gx * gx + gy * gy + gz * gz)
-        held = body.is_straight and not body.is_free  # its contacts close again at the end of the drift, if it rolls
+        held = body.is_straight and not body.is_free  # if it rolls, its contacts close again at the end of the drift
         slow = (1.0 if held else drift.slow) * rest_speed(i, T) + body.negligible_speed
         for solid in range(len(T.offset)):
             wait = _time_to_wall(solid, (x, y, z), (wx, wy, wz), (gx, gy, gz), bend, T.radius[i], span, T)
@@ -63,7 +64,7 @@ def predict_with_walls(lo: int, hi: int, T: Trajectories) -> None:
             s = when - kick
             ux, uy, uz = vx + ax * s, vy + ay * s, vz + az * s
             closing = -(ux * nx + uy * ny + uz * nz)
-            turning = 0.0  # m/s, by which a body that rolls along the wall closes in a drift
+            turning = 0.0  # m/s, closing speed of a body that rolls along the wall, at the end of the drift
             if not body.is_free and focal > 0.0:
                 turning = max(0.0, ux * ux + uy * uy + uz * uz - closing * closing) * dt / focal
             if closing > slow + turning:
@@ -90,7 +91,7 @@ def _time_to_wall(
     solid
         The number of the wall.
     position, velocity, acceleration, bend
-        m, m/s and m/s²: present position, velocity and acceleration of the body, and the magnitude of the last.
+        m, m/s and m/s²: present position, velocity and acceleration of the body, and the magnitude of the acceleration.
     R, span
         m, the radius; s.
     """
@@ -119,12 +120,12 @@ def _time_to_wall(
         if not t + further > t:
             return t if closing > 0.0 else np.inf
         t += further
-    return np.inf  # a graze
+    return np.inf  # a grazing pass
 
 
 @inner
 def _until_path(length: float, speed: float, bend: float) -> float:
-    """Return the time in s in which a path of a length in m can be covered at the soonest."""
+    """Return the shortest time (s) in which a body can cover a path of a length in m."""
     if not length > 0.0:
         return 0.0
     return float(2.0 * length / (speed + np.sqrt(speed * speed + 2.0 * bend * length)))

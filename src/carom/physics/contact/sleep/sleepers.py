@@ -44,7 +44,7 @@ from carom.physics.vector import square, write
 from carom.scene.schema.contact import Sleep
 from carom.scene.start import HalfSpaces
 
-SPIN = 10.0  # times the speed: nothing brakes a spin about the normal of a contact, and it moves no neighbour
+SPIN = 10.0  # allowed surface speed over the speed: nothing brakes a spin about a normal, and it moves no neighbour
 ASLEEP = -1.0  # stored instead of the time for which a body has been slow
 NOTHING_LOST: FloatArray = np.zeros((0, len(TERMS)))
 
@@ -113,7 +113,7 @@ class Sleepers:
         self.forget()
 
     def _compile(self) -> None:
-        """Run every kernel without sleepers, so that the first one does not wait for a compiler."""
+        """Run every kernel without sleepers, so that the first sleeper does not wait for compilation."""
         self.forget()
         ends, nobody = self._bodies.ends, np.zeros(len(self._bodies), dtype=np.bool_)
         pairs, shape = empty_graph().pairs, (ends.velocity, ends.angular_velocity, ends.inverse_mass)

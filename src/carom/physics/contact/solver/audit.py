@@ -1,6 +1,6 @@
 """The energy audit of resting contacts, and a bound on the energy that their impulses may add.
 
-An impulse J takes out -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
+An impulse J removes -J·(v + v')/2, where v and v' are the velocities before and after it. After the first kick there
 is a second term. In the drift, the forces do work on velocities that include J, but half of that work was already
 booked with the first kick, without J. The difference, J·Δv with Δv = (a_j - a_i) h, is booked with the impulse:
 
@@ -13,14 +13,14 @@ at the contacts from v to v' = v + A λ. The solution minimises
 
     f(λ) = λ·(v + c) + ½ λ·A λ,
 
-which is 0 for λ = 0, and negative for impulses that take out energy. Iterations lower f, but they start from the
+which is 0 for λ = 0, and negative for impulses that remove energy. Iterations lower f, but they start from the
 impulses of the previous kick, which may be far too large. Along θ λ, the minimum is at θ = -λ·(v + c) / λ·(v' - v). If
 θ < 1, the impulses of the island are multiplied by it. Then f ≤ 0, and contacts gain no energy over a whole step, since
 its second kick starts from the impulses of the first. An island is a connected component of the collision graph without
 fixed bodies and planes.
 
-θ < 1 is rare, so the audit computes both sums in passing (`measures`), and is repeated if impulses were scaled. In a
-falling heap of 1000 spheres, that is one `hold` in twenty; a separate pass took 5 % of each step.
+θ < 1 is rare, so the audit also computes both sums (`measures`), and is repeated if impulses were scaled. In a falling
+heap of 1000 spheres, one `hold` in twenty is repeated; a separate pass for the sums took 5 % of each step.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _audit(piece: int, system: ConstraintSystem) -> None:
 
 @unowned
 def scale_back(first: int, end: int, system: ConstraintSystem) -> None:
-    """Scale the impulses of each island with θ < 1, and undo the audit; note whether there were any."""
+    """Scale the impulses of each island with θ < 1, and undo the audit; record whether there were any."""
     settings = system.settings[0]
     if not settings.islands_known:
         _find_islands(system)

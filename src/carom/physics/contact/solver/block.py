@@ -1,6 +1,6 @@
-"""Eight contacts of a colour that share no moving body: a block, for code generators of phases.
+"""A block: eight contacts of a colour that share no moving body, for code generators of phases.
 
-The code computes in lanes, one per contact, what the phase's loop computes contact by contact, with the same bits.
+The generated code performs the computations of the phase's loop in lanes, one per contact, with the same bits.
 """
 
 from __future__ import annotations

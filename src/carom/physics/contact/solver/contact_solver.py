@@ -80,12 +80,12 @@ class ContactSolver:
     records
         Whether to keep the impulses of impacts, in `recorded`.
     sweeps
-        `contact.sweeps` of the scene: whether small changes end the iterations, and what follows them.
+        `contact.sweeps` of the scene: whether small changes end the iterations, and whether conjugate gradients follow.
 
     Attributes
     ----------
     code
-        Of the phases.
+        The machine code of the phases.
     """
 
     def __init__(
@@ -142,7 +142,7 @@ class ContactSolver:
 
     @property
     def system(self) -> ConstraintSystem:
-        """The contacts of the step with all that the phases need; the next step may use other memory."""
+        """The contacts of the step with all data that the phases need; the next step may use other memory."""
         return self._system
 
     @property

@@ -5,7 +5,7 @@
     ΔE_n = J_n (v_n + ½ J_n / m_r),    1/m_r = 1/m_i + 1/m_j
     ΔE_t = -J_t (|u_t| - ½ J_t K_t),   K_t = 1/m_i + 1/m_j + ρ_i²/I_i + ρ_j²/I_j
 
-Each contact sums its loss by restitution, its loss by friction, and the gain by the bias.
+Each contact sums its losses by restitution and by friction, and its gain by the bias.
 
 A late impact is detected at the end of a step, at a depth δ. Gravity has made the approach faster than it was at the
 surface, and will make the rebound slower. The pair leaves the surface with e times its closing speed there if the
@@ -53,14 +53,14 @@ from carom.physics.contact.solver.refine import INTOLERABLE, tolerated
 from carom.physics.jit.decorators import inline, long_kernel, unowned
 from carom.physics.vector import between
 
-CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; iterations end at smaller changes
+CONVERGED = 1e-9  # of the largest change of a velocity in the first iteration; smaller changes end the iterations
 
 
 @unowned
 def resolve_impacts(first: int, end: int, system: ConstraintSystem) -> None:
-    """Resolve the impacts of some pieces once; note the largest change of a velocity.
+    """Resolve the impacts of some pieces once; record the largest change of a velocity.
 
-    The first iteration also notes each closing speed, the fastest one, and whether a contact is at rest. A later
+    The first iteration also records each closing speed, the fastest one, and whether a contact is at rest. A later
     iteration raises the closing speed if an impulse from a neighbour has made the contact close faster.
     """
     for piece in range(first, end):

@@ -1,9 +1,9 @@
 """The machine code of the solver's phases, by address.
 
 Each phase is a kernel ``(first, end, system)``, which processes the pieces [first, end). The kernels that lead a job
-call phases by address, which shortens compilation. Called by name, all phases would be compiled into the caller, and
-each would take a second to compile the passing of the arrays of a `ConstraintSystem`. Called by address, each phase is
-compiled separately, by whichever process is first, and only if a scene needs it.
+call phases by address, which shortens compilation: each phase is compiled separately, by whichever process is first,
+and only if a scene needs it. Calls by name would compile all phases into the caller, and take a second per phase for
+passing the arrays of a `ConstraintSystem`.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class PhaseCode:
     Parameters
     ----------
     spins
-        Whether impulses turn bodies.
+        Whether impulses exert torques.
     """
 
     def __init__(self, spins: bool) -> None:
@@ -109,7 +109,7 @@ _kinds: dict[tuple[Any, ...], int] = {}
 
 
 def _address(kernel: Phase, kind: int, system: ConstraintSystem) -> Any:
-    """Return the address of a kernel's code. Numba is asked once: it takes milliseconds, as long as a short run."""
+    """Return the address of a kernel's code, looked up only once: Numba takes milliseconds, as long as a short run."""
     if (kernel, kind) not in _addresses:
         _addresses[kernel, kind] = code_for(kernel, system)
     return _addresses[kernel, kind]

@@ -12,8 +12,8 @@ This is `contact.stabilisation = "split"`. With `"baumgarte"`, the pipeline inst
 Only resting contacts are pushed. Bodies in an impact separate by their rebound, and pushing them would take tangential
 energy from a gas at every collision.
 
-The ledger books the change of the energy: exactly for the scaling, at the velocities after the first kick; for the
-potential, as the work against gravity at the new positions. This work has an error of (δ/d)² of the pair's potential.
+The ledger books the change of the energy. For the scaling it is exact, at the velocities after the first kick. For the
+potential it is the work against gravity at the new positions, which has an error of (δ/d)² of the pair's potential.
 
 Rejected: the mean of the forces at the start and the end of the step, of the next order. In the collapse of 500
 boulders, both have errors of 10⁻⁶ of the energy scale.
@@ -57,7 +57,7 @@ MAX_SEPARATION = 0.1
 ENOUGH = 1e-9  # of the sum of radii; a smaller overlap needs no further iteration
 ENOUGH_AS_NEEDED = 1e-5  # the same with sweeps as needed or quick; the remainder is pushed in the next step
 
-NEVER = -2  # iteration of a body that was not pushed; less than any iteration - 1
+NEVER = -2  # "iteration" of a body that was not pushed; less than any iteration minus 1
 AMOUNTS = 1  # line of `CONTACT_STATE` with the ledger, the pushes and the flags
 
 
@@ -90,7 +90,7 @@ def find_push_fractions(
 
 @unowned
 def correct_positions(first: int, end: int, system: ConstraintSystem) -> None:
-    """Push the resting contacts of some pieces apart once; note whether an overlap needs another iteration.
+    """Push the resting contacts of some pieces apart once; record whether an overlap needs another iteration.
 
     Here a contact is at rest if it separates no faster than a tenth of the rest speed, or approaches without a rebound.
     Later iterations visit only contacts with an end that the previous iteration pushed. The others have not changed
@@ -160,7 +160,7 @@ def _push_apart(c: int, system: ConstraintSystem) -> float:
 
 @inline
 def _book(c: int, reduced: float, sigma: float, tx: float, ty: float, tz: float, system: ConstraintSystem) -> None:
-    """Book the energy and, if contacts are recorded, the momentum that scaling v_t moves."""
+    """Book the energy and, if contacts are recorded, the momentum that scaling v_t transfers."""
     system.states[c].stabilisation_gain += gain_of(reduced, tx, ty, tz, sigma)
     if len(system.recorded) > 0:
         given = system.recorded[c]
@@ -189,7 +189,7 @@ def _accelerate(body: PushedBodyRecord, s: float, tx: float, ty: float, tz: floa
 def _geometry(
     a: PushedBodyRecord, b: PushedBodyRecord, plane: int, system: ConstraintSystem
 ) -> tuple[float, float, float, float, float]:
-    """Return the normal, the distance of the centres or from the plane, and that distance in contact, in m.
+    """Return the normal, the distance between the centres or from the plane, and the distance at contact, in m.
 
     ``plane`` is negative between two bodies.
     """
@@ -394,7 +394,7 @@ class _Correction:
         return gathered(self._builder, coefficients)
 
     def _note(self, ends: list[Any], pushed: Mask, moving: Mask) -> None:
-        """Note the iteration in which free ends were pushed."""
+        """Record the iteration in which free ends were pushed."""
         builder, block = self._builder, self._block
         iteration = block.number("iteration")
         places = [block.address("pushed_in", end) for end in ends]

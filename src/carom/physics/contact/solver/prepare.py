@@ -79,7 +79,7 @@ def begin_contacts(
     rounding: float,
     normals: FloatArray,
 ) -> None:
-    """Clear the records of the contacts [lo, hi), compute their geometry, and note whether they touch."""
+    """Clear the records of the contacts [lo, hi), compute their geometry, and record whether they touch."""
     for first in range(lo, hi, CACHED_CONTACTS):
         end = min(hi, first + CACHED_CONTACTS)
         for c in range(first, end):
@@ -145,7 +145,7 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
         if drift > 0.0:
             bias = max(0.0, gap) / drift
             if j >= count:
-                # of the body, with the friction of the warm start, which is close to the final one
+                # slip of the body after the friction of the warm start, which is close to the final friction
                 fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
                 t = (-tx - fx, -ty - fy, -tz - fz)
                 n, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
@@ -158,13 +158,13 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             is_open = gap > 0.0 and state.apart
             fastest = rest_speed if is_open else np.inf  # impacts of touching pairs have been resolved
         contact.velocity_bias, state.biased, state.slides = bias, drift == 0.0 and bias < 0.0, False
-        # an open contact meets in an impact, if at all
+        # bodies of an open contact that nothing has pressed meet in an impact, if at all
         meets = is_open and not (system.pressed[i] or system.pressed[j])
         system.held[c] = not (meets or -vn > fastest)
         negligible = min(SMALL_OF_REST * rest_speed, SMALL_OF_RADIUS * smaller_arm(contact) / dt)
         system.small_change[c] = negligible if settings.as_needed else 0.0
         if system.held[c]:
-            opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that bends towards the body, bias < 0
+            opening = -(vn + bias) if drift > 0.0 else 0.0  # along a wall that curves towards the body, bias < 0
             largest = max(largest, -vn, opening, LOADED * contact.normal_impulse * Kn)
         else:
             contact.normal_impulse = contact.friction_x = contact.friction_y = contact.friction_z = 0.0
@@ -208,7 +208,7 @@ class ImpulseCache:
 
     @property
     def impulse(self) -> FloatArray:
-        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; of a law that resists rolling also Λ, (m, 7)."""
+        """(m, 4) N s, a copy of λ_n and λ_t in the order of the pairs; (m, 7) with Λ if the law resists rolling."""
         impulses = np.empty((len(self.place), len(IMPULSES)))
         _gather_impulses(self.place, self.contacts, impulses)
         angular = angular_impulses_of(self.contacts)

@@ -1,8 +1,8 @@
 """The steps after an iteration: a line search, and conjugate gradients where iterations converge too slowly.
 
-**Line search.** An iteration passes a load from contact to contact, and only a small part of it through a light body
-between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the same
-energy as the solution, and is limited so that no contact pulls (λ_n ≥ 0):
+**Line search.** An iteration passes a load from contact to contact, and only a small fraction of it through a light
+body between heavy ones. Therefore the change s of all impulses in an iteration is repeated α times. α minimises the
+same energy as the solution, and is limited so that no impulse is attractive (λ_n ≥ 0):
 
     α = -s·(v + c) / s·(A s),   v = (v_n, u) at the contacts, A s the change of v by the impulses s
 
@@ -19,8 +19,8 @@ For these contacts the conditions of `solve` become equations,
     v_n + c = 0,    u = 0        or  A s = -(v + c),  A = G M⁻¹ Gᵀ,
 
 where s is the change of the impulses. Conjugate gradients (Hestenes & Stiefel 1952) solve them, preconditioned by the
-diagonal of A. Contacts that would pull are then released, and further Gauss-Seidel iterations determine again which
-contacts carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
+diagonal of A. Contacts with attractive impulses are then released, and further Gauss-Seidel iterations determine again
+which contacts carry a load (projected Gauss-Seidel with subspace minimisation; Silcowitz, Niebe & Erleben 2010b).
 
 A stack of n spheres takes about n of these iterations, but about n² iterations of `solve`. The same holds for a load on
 much lighter spheres.
@@ -66,11 +66,11 @@ MOTION = 6  # fields of each line: v and ω, or p and t; masses and inertias fol
 # The closing speed that the search may leave to a contact. Chosen so that the columns of test_convergence.py stay
 # upright. With a tenth of REST_TOLERANCE, cloud-collapse takes twice as long, and none of its errors changes by a
 # tenth.
-INTOLERABLE = 10.0  # times the tolerated speed; the search starts if a contact closes faster
+INTOLERABLE = 10.0  # closing speed over the tolerated one, above which the search starts
 REST_TOLERANCE = 0.3  # of the rest speed
 APPROACH_TOLERANCE = 0.03  # of the closing speed of the impact
 RADIUS_TOLERANCE = 3e-5  # of the smaller radius, per step
-DEEP = 5e-3  # of the smaller radius: a resting contact with more overlap has been sinking over many steps
+DEEP = 5e-3  # of the smaller radius; a resting contact with more overlap has been sinking for many steps
 DEEP_TOLERANCE = 1e-2  # of the rest speed, for such a contact
 
 
@@ -240,7 +240,7 @@ def _step(piece: int, system: ConstraintSystem) -> None:
 
 @unowned
 def begin_search(lo: int, hi: int, system: ConstraintSystem) -> None:
-    """Determine the free impulses: λ_n of contacts that push or close, λ_t of those that stick."""
+    """Determine the free impulses: λ_n of contacts that carry a load or close, and λ_t of contacts that stick."""
     spins, drift = system.settings[0].spins, system.settings[0].drift
     count, places = body_count(system), system.places
     for c in range(lo, hi):
@@ -288,7 +288,7 @@ def conjugate_direction(first: int, end: int, system: ConstraintSystem) -> None:
 
 @unowned
 def project(first: int, end: int, system: ConstraintSystem) -> None:
-    """Release contacts that would pull; store the remaining change of the impulses for a line search."""
+    """Release contacts with attractive impulses; store the remaining change of the impulses for a line search."""
     for piece in range(first, end):
         _project(piece, system)
 

@@ -7,9 +7,9 @@ each kick of length h, iterations over the contacts find the impulses λ of all 
     |λ_t| ≤ μ_s λ_n where the contact sticks, λ_t = -μ_k λ_n u/|u| where it slides      (Coulomb)
 
 (Moreau 1988; Jean 1999; Catto 2005 calls them sequential impulses). The *totals* are clamped, not the increments, so
-later iterations can undo what earlier ones overdid. The totals start from those of the previous kick, scaled by the
-ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows each iteration
-(`line_search`).
+later iterations can reduce impulses that earlier ones made too large. The totals start from those of the previous kick,
+scaled by the ratio of the kicks' lengths (`warm_start`), so a pile at rest needs one iteration. A line search follows
+each iteration (`line_search`).
 
 After the last kick, touching contacts must not close (c = 0; c < 0 with Baumgarte's bias), and an open contact may
 close its gap in the next step (c = gap/dt). After the first kick, bodies may close by c dt, so that they touch at the
@@ -89,7 +89,7 @@ from carom.physics.jit.vectors import (
 )
 from carom.scene.schema import Coefficients
 
-HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; an iteration that changes less is the last
+HOLD_CONVERGED = 1e-8  # of the largest velocity that a contact removes; smaller changes end the iterations
 Vector = Sequence[Lanes]
 
 
@@ -109,7 +109,7 @@ def solve_straight(first: int, end: int, system: ConstraintSystem) -> None:
 
 @unowned
 def solve(piece: int, system: ConstraintSystem, turning: tuple[()] | tuple[int]) -> None:
-    """Solve the contacts of a piece once, each at the velocities that the contacts before it left.
+    """Solve the contacts of a piece once, each with the velocities after the contacts before it.
 
     Contacts of a colour that share no moving body are solved in blocks (`solve_block`), the remaining ones one by one.
 
@@ -220,9 +220,9 @@ def friction(
 def _resist_rotation(
     contact: ContactRecord, material: Coefficients, a: BodyStateRecord, b: BodyStateRecord, normal: float, alpha: float
 ) -> float:
-    """Change the angular impulse to end Ω, as far as the law allows; return the change of a speed, in m/s.
+    """Change the angular impulse to end Ω, as far as the law allows; return the change of the surface speed, in m/s.
 
-    It is the speed of a surface at a lever arm's distance from the centre.
+    The surface speed is measured at a lever arm's distance from the centre.
     """
     wx, wy, wz = relative_spin(a, b)
     x, y, z = angular_impulse(contact)
