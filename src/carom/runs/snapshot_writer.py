@@ -191,6 +191,7 @@ class SnapshotWriter:
                         mass=whole.mass,
                         radius=whole.radius,
                         inertia=whole.inertia,
+                        fixed=whole.fixed if whole.fixed.any() else None,
                     )
                 )
             self._observer = self._observer.continued(present, state)

@@ -31,7 +31,8 @@ class Cause:
     moment: float  # s, of the impact, or of the largest impulse
     hardest: float  # N s, the largest impulse of a step
     approach_speed: float | None = None  # m/s, of an impact
-    energy_lost: float = 0.0  # J, dissipated by restitution and friction, of both bodies
+    energy_lost: float | None = 0.0  # J, dissipated by restitution and friction, of both bodies; None: unknown
+    lasts: bool = False  # whether an impact is a force that lasts for some steps, as those of other engines
     share: float = 0.0  # of the velocity; with start and forces, the shares of an account sum to 1
 
     @property
@@ -41,16 +42,20 @@ class Cause:
             return "contact"
         return "stop" if self.approach_speed is None else "impact"
 
-    def takes(self, earlier: Cause, gap: int) -> bool:
-        """Return whether an earlier contact with the same partner, `gap` steps before, is part of this one."""
-        return self.holds and earlier.holds and earlier.partner == self.partner and gap <= 1
+    def takes(self, earlier: Cause, adjoins: bool) -> bool:
+        """Return whether an earlier contact with the same partner, in the step before, is part of this one."""
+        goes_on = self.holds or (self.lasts and earlier.lasts)
+        return adjoins and goes_on and earlier.holds == self.holds and earlier.partner == self.partner
 
     def join(self, earlier: Cause) -> None:
         """Add an account of earlier steps."""
         self.first, self.impulse = earlier.first, self.impulse + earlier.impulse
         self.size, self.work = self.size + earlier.size, self.work + earlier.work
         self.share += earlier.share
-        self.energy_lost += earlier.energy_lost
+        if self.energy_lost is not None and earlier.energy_lost is not None:
+            self.energy_lost += earlier.energy_lost
+        if earlier.approach_speed is not None:
+            self.approach_speed = max(self.approach_speed or 0.0, earlier.approach_speed)
         if earlier.hardest > self.hardest:
             self.hardest, self.moment = earlier.hardest, earlier.moment
 
@@ -74,8 +79,9 @@ class Account:
     forces_share: float = 0.0
     causes: list[Cause] = field(default_factory=list)  # the latest first
     _bearing: float | None = None  # m/s, Σ |J| / m of the contacts that held the body in the last step
-    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the earliest step so far
+    _held: dict[int, tuple[Cause, int]] = field(default_factory=dict)  # by partner, with the step before their first
     _lost: dict[int, float] = field(default_factory=dict)  # J, lost in the step by partner, without impacts
+    _before: int = 0  # the step before the present one
 
     @classmethod
     def at(cls, body: int, mass: float, velocity: FloatArray) -> Account:
@@ -117,14 +123,14 @@ class Account:
         impacts, contacts
             (k,) and (m,) `CONTACT_ROW`, of this step; no contacts for its beginning alone.
         """
-        self._lost = self._lost_at_rest(contacts, impacts)
+        self._lost, self._before = self._lost_at_rest(contacts, impacts), step.before_step
         if self._bearing is None:
             self._bearing = float(np.linalg.norm(self._impulses(rows[rows["holds"]]), axis=1).sum()) / self.mass
         shares = self._divide(rows, sum(kicks, np.zeros(3)), step.before[self.body])
         first, last = sum(kicks[:1], np.zeros(3)), sum(kicks[1:], np.zeros(3))  # before the drift, and after it
         late = len(rows) > 0 and rows[-1]["time"] >= step.time
         now = self._velocity_after(step, rows, first + last if late else first)
-        keys = list(zip(rows["instant"].tolist(), rows["holds"].tolist(), strict=True))
+        keys = list(zip(rows["instant"].tolist(), (rows["holds"] | rows["lasts"]).tolist(), strict=True))
         end = len(rows)
         while end > 0:
             if late and rows[end - 1]["time"] < step.time:
@@ -144,7 +150,7 @@ class Account:
         """
         shares = np.zeros(len(rows))
         changes = self._impulses(rows) / self.mass
-        bearing = ~rows["impact"]
+        bearing = ~rows["impact"] | rows["lasts"]
         after = (start + forces + changes.sum(axis=0))[None]
         before = after - forces - changes[bearing].sum(axis=0)
         net = after - before
@@ -194,8 +200,8 @@ class Account:
     ) -> FloatArray:
         """Undo impulses that act together, given their shares, (k,); return the velocity before them.
 
-        Contacts at rest cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with the mean velocity
-        without this kick: the normal force of a floor does no work on a ball that slides on it.
+        Contacts at rest, and those that last, cancel a ``kick``, (3,) m/s, of the forces. Their work is computed with
+        the mean velocity without this kick: the normal force of a floor does no work on a ball that slides on it.
         """
         impulses = self._impulses(rows)
         sizes = np.sqrt((impulses * impulses).sum(axis=1))
@@ -206,7 +212,7 @@ class Account:
         self.fastest = max(self.fastest, given, had)
         for row, impulse, size, share in zip(rows, impulses, sizes.tolist(), shares.tolist(), strict=True):
             if size > 0.0:
-                mean = 0.5 * (after + before - (kick if row["holds"] else 0.0))
+                mean = 0.5 * (after + before - (kick if row["holds"] or row["lasts"] else 0.0))
                 self._add(row, impulse, size, float(impulse @ mean), share, impacts)
         return before
 
@@ -218,18 +224,21 @@ class Account:
     def _add(self, row: np.void, impulse: FloatArray, size: float, work: float, share: float, impacts: Records) -> None:
         partner = self._other(row)
         time, step, holds = float(row["time"]), int(row["step"]), bool(row["holds"])
-        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share)
+        lasts = bool(row["lasts"])
+        cause = Cause(partner, holds, time, time, step, impulse, size, work, time, size, share=share, lasts=lasts)
         if not holds:
             self._find_impact(cause, impacts)
-        if cause.kind != "impact":  # the loss of the whole step belongs to its last cause
+        if lasts:
+            cause.energy_lost = None
+        elif cause.kind != "impact":  # the loss of the whole step belongs to its last cause
             cause.energy_lost = self._lost.pop(partner, 0.0)
         known = self._held.get(partner)
-        if holds and known is not None and known[0].takes(cause, known[1] - step):
+        if known is not None and known[0].takes(cause, step >= known[1]):
             known[0].join(cause)
-            self._held[partner] = known[0], step
+            self._held[partner] = known[0], self._before
             return
-        if holds:
-            self._held[partner] = cause, step
+        if holds or lasts:
+            self._held[partner] = cause, self._before
         self.causes.append(cause)
 
     def _find_impact(self, cause: Cause, impacts: Records) -> None:

@@ -11,10 +11,11 @@ is divided in two ways:
 the magnitudes of their components along e, |v⁻·e| : |J₁·e|/m : |J₂·e|/m … If the impacts stop the body, the whole
 magnitudes count.
 
-A sum over many short steps converges, so shares depend on the step no more than the motion does. A share contributed by
-forces has reached its cause. A share that passes over a contact is divided between the two ends, in proportion to their
-speeds along the impulse before the impact, which cause the impulse. If several bodies touch in an instant, a share may
-also come from further impulses on the other end. A plane returns its whole share.
+A sum over many short steps converges, so shares depend on the step no more than the motion does. Impacts of other
+engines last for some steps, so their shares are divided as those of forces. A share contributed by forces has reached
+its cause. A share that passes over a contact is divided between the two ends, in proportion to their speeds along the
+impulse before the impact, which cause the impulse. If several bodies touch in an instant, a share may also come from
+further impulses on the other end. A plane returns its whole share.
 
 Shares are between 0 and 1. Membership is exact: going back in time, a body belongs to the cone from its first contact
 with a body of the cone.
@@ -48,6 +49,7 @@ class Passage:
     impulse: float  # N s
     to_i: float  # net share of the answer that passed from j to i
     to_j: float
+    before_step: int  # the step before its first one
 
 
 @dataclass(slots=True)
@@ -84,6 +86,8 @@ class Cone:
     edges: dict[tuple[int, int], Edge] = field(default_factory=dict)
     passages: list[Passage] = field(default_factory=list)  # the latest first
     pairs: list[IntArray] = field(default_factory=list)  # (k, 2) bodies each, all that touched so far
+    _lasting: dict[tuple[int, int], Passage] = field(default_factory=dict)  # the earliest of each pair
+    _before_step: int = 0  # the step before the present one
 
     @classmethod
     def of(cls, inverse_mass: FloatArray, count: int, shares: dict[int, float], time: float) -> Cone:
@@ -113,7 +117,8 @@ class Cone:
         for instant in instants:
             inside[instant] = self.reach(rows[instant])
         acts = (rows["x"] != 0.0) | (rows["y"] != 0.0) | (rows["z"] != 0.0)
-        impact = acts & rows["impact"]
+        impact = acts & rows["impact"] & ~rows["lasts"]
+        self._before_step = step.before_step
         impacts, bearing = rows[impact], rows[acts & ~impact]
         before = velocity.copy()
         self._undo(bearing, before)
@@ -191,7 +196,7 @@ class Cone:
         if m:
             flow, none = given * rate[to], np.zeros(2 * m)
             _, returned = self._divide(rows, flow, none, before)
-            self._note(rows, flow, flow - returned, holds=True)
+            self._note(rows, flow, flow - returned)
 
     def _strike(self, rows: Records, inside: BoolArray, velocity: FloatArray) -> None:
         """Undo the impacts of an instant, and pass on shares over the impacts of the cone; velocities (n, 3) m/s."""
@@ -231,7 +236,7 @@ class Cone:
             flow = self._onward(to, origin, taken, total, onward, opposite)
         else:
             self._arrive(ends[origin], flow)
-        self._note(rows, passed, passed - back_again, holds=False)
+        self._note(rows, passed, passed - back_again)
 
     def _divide(
         self, rows: Records, flow: FloatArray, further: FloatArray, before: FloatArray
@@ -281,7 +286,7 @@ class Cone:
         bodies = ends < self.count
         np.add.at(self.shares, ends[bodies], parts[bodies])
 
-    def _note(self, rows: Records, passed: FloatArray, kept: FloatArray, holds: bool) -> None:
+    def _note(self, rows: Records, passed: FloatArray, kept: FloatArray) -> None:
         m, size = len(rows), np.sqrt((_vectors(rows) ** 2).sum(axis=1))
         for k, row in enumerate(rows):
             i, j, time = int(row["i"]), int(row["j"]), float(row["time"])
@@ -293,8 +298,18 @@ class Cone:
             edge.count += 1
             edge.share += float(passed[k] + passed[m + k])
             to_i, to_j = float(kept[k]), float(kept[m + k])
-            if not holds and max(to_i, to_j) > NEGLIGIBLE:
-                self.passages.append(Passage(int(row["step"]), time, i, j, float(size[k]), to_i, to_j))
+            if not row["impact"] or max(to_i, to_j) <= NEGLIGIBLE:
+                continue
+            step, later = int(row["step"]), self._lasting.get((i, j))
+            if row["lasts"] and later is not None and step >= later.before_step:  # of one impact
+                later.step, later.time, later.before_step = step, time, self._before_step
+                later.impulse += float(size[k])
+                later.to_i, later.to_j = later.to_i + to_i, later.to_j + to_j
+                continue
+            passage = Passage(step, time, i, j, float(size[k]), to_i, to_j, self._before_step)
+            self.passages.append(passage)
+            if row["lasts"]:
+                self._lasting[i, j] = passage
 
 
 def gained(before: FloatArray, after: FloatArray, acting: FloatArray) -> FloatArray:

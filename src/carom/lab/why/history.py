@@ -39,6 +39,7 @@ IMPULSE = np.dtype(
         ("z", np.float64),
         ("holds", np.bool_),  # whether it holds a contact at rest
         ("impact", np.bool_),  # whether the contact closed faster than its rest speed; if neither, it is a stop
+        ("lasts", np.bool_),  # whether it is a force over the whole step, as those of other engines are
     ]
 )
 
@@ -50,6 +51,7 @@ class Step:
     """The data of one step."""
 
     step: int
+    before_step: int  # the one before; for another engine, that of the exact state before
     time: float  # s, at its end
     began: float  # s
     before: FloatArray  # (n, 3) m/s, velocities at its beginning
@@ -87,6 +89,7 @@ class History:
         table = recording.fingerprints()
         recorded = dict(zip(table["step"].to_pylist(), table["fingerprint"].to_pylist(), strict=True))
         before, began, found = space.state.velocity.copy(), space.time, [history.impacts]
+        last = begin.step
         for frame in space.run(schedule=every(0.0)):
             bits = recorded.get(frame.step)
             if history.differs is None and bits is not None and bits != frame.fingerprint:
@@ -96,10 +99,11 @@ class History:
                 touching = frame.contact_rows if frame.contact_rows is not None else history.impacts
                 rows = _impulses(space, touching)
                 own = touching[np.isin(touching["i"], bodies) | np.isin(touching["j"], bodies)]
-                history.steps.append(Step(frame.step, frame.time, began, before, frame.velocity, rows, kicks, own))
+                after = frame.velocity
+                history.steps.append(Step(frame.step, last, frame.time, began, before, after, rows, kicks, own))
                 if frame.impacts is not None and len(frame.impacts):
                     found.append(frame.impacts)
-                before, began = frame.velocity, frame.time
+                before, began, last = frame.velocity, frame.time, frame.step
             watch(space.status)
             if frame.time >= end:
                 break

@@ -1,20 +1,24 @@
-"""Answers why a body moves as it does, or why two bodies touch, by running a window before that moment again."""
+"""Answers why a body moves as it does, or why two bodies touch, by running a window before that moment again.
+
+A recording of another engine is not run again; its recorded states and contact forces are read.
+"""
 
 from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from carom import Recording
 from carom.arrays import FloatArray, IntArray, Records
 from carom.errors import ExperimentError, RecordingError
-from carom.extend import TIME, tolerance
+from carom.extend import STEP, TIME, tolerance
 from carom.lab.why.account import Account, impacts_by_step, impulses_on
 from carom.lab.why.cone import Cone, Edge, Link, chain_of
 from carom.lab.why.history import History, Question, Step, Watcher
+from carom.lab.why.recorded_history import recorded_history
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +34,7 @@ class Answer:
     accounts: list[Account]  # of the bodies of the question
     cone: Cone
     chain: list[Link]  # the latest first
+    engine: str = ""  # whose recorded contact forces it is based on; empty for carom
 
     @property
     def is_flow(self) -> bool:
@@ -90,11 +95,19 @@ def why(
     Raises
     ------
     RecordingError, SceneError
-        If the recording cannot be run again.
+        If the recording cannot be run again, or has no contact forces of another engine.
     ExperimentError
         If the window lacks the bodies or the event.
     """
-    return answer_from(question, _histories(recording, question, start, watch), recording.bodies.mass)
+    mass = recording.bodies.mass
+    if not recording.engine:
+        return answer_from(question, _histories(recording, question, start, watch), mass)
+    answer = answer_from(question, [recorded_history(recording, question, start)], mass)
+    steps = np.diff(recording.fingerprints()[STEP].to_numpy())
+    source = f"recorded from {recording.engine}"
+    if len(steps) and steps.max() > 1:
+        source += f"; a frame is up to {int(steps.max())} steps after the one before, so that impulses are estimates"
+    return replace(answer, engine=recording.engine, source=source)
 
 
 def answer_from(question: Question, histories: Iterable[History], mass: FloatArray) -> Answer:
@@ -221,7 +234,7 @@ def _moment(question: Question, history: History) -> tuple[Step, Records, list[F
     near = history.steps[max(0, place - 1) : place + 2]
     found = [(step, row) for step in near for row in _rows_of(step, question.ends)]
     if not found:
-        raise ExperimentError(f"{question.event}: no impulse acted between the two bodies at t = {time} in the replay")
+        raise ExperimentError(f"{question.event}: no impulse acted between the two bodies at t = {time}")
 
     def off(one: tuple[Step, int]) -> tuple[float, bool]:
         row = one[0].impulses[one[1]]

@@ -37,6 +37,10 @@ if TYPE_CHECKING:
 
 MOST_CAUSES = 12  # printed causes of a body; --json has all
 MOST_EDGES = 8
+_OF_ENGINE = (
+    "Impulses are the engine's contact forces times the time between frames; what they leave of a velocity's change is "
+    "due to forces, or to contacts that the engine does not report."
+)
 
 
 def why(
@@ -71,7 +75,8 @@ def why(
 ) -> None:
     """Explain why a body moves as it does, or why two bodies touch: the chain of causes, backwards.
 
-    The steps before the moment are run again, so any recording will do. FILE may be the zip of `carom report`.
+    The steps before the moment are run again, so any recording will do; one of another engine needs the forces of its
+    contacts. FILE may be the zip of `carom report`.
     """
     from carom import Recording
     from carom.extend import names_of, opened, refuse_itself, refuse_output, replaying
@@ -194,8 +199,10 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
 
     console = Terminal(soft_wrap=True)
     console.print(answer.question.text, style="bold")
-    if answer.question.ends is None and answer.time > answer.question.time + tolerance(answer.question.time):
-        say(f"That is within a step; the answer is about its end, t = {units.text(answer.time, TIME, '.9g')}.")
+    if answer.question.ends is None and abs(answer.time - answer.question.time) > tolerance(answer.question.time):
+        where = "between two exact states" if answer.engine else "within a step"
+        which = "the nearest one that is recorded" if answer.engine else "its end"
+        say(f"That is {where}; the answer is about {which}, t = {units.text(answer.time, TIME, '.9g')}.")
     for account in answer.accounts:
         say("")
         for line in _summary(account, answer, names, units):
@@ -205,6 +212,8 @@ def _print(answer: Answer, names: Names, units: UnitSystem, file: Path, oldest: 
     for line in _behind(answer, names, units):
         say(line)
     say(f"From t = {units.text(answer.begin, TIME, '.9g')} on, {answer.source}.")
+    if answer.engine:
+        say(_OF_ENGINE)
     if answer.begin_step > oldest:
         say("Earlier causes were not examined; --from 0 goes back to the beginning.")
     best = _to_look_at(answer)
@@ -222,7 +231,7 @@ def _summary(account: Account, answer: Answer, names: Names, units: UnitSystem) 
     contacts = ", ".join(counted(kinds.count(kind), kind) for kind in ("impact", "stop", "contact") if kind in kinds)
     parts = (
         (account.start_velocity, account.start_share, f"it had at t = {since}"),
-        (account.by_forces, account.forces_share, "forces gave it"),
+        (account.by_forces, account.forces_share, "no contact explains" if answer.engine else "forces gave it"),
         (account.by_contacts, sum(cause.share for cause in account.causes), f"{contacts} gave it"),
     )
     for velocity, share, text in parts:
@@ -247,13 +256,16 @@ def _print_causes(account: Account, names: Names, units: UnitSystem) -> None:
     table.add_column(units.labelled("look at t", TIME), justify="right", no_wrap=True)
     table.add_column("with", no_wrap=True)
     table.add_column("kind", no_wrap=True)
-    measured = (("impulse", IMPULSE), ("work", ENERGY), ("lost", ENERGY))
+    knows_losses = all(cause.energy_lost is not None for cause in account.causes)
+    measured = (("impulse", IMPULSE), ("work", ENERGY), *([("lost", ENERGY)] if knows_losses else []))
     for column in (*(units.labelled(*each) for each in measured), *([] if account.rests else ["of the speed"])):
         table.add_column(column, justify="right", no_wrap=True)
     for cause in account.largest[:MOST_CAUSES]:
         impulse, work = units.shown(cause.size, IMPULSE), units.shown(cause.work, ENERGY)
-        lost = units.shown(cause.energy_lost, ENERGY)
-        numbers = [f"{impulse:.4g}", f"{work:+.4g}", f"{lost:.4g}", f"{cause.share:.1%}"][: 3 if account.rests else 4]
+        numbers = [f"{impulse:.4g}", f"{work:+.4g}"]
+        if cause.energy_lost is not None:
+            numbers.append(f"{units.shown(cause.energy_lost, ENERGY):.4g}")
+        numbers += [] if account.rests else [f"{cause.share:.1%}"]
         time = f"{units.shown(cause.moment, TIME):.9g}"
         table.add_row(time, names.of(cause.partner), _kind(cause, units), *numbers)
     print_whole(table)
@@ -277,9 +289,9 @@ def _markdown(answer: Answer, names: Names, units: UnitSystem) -> str:
 
 
 def _kind(cause: Cause, units: UnitSystem) -> str:
-    if not cause.holds:
+    if cause.last == cause.first and (cause.lasts or not cause.holds):
         return cause.kind
-    return f"contact for {units.text(cause.last - cause.first, TIME, '.3g')}"
+    return f"{cause.kind} for {units.text(cause.last - cause.first, TIME, '.3g')}"
 
 
 def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
@@ -324,7 +336,8 @@ def _behind(answer: Answer, names: Names, units: UnitSystem) -> Iterator[str]:
     since = units.text(answer.begin, TIME, ".9g")
     if len(resting) == len(answer.accounts):
         return
-    yield f"Overall contributions: velocities at t = {since} {left:.0%}, forces since then {forces:.0%}."
+    further = "what no contact explains" if answer.engine else "forces since then"
+    yield f"Overall contributions: velocities at t = {since} {left:.0%}, {further} {forces:.0%}."
 
 
 def _to_look_at(answer: Answer) -> tuple[float, tuple[int, int]] | None:

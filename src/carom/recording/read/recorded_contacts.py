@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any
@@ -160,6 +160,23 @@ def rows_of_engine(recording: Recording, row: int) -> tuple[Records, float]:
     with reading(recording.path):
         chunk, own, step, time = _row_of_contacts(recording, row)
         return _rows_of_engine(recording, chunk, own, step, time), _dt(recording, step)
+
+
+def rows_by_frame(recording: Recording, first: int, last: int) -> Iterator[tuple[int, float, Records]]:
+    """Yield step, time (s) and contacts (k,) `CONTACT_ROW` of the frames of another engine's run from step to step.
+
+    Raises
+    ------
+    RecordingError
+        If they are damaged.
+    """
+    frames = recording.fingerprints()
+    times = dict(zip(frames[STEP].to_pylist(), frames["time"].to_pylist(), strict=True))
+    with reading(recording.path):
+        for chunk in recording.chunks(recording.store.frames_of(paths.CONTACTS, first, last)):
+            for row, step in enumerate(chunk.batch[STEP].to_pylist()):
+                if first <= step <= last and step in times:
+                    yield step, times[step], _rows_of_engine(recording, chunk, row, step, times[step])
 
 
 def _recorded(recording: Recording, row: int) -> pa.Table:

@@ -97,6 +97,17 @@ class Recording(FrameTables):
         end = int(self.fingerprints()[STEP][-1].as_py()) if self.frames else -1
         return np.stack([first, np.where((first >= 0) & (last < 0), end, last)], axis=1)
 
+    @cached_property
+    @named
+    def fixed(self) -> BoolArray:
+        """Mask (n,) of the bodies that another engine never moves; older recordings do not state them."""
+        n = int(self.info["bodies"])
+        stored = self._entities.static(paths.STATIC_STATE).get("fixed", np.zeros(n, np.bool_))
+        mask = np.asarray(stored)
+        if mask.shape != (n,) or mask.dtype != np.bool_:
+            raise DamageError("it does not state for each body whether it is fixed")
+        return mask
+
     def present(self, step: int) -> BoolArray:
         """Return a mask (n,) of the bodies that exist in the frame of a step."""
         if self.lives is None:

@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from carom.arrays import ColourArray, FloatArray, IntArray
+from carom.arrays import BoolArray, ColourArray, FloatArray, IntArray
 from carom.recording.schema import palette
 from carom.recording.schema.paths import SCHEMA_VERSION
 from carom.scene.data.body_columns import BodyColumns
@@ -149,6 +149,7 @@ class Header:
     member: SweepMember | None = None  # None for a single run
     engine: str = ""  # name and version of the engine that computed the run; empty for carom
     exact: bool = False  # whether every frame has a checkpoint
+    fixed: BoolArray | None = None  # (n,) bodies of another engine that never move; for carom, the scene names them
     drawn_as: str = ""  # the shape of drawn bodies, where it does not follow from their number
     extensions: Mapping[str, str] = field(default_factory=dict)  # versions by name, see `extensions_of`
     drawing_rules: int = 3  # version of the rules of drawing (docs/recording.md); 1 in the first recordings

@@ -325,6 +325,7 @@ def header_of_source(
         record_impacts="auto" if setup.forces else "none",
         engine=setup.engine,
         exact=exact,
+        fixed=setup.fixed if setup.fixed.any() else None,
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -44,6 +45,7 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
     yield paths.WORLD, rr.ViewCoordinates.RIGHT_HAND_Z_UP
     yield from _bodies(header)
     yield from _surroundings(header, origin, reach)
+    fixed: dict[str, Any] = {} if header.fixed is None else {"fixed": header.fixed}
     yield (
         paths.STATIC_STATE,
         rr.AnyValues(
@@ -52,6 +54,7 @@ def statics(header: Header, clock: TimeScale, origin: FloatArray, reach: float) 
             mass=header.mass,
             radius=header.radius,
             inertia=header.inertia,
+            **fixed,
         ),
     )
     if header.data:
