@@ -51,7 +51,7 @@ _UNITS = {  # of the components of checkpoints and of impacts
     "orbit_velocity": "m/s",
     "sleep_reference": "m/s²",
 }
-_ENERGIES = ("energy_", "ledger_")  # beginnings of the names in a checkpoint
+_ENERGIES = ("energy_", "ledger_")  # prefixes of names of energies in a checkpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +145,7 @@ class StaticCheck:
     recording
         The recording.
     space
-        Of the replay.
+        The replayed space.
     """
 
     def __init__(self, recording: Recording, space: Space) -> None:
@@ -164,7 +164,7 @@ class StaticCheck:
         )
         usual = auto_interval(scene, scene.time.duration)
         if recording.check_interval not in (None, usual) and "resumed.step" not in recording.properties:
-            # the program that ran the scene chose it, and the replay checks errors at the same interval
+            # the program that ran the scene chose this interval, and the replay uses the same one
             self._skip(IDENTITY, "check_interval", "is not the scene's")
         self._first = int(recording.fingerprints()["step"][0].as_py())
 
@@ -174,7 +174,7 @@ class StaticCheck:
         reach = self._reach()
         expected = self._expected(reach or 1.0)
         entries = self._recording.store.entries
-        # series added since, which `FrameCheck` lists
+        # series that were added since the recording; `FrameCheck` lists them
         added = {each.path for each in all_series(self._header.extensions)} - {entry.entity_path for entry in entries}
         for path, components in expected.items():
             if path in added:
@@ -233,7 +233,7 @@ class StaticCheck:
         return found
 
     def _reach(self) -> float | None:
-        """Return the largest distance (m) of bodies from the origin when the recording began; None if unknown."""
+        """Return the largest distance (m) of a body from the origin at the start of the recording; None if unknown."""
         if self._recording.clip or self._first not in self._recording.checkpoint_steps:
             return None
         position = self._recording.checkpoint(self._first).position - self._recording.origin

@@ -54,7 +54,7 @@ POINTS: dict[str, Any] = {
 
 
 def compile_ahead() -> None:
-    """Compile the kernels of most runs in reverse order, so that the two processes meet only once and neither waits."""
+    """Compile the kernels of most runs in reverse order, so that both processes meet only once and neither waits."""
     scene = Scene.from_dict(POINTS)
     bodies = Bodies.at_start(place(scene), spins=True, orients=True, torques=True)
     _compile_encoding()
@@ -73,7 +73,7 @@ def compile_ahead() -> None:
     solver.statistics()
     solver.compile_phases()
     FrameStore(1, bodies).keep()
-    with compiling_all():  # what only long runs need, once nothing else is left to compile
+    with compiling_all():  # kernels that only long runs need, after all others
         for _ in Space(Scene.from_dict({"title": "", **SCENES["a ball that rolls on"]}), threads=1).run():
             pass
 

@@ -1,4 +1,4 @@
-"""`Recorder`: records another engine's run, frame by frame, while a user's own loop steps it."""
+"""`Recorder`: records another engine's run, frame by frame, while the user's program advances the engine."""
 
 from __future__ import annotations
 
@@ -51,9 +51,10 @@ class Recorder:
     `frame` only copies the state; another thread encodes, audits and writes it. `frame` waits while that thread is
     behind, so no frame is dropped. A fault is a line in the recording's log, and an entry in `faults`.
 
-    After its creation, a recorder never raises into the run that it watches. What it cannot record it notes in the
-    recording, once on stderr, and in `problems`, and the run goes on. A state that is not finite, a time that decreased
-    and a full disk end the recording; a state of another form is left out.
+    After its creation, a recorder never raises an exception into the run that it watches. If something cannot be
+    recorded, it adds a note to the recording, to `problems` and, once, to stderr, and the run continues. A state that
+    is not finite, a time that decreased or a full disk ends the recording. A state whose arrays have other shapes is
+    left out.
 
     Parameters
     ----------
@@ -62,14 +63,14 @@ class Recorder:
     path
         The ``.rrd`` to write.
     last
-        Keep only so many frames, in memory. They are written when a state is not finite, when the time decreases (as
-        in MuJoCo, which resets itself), when an exception leaves the context, when the program ends before `finish`,
-        and by `write`.
+        Keep only this number of frames, in memory. They are written when a state is not finite, when the time decreases
+        (as in MuJoCo, which resets itself), when an exception leaves the context, when the program ends before
+        `finish`, and by `write`.
     every
         Record one of this many calls of `frame`. By default the source decides: each call, or fewer for PyBullet with
         200 bodies or more.
     title
-        Of the recording; by default the name of the engine.
+        Title of the recording; by default the name of the engine.
     duration
         s, the duration of the run, needed only above 292 years.
     exact
@@ -78,8 +79,8 @@ class Recorder:
     tolerances
         Errors above which the audit reports a fault.
     units
-        Units of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``. By
-        default those that the source states, or SI.
+        Units of the source: a length, a time and a mass, such as ``"au, day, solar mass"``, or ``"dimensionless"``; by
+        default the units that the source states, or SI.
     force
         Whether to replace a file that exists.
 
@@ -124,7 +125,9 @@ class Recorder:
             raise RecordingError(f'units = "{named}": {error}') from None
         self.path = Path(path)
         refuse_name(self.path)
-        with claimed_output(self.path, force):  # or a folder that cannot be written would be found in the run
+        with claimed_output(
+            self.path, force
+        ):  # otherwise a folder that cannot be written would be noticed only in the run
             pass
         self._source, self._exact, self._force = source, exact, force
         self._read = reader_of(source)
@@ -152,7 +155,7 @@ class Recorder:
 
     @property
     def problems(self) -> list[str]:
-        """What could not be recorded so far, in sentences, which are in the recording, too."""
+        """Sentences about everything that could not be recorded so far; the recording contains them, too."""
         return list(self._unrecorded.texts)
 
     def frame(self) -> bool:
@@ -182,7 +185,7 @@ class Recorder:
             return None
 
     def finish(self, outcome: str = COMPLETED) -> None:
-        """Close the recording. Leaving the context does it, too. Raises nothing, see `problems`."""
+        """Close the recording, as leaving the context does. Raises nothing, see `problems`."""
         expect_finish(self, False)
         sink, self._sink = self._sink, None
         if sink is not None:
@@ -218,7 +221,7 @@ class Recorder:
             self._read(snapshot)
             recorded = self._keep(call, snapshot)
         except BaseException:
-            self._free = snapshot  # otherwise the writer's memory would be used up, and the next call wait for ever
+            self._free = snapshot  # otherwise the writer's memory would run out, and the next call would wait for ever
             raise
         if not recorded:
             self._free = snapshot
@@ -255,7 +258,7 @@ class Recorder:
             expect_finish(self, True)
         try:
             self._sink.put(call, snapshot)
-        except Exception as error:  # of the thread, as when the disk is full
+        except Exception as error:  # from the writer's thread, for example when the disk is full
             self._end(call, sentence_of(error), ())
             return False
         self._taken += 1
@@ -263,7 +266,7 @@ class Recorder:
 
     @property
     def _time_of_note(self) -> float:
-        """The last recorded time in s, for what is noted."""
+        """The last recorded time in s, for notes."""
         return self._time if np.isfinite(self._time) else 0.0
 
     def _memory(self) -> StateMemory:
@@ -311,7 +314,7 @@ class Recorder:
         return self.path.with_stem(f"{self.path.stem}-{self._written + 1}")
 
     def _end(self, call: int, text: str, faults: tuple[Fault, ...]) -> None:
-        """End the recording before the present state, and note why."""
+        """End the recording before the present state, and add a note with the reason."""
         self._ended = f"failed: {text}"
         self._unrecorded.add(call, self._time_of_note, text, "The recording ends before it.", ends=True)
         sink, self._sink = self._sink, None
@@ -379,7 +382,7 @@ def expect_finish(recorder: Recorder, expected: bool) -> None:
 
 
 def _finish_unfinished() -> None:
-    """Wait for the end of all threads but the daemons, and finish the recorders that are left."""
+    """Wait for the end of all threads other than daemons, and finish the remaining recorders."""
     threading.main_thread().join()
     this = threading.current_thread()
     while others := [t for t in threading.enumerate() if t is not this and not t.daemon and t.is_alive()]:

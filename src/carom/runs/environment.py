@@ -1,9 +1,9 @@
 """The environment of a run: versions, machine, command, and the commit of the working folder.
 
 The commit is read without running any program that the folder configures. The working folder may come from a stranger.
-Git run in it obeys its `.git/config`, which may name programs to run: monitors, hooks, filters, transports. The commit
-is therefore read from the files of the repository. To compare tracked files with it, Git runs in a temporary repository
-that uses the objects and the index of the folder.
+If Git ran in it, Git would obey its `.git/config`, which may name programs to run: monitors, hooks, filters,
+transports. The commit is therefore read from the files of the repository. To compare tracked files with it, Git runs in
+a temporary repository that uses the objects and the index of the folder.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ def _changes(repository: _Repository, commit: str) -> str:
                 "GIT_WORK_TREE": str(repository.root),
                 "GIT_INDEX_FILE": str(repository.folder / "index"),
                 "GIT_OBJECT_DIRECTORY": str(repository.common / "objects"),
-                "GIT_OPTIONAL_LOCKS": "0",  # so the index is not written
+                "GIT_OPTIONAL_LOCKS": "0",  # so that the index is not written
                 "GIT_NO_LAZY_FETCH": "1",
             }
             asked = subprocess.run(

@@ -35,8 +35,8 @@ from carom.scene.schema import Scene
 TRIAL_SECONDS = 1.0
 TRIAL_STEPS = 200
 LOADING_STEPS = 3
-PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # to measure the cost of the potential
-FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # to measure steps of which a run takes many in one call
+PULL_SECONDS, PULL_ROUNDS = 0.2, 15  # for the measurement of the cost of the potential
+FLIGHT_STEPS, FLIGHT_ROUNDS, FLIGHT_SECONDS = 500, 10, 0.2  # for the measurement of steps that one call makes in bulk
 KEPT_FRAMES, KEPT_BYTES = 8, 100_000_000
 FRAME_BYTES = 250  # per body in a frame
 
@@ -90,11 +90,11 @@ class Cost:
     fewest_steps: int  # lower end of the estimated range
     most_steps: int
     limits: dict[str, float]  # fraction of the steps set by each limit, the largest first
-    looked_until: float  # s; the end of the run, unless the coarse run took too long
+    looked_until: float  # s, the end of the coarse run: that of the run, unless the coarse run took too long
     seconds: float
     memory: int  # bytes, without the interpreter
     frames: int
-    frame_seconds: float  # to record a frame, in a thread of its own
+    frame_seconds: float  # time to record a frame, in a separate thread
     size: int  # bytes of the recording
 
 
@@ -122,7 +122,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
     space = recording_space(scene, None, watch_look_ahead)
     _load_kernels(space)
     start, compiled = space.frame().checkpoint, 1
-    while compiled:  # such as the kernels of the first impact, whose compilation is no cost of a step
+    while compiled:  # repeat without compilations, such as of the kernels of the first impact
         space.restore(start)
         space.profile.clear()
         with Compilations() as compilations:
@@ -130,7 +130,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
             few = _first_frames(space)
             spent = time.perf_counter() - began
         compiled = compilations.count
-    scene = space.scene  # with the step of its accuracy
+    scene = space.scene  # with the step chosen for its accuracy
     flight = flight_seconds(space)
     each = spent / space.step if space.requirements.contact.modelled else min(flight, spent / space.step)
     outlook = estimate_steps(scene, each, flight)
@@ -163,7 +163,7 @@ def estimate(scene: Scene, watch_look_ahead: Watcher | None = None) -> Estimate:
 
 
 def _load_kernels(space: Space) -> None:
-    """Take a few steps and restore the state, so that the compilation and loading of kernels are not measured."""
+    """Make a few steps and restore the state, so that the compilation and loading of kernels are not measured."""
     start = space.frame().checkpoint
     for step in range(1, LOADING_STEPS + 1):
         if space.time < space.scene.time.duration:
@@ -192,7 +192,8 @@ def _first_frames(space: Space) -> list[Frame]:
 def flight_seconds(space: Space) -> float:
     """Return the time of a step without contacts, including its part of a check and a frame.
 
-    A run takes many of these steps in one call. The time is infinite for many bodies, whose steps are single calls.
+    A run makes many of these steps in one call. The time is infinite for many bodies, since each of their steps is a
+    separate call.
     """
     if len(space.state) > MAX_IN_ONE_BLOCK:
         return math.inf
@@ -276,7 +277,7 @@ def _with_share(entity: EntityCost, whole: float) -> EntityCost:
     return EntityCost(entity.path, entity.recorded, entity.why, share, entity.bytes, entity.seconds)
 
 
-STRIDES = 8.0, 64.0  # times the steps of the scene; the longer ones if the shorter would take too long
+STRIDES = 8.0, 64.0  # coarse steps over the steps of the scene; the second if the first would take too long
 LOOK_SECONDS = 3.0  # for each coarse run
 MANY_STEPS = 100  # with at least this many coarse steps, their mean time is more accurate than that of the first steps
 LIKELY = 2.0  # accuracy (a factor) of a complete estimate for the bundled scenes and extremes (test_estimate.py)
@@ -302,7 +303,7 @@ def estimate_steps(scene: Scene, step_seconds: float, flight_seconds: float = ma
     step_seconds
         Time that a step takes at the start.
     flight_seconds
-        Time of a step without contacts, if a run takes many of these in one call, unlike the coarse run.
+        Time of a step without contacts, if a run, unlike the coarse run, makes many of these in one call.
 
     Raises
     ------

@@ -30,7 +30,7 @@ from carom.runs.impact_check import ImpactCheck
 
 Told = tuple[int, int, str, str, str]  # step, ns on the timeline, level, kind and text of an event
 
-# compared together, since encoding one frame costs as much as a batch of a hundred
+# frames are compared in batches, since encoding one frame costs as much as encoding a hundred
 _MOST_FRAMES, _MOST_BODIES = 128, 20_000
 
 REPAIRED = "; repaired, "  # in the outcome of a repaired recording, which may lack pieces
@@ -43,8 +43,8 @@ WORDS_OF_EXTREMES = "the text of the extremes in /events, which differs"
 
 # a checkpoint does not contain the step that led to it
 _BEFORE = {paths.CONTACTS, paths.FORCE_NORMAL, paths.FORCE_FRICTION, paths.TORQUE, paths.ANGULAR_ACCELERATION}
-_DIGEST = "digest"  # of a checkpoint; earlier versions did not write it
-_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows, whose number the plan limits
+_DIGEST = "digest"  # component of a checkpoint; earlier versions did not write it
+_LARGEST_FIRST = (paths.FORCE_NORMAL, paths.FORCE_FRICTION)  # arrows; the plan limits their number
 _ARROWS = "Arrows3D:vectors"
 _BY_CHANGE = (paths.PHASE, paths.DT_LIMIT)  # entities with a row at each change
 
@@ -77,14 +77,14 @@ class FrameCheck:
         self._path = recording.path
         self._rows = RecordedRows(recording)
         known = {each.path: each.past for each in all_series(header.extensions)}
-        self._series = set(known)  # recordings of earlier versions may lack some
+        self._series = set(known)  # recordings of earlier versions may lack some series
         self._led_there = _BEFORE | {path for path, past in known.items() if past in (Past.STEP, Past.INTERVAL)}
         self._relative = _RELATIVE | {path: () for path, past in known.items() if past in (Past.INTERVAL, Past.RUN)}
         self._clock = TimeScale(float(recording.info["time_scale"]))
         references = {name: float(value) for name, value in recording.arrow_references.items()}
         header = replace(header, drawing_rules=recording.drawing_rules)
         header = header if recording.records_contacts else replace(header, record_impacts="none")
-        # the floors of a part of a run depend on the frames before it
+        # in a partial replay, the floors of arrows depend on earlier frames
         floors = arrow_floors(recording, int(steps[0])) if len(steps) and steps[0] > 0 else None
         self._encoder = BatchEncoder(header, recording.origin, references, floors_before=floors, everything=True)
         self._arrows = references
@@ -96,7 +96,7 @@ class FrameCheck:
         self._same_words = recording.versions == versions()
         self._whole = (
             all_frames and begin == 0 and is_whole(recording) and not recording.clip
-        )  # whether all frames so far are those of the run
+        )  # whether all frames so far are frames of the run
         self._complete = recording.finished and REPAIRED not in recording.outcome  # no rows were lost
         # every recorded series has a style; an older recording lacks the series added later
         self._styled = {entry.entity_path for entry in recording.store.entries if entry.is_static}
@@ -129,7 +129,7 @@ class FrameCheck:
     def strays(self, is_end: bool) -> Mismatch | None:
         """Return a row of a step without a recorded frame, which the viewer would show nevertheless.
 
-        ``is_end``: there may be no rows after the compared frames.
+        With ``is_end``, rows after the compared frames count as well.
         """
         last = int(self._steps[-1]) if len(self._steps) else self._begin
         for path in [*self._rows.entities, *_BY_CHANGE]:
@@ -147,7 +147,8 @@ class FrameCheck:
         chosen = self._encoder.arrow_references.chosen
         unknown = sorted(chosen.keys() - self._arrows.keys())
         self.skipped |= {f"{name} of the property arrows, which is missing": None for name in unknown}
-        # only the whole run has the frames that determined the references; a part of it uses the recorded ones
+        # only a replay of the whole run has the frames that determined the references; a partial one uses the recorded
+        # ones
         for name in sorted(chosen.keys() & self._arrows.keys()) if self._whole else ():
             if self._arrows[name] != chosen[name]:
                 if self._same_words:
@@ -268,7 +269,7 @@ class FrameCheck:
             if name not in recorded.components:
                 self.skipped[f"{name} of /{path}, which is missing"] = None
             elif off := different(step, path, name, recorded.batch[name], replayed[name]):
-                # rows of a clip have only its own bodies
+                # rows of a clip contain only the bodies that it shows
                 return off if off.body is None else replace(off, body=self._shown[off.body])
         return None
 

@@ -1,4 +1,4 @@
-"""Compares the impacts of a replay with those recorded, and the states at them, bit for bit."""
+"""Compares the impacts of a replay, and the states at impacts, with the recorded ones, bit for bit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _Interval(NamedTuple):
     impacts: Records  # (k,) CONTACT_ROW, in order of time
     kept: Kept | None  # numbers of impacts that should be recorded; None if unknown
     numbers: IntArray  # (k,)
-    begin: int  # number of the run's impacts before the interval
+    begin: int  # number of impacts of the run before the interval
     end: int  # number of impacts up to its end
 
 
@@ -60,10 +60,10 @@ class ImpactCheck:
     rows
         The rows of the recording.
     few
-        The bodies of a clip that does not show all.
+        The bodies of a clip that shows only some bodies; None otherwise.
     whole
-        Whether this version recorded it and all frames since the start of the run are replayed, so that the recorder's
-        plan is known.
+        Whether this version made the recording and the replay has all frames since the start of the run, so that the
+        recorder's plan is known.
     """
 
     def __init__(
@@ -87,7 +87,9 @@ class ImpactCheck:
         steps = recording.fingerprints()[STEP]
         self._first_step = int(steps[0].as_py()) if len(steps) else 0  # a clip has no impacts before this step
         self._last_step = int(steps[-1].as_py()) if len(steps) else -1
-        self._closing: Mapping[str, Any] = {} if recording.clip else recording.closing  # clips have the run's
+        self._closing: Mapping[str, Any] = (
+            {} if recording.clip else recording.closing
+        )  # clips have those of the whole run
         self._leaves_out = impacts_until(recording, self._last_step).left_out > 0
         self._plan = ImpactPlan.of(encoder.header) if whole and few is None else None
         self.arrows: dict[int, int] = {}  # number of arrows that a frame should have, by step, where known
@@ -113,7 +115,7 @@ class ImpactCheck:
         found = len(impacts) + self._missed
         before, counted = self._before or (None, None)
         count = self._count_at(frame.step)
-        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # the number that a recorded run keeps between two frames
+        impacts = impacts[largest(impacts, MOST_IMPACTS)]  # as many as a recorded run stores between two frames
         kept = None if self._plan is None else _room(self._plan, frame, impacts)
         if kept is not None:
             self.arrows[frame.step] = int(kept.arrows[0])

@@ -56,11 +56,11 @@ class Verdict:
 
 
 def judge(scene: Scene, extremes: Extremes, time: float) -> list[Verdict]:
-    """Compare every promise of a scene with the extremes of its run, which ended at a time in s.
+    """Compare every promise of a scene with the extremes of its run, which ended at ``time`` (s).
 
     A quantity that the scene does not conserve, such as angular momentum in a periodic box or any momentum where
-    something is fixed, counts as infinitely wrong. The final kinetic energy is judged only at the promised end; the
-    number of impacts and the warnings are judged later, too.
+    something is fixed, counts as infinitely wrong. The final kinetic energy is judged only if the run ends at the
+    promised time; the number of impacts and the warnings are also judged if it ends later.
     """
     expect, end = scene.expect, scene.expect.duration or scene.time.duration
     elsewhere = {"final_kinetic": end if time != end else None, "impacts": end if time < end else None}

@@ -24,13 +24,13 @@ MOMENTS = {
 }
 OF_ENGINES = {"energy_error": "largest change of the energy without contact, {value:.2e} of the energy scale"}
 EACH = "each"  # impacts during the drift of a step
-ONCE_A_STEP = "once a pair and step"  # impacts found at its end
+ONCE_A_STEP = "once a pair and step"  # impacts detected at the end of a step
 _DISK = "disk"
 _FAILED = "recording failed"
 
 
 def counts_text(contact_steps: int, impacts: int | None, each: str | None, summed_over: str = "steps") -> str:
-    """Describe the two numbers.
+    """Describe the numbers of contacts and of impacts.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def value_shown(name: str, value: float, units: UnitSystem) -> float | str:
 def energy_texts(summary: dict[str, Any], units: UnitSystem) -> list[str]:
     """Describe the change of the energy and its known reasons.
 
-    Of another engine's run only states are known. Without impulses, the work of contacts cannot be distinguished from
+    In another engine's run, only states are known. Without impulses, the work of contacts cannot be distinguished from
     errors.
     """
     energy = summary["energy"]

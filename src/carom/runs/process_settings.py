@@ -1,8 +1,9 @@
 """Settings of the process of a run: signals that request its end, the memory allocator, and garbage collection.
 
 Signals come from Ctrl-C, from job schedulers and from closed terminals. A run passes thousands of arrays between
-threads. By default glibc returns freed memory to the system and requests it again: 40 page faults per frame of 1000
-bodies, a twentieth of the run. Keeping it does not enlarge the process, because the number of queued frames is bounded.
+threads. By default glibc returns freed memory to the system and requests it again, which costs 40 page faults per frame
+of 1000 bodies, a twentieth of the run. Keeping this memory does not enlarge the process, because the number of queued
+frames is bounded.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from typing import Any, Self
 
 ENDING = (signal.SIGTERM, signal.SIGHUP)  # sent by Slurm, Kubernetes and `kill`; by a closed terminal
 AFTER_CALLBACK = 0.05  # s; llvmlite's callbacks for each kernel take microseconds
-SAME_PRESS = 0.3  # s; wrappers such as `uv run` forward an interrupt that the terminal has already sent
+SAME_PRESS = 0.3  # s within which interrupts count once: wrappers such as `uv run` forward that of the terminal
 
 _ARENA_MAX, _TRIM_THRESHOLD, _MMAP_THRESHOLD = -8, -1, -3  # glibc's <malloc.h>
 _KEPT = 512 << 20  # bytes of free memory to keep
@@ -127,8 +128,8 @@ def keep_freed_memory() -> None:
 def garbage_sought_seldom() -> Iterator[None]:
     """Let Python collect cyclic garbage after 100 000 new objects instead of 700.
 
-    There is none, since frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits for the
-    interpreter lock, and the small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
+    There is hardly any, since frames and rows have no cycles. A full collection takes 0.1 s, while the physics waits
+    for the interpreter lock, and small ones took 50 µs of each frame of 1000 bodies (both on a busy machine).
     """
     before = gc.get_threshold()
     if before[0]:  # otherwise the program has switched it off

@@ -29,7 +29,7 @@ from carom.show.web import index_page, site
 from carom.show.web.index_page import About, Card, Figure
 from carom.show.web.site import PageNames
 
-LIST = "carom-page.json"  # the list of a publication's files, with their digests
+LIST = "carom-page.json"  # lists the files of a publication with their digests
 WHAT = "files of a page that carom published; `carom publish --force` replaces these and no others"
 MOST_PROBLEMS = 20  # on a page
 _BODIES, _ENERGY = "bodies", "energy"  # views
@@ -54,7 +54,7 @@ def publish(recordings: Sequence[Recording], folder: Path, watch: Callable[[str]
     Parameters
     ----------
     recordings
-        Whole runs, or clips. Of several, each has its page, and the index has a card for each.
+        Whole runs, or clips. Each of several recordings has its own page, and a card on the index page.
     folder
         The folder to write.
     watch
@@ -202,7 +202,7 @@ def _digest(path: Path) -> str:
 def _replacing(folder: Path) -> Iterator[Path]:
     """Yield an empty folder whose files move into this one on success; on failure nothing changes.
 
-    The files are replaced one by one, since the folder may be a link, the current folder or a mounted disk. The list is
+    Files are replaced one by one, since the folder may be a link, the current folder or a mounted disk. The list is
     written first, so that the next publication recognises the files even if this one is killed.
     """
     real, fresh = folder.resolve(), not folder.exists()

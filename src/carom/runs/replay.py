@@ -92,7 +92,7 @@ class Replay:
     frames: int  # recorded frames from `begin` to the end of the window
     compared: int
     difference: Difference | None
-    ended: str  # the reason for an end before the window's; otherwise empty
+    ended: str  # why the replay ended before the end of the window; otherwise empty
     seconds: float
     recorded_with: dict[str, str]
     replayed_with: dict[str, str] = field(default_factory=versions)

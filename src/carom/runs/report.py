@@ -1,4 +1,4 @@
-"""Packs a bundle for a bug report: a clip around the time in question, the scene, versions and measurements."""
+"""Packs a bundle for a bug report: a clip around the time of interest, the scene, versions and measurements."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from carom.scene.wording import command, counted, escaped
 from carom.show.picture import Shot, try_to_render
 from carom.show.request import Request, pair_of_extreme
 
-FRAMES = 120  # largest number in the clip, half of them before the time in question
+FRAMES = 120  # largest number of frames in the clip, half of them before the time of interest
 ROOM = 7_000_000  # bytes, largest size of the clip before compression
 REPLAY_AT_MOST = 30.0  # s, longest replay of the clip
 ENERGY_ERROR = 1e-3  # of the scale; a larger error becomes the subject of the report
@@ -57,7 +57,7 @@ class Report:
 
     path: Path
     size: int  # bytes
-    time: float  # s, the time in question
+    time: float  # s, the time of interest
     why: str  # the event at that time
     frames: int
     replayed: str  # a sentence
@@ -113,9 +113,9 @@ def report(recording: Recording, path: Path, at: float | None = None) -> Report:
 
 
 def _shown(recording: Recording, moment: float, why: str) -> tuple[Request, bool]:
-    """Return what the pictures of a report show at a time (s), and whether two bodies that meet there are its subject.
+    """Return the view of a report's pictures at a time (s), and whether the subject is two bodies that meet.
 
-    They are if an extreme of the run was there, or if the run failed there while bodies touched.
+    That is the case if an extreme of the run occurred at this time, or if the run failed then while bodies touched.
     """
     for name in sorted(WORST, key=lambda name: name not in why):  # both may be at this time
         if recording.closing.get(f"moments.{name}.time") == moment and pair_of_extreme(recording, name):
@@ -281,7 +281,7 @@ MOST_BODIES = 2000  # in a clip without exact states; up to this number, bodies 
 BYTES_OF_A_BODY = 150  # of an exact state and static data, slightly less when compressed
 BYTES_DRAWN = 60  # of a body in a frame
 MOST_READ = 2_000_000_000  # bytes of frames read to cut out some bodies
-COMPRESSED = 4  # largest compression ratio, for resting bodies, which bounds the number of frames to try
+COMPRESSED = 4  # largest compression ratio (bodies at rest), which bounds the number of frames to try
 
 
 def excerpt(recording: Recording, moment: float, path: Path, frames: int, room: int) -> Clip:

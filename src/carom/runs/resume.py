@@ -41,7 +41,7 @@ class ResumableRun:
 
     def space(self, threads: int | None = None) -> Space:
         """Build the space, which compiles kernels if necessary."""
-        records = self.recording.records_contacts  # so that the whole file has the same entities
+        records = self.recording.records_contacts  # so that both parts of the file have the same entities
         checkpoint = self._read.pop() if self._read else self.recording.checkpoint(self.step)
         return space_of(self.recording, self.scene, checkpoint, threads, record_contacts=records)
 
@@ -77,7 +77,7 @@ def resumable_run(recording: Recording, until: float | None = None) -> Resumable
         raise RecordingError(f"{path} has been simulated to {scene.unit_system.text(done, TIME, 'g')} already; {hint}")
     if end != cut:
         scene = continued_scene(recording, scene, [f"time.duration={scene.unit_system.literal(end, TIME)}"])
-    # a completed run has shortened its last step, which a longer run would not have done
+    # a completed run shortened its last step, which a longer run would not have done
     steps = [step for step, time in recording.checkpoint_times.items() if time < cut]
     if not steps:
         raise RecordingError(f"{path} has no checkpoint to resume from")

@@ -127,7 +127,7 @@ def recording_of(outcome: Outcome) -> Recording:
         raise RecordingError(outcome.reason)
     if outcome.status == "failed":
         raise PhysicsError(outcome.reason)
-    if outcome.status == "interrupted":  # the file is complete up to there; end the caller's program, too
+    if outcome.status == "interrupted":  # the file is complete up to that time; end the caller's program, too
         raise KeyboardInterrupt(outcome.reason)
     return Recording.open(outcome.path)
 

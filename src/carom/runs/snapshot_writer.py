@@ -1,4 +1,4 @@
-"""`SnapshotWriter`: the thread that records the snapshots of another engine's run."""
+"""`SnapshotWriter`: records the snapshots of another engine's run in a separate thread."""
 
 from __future__ import annotations
 
@@ -38,24 +38,24 @@ PATIENCE = 0.02  # s, after which a smaller batch is sent
 
 
 class SnapshotWriter:
-    """Makes and records frames of snapshots in its own thread.
+    """Converts snapshots to frames and records them, in a separate thread.
 
     Parameters
     ----------
     path
         The ``.rrd`` to write.
     observer
-        Makes a frame of each state, and audits it.
+        Converts each state to a frame, and audits it.
     header
         Of the recording.
     force
         Whether to replace a file that exists.
     new
-        Makes memory for a snapshot.
-    unrecorded
-        Takes what cannot be recorded.
-    population
-        Numbers the bodies where they come and go; None if they stay.
+            Allocates memory for a snapshot.
+        unrecorded
+            Collects notes on states and contacts that cannot be recorded.
+        population
+            Numbers the bodies if they come and go; None if they do not.
     """
 
     def __init__(
@@ -77,14 +77,14 @@ class SnapshotWriter:
         self._recorder = FrameRecorder(path, header)
         self._store = None if population is not None else self._recorder.store_for(observer.bodies)
         size = 104 * header.bodies
-        room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # snapshots that may be made
+        room = max(2, min(MOST_WAITING, WAITING_BYTES // size))  # number of snapshots that may be allocated
         self._stock = min(room, STOCK_BYTES // size)  # allocated in advance, by this thread
         self._room = room - self._stock
         self._batch: list[tuple[int, StateMemory]] = []  # waiting to be sent
         self._due = 0.0
         self._queue: queue.SimpleQueue[list[tuple[int, StateMemory]] | None] = queue.SimpleQueue()
         self._spare: queue.SimpleQueue[StateMemory] = queue.SimpleQueue()  # reusable memory
-        self._error: Exception | None = None  # why the file cannot be written any more
+        self._error: Exception | None = None  # the error after which the file can no longer be written
         self._last = (0, 0.0)
         self._thread = threading.Thread(target=self._run, name="carom-observer", daemon=True)
         self._thread.start()
@@ -175,7 +175,7 @@ class SnapshotWriter:
             self._error = error
 
     def _find_bodies(self, state: State) -> Present | None:
-        """Return the bodies of a state where they come and go, and observe these from now on; None if they stay."""
+        """Return the bodies of a state, and observe them from now on; None if bodies do not come and go."""
         population, before = self._population, self._present
         if population is None:
             return None

@@ -19,15 +19,15 @@ from carom.scene.wording import counted
 from carom.show.request import Request
 from carom.show.supplement import has_trails
 
-MOST_IMPACTS = 10  # moments; with more, only the hardest impacts explain the run
-HARDEST = 3  # impacts of a run with more
+MOST_IMPACTS = 10  # number of impacts up to which each impact is a moment
+HARDEST = 3  # number of impacts that are moments if there are more
 FAINTEST = 0.01  # of the largest impulse; weaker impacts explain nothing
 DEEP = 0.01  # of the smaller radius; a shallower overlap explains nothing
 
 
 @dataclass(frozen=True, slots=True)
 class TellingMoment:
-    """A moment, and what shows it."""
+    """A moment, its caption, and the view that shows it."""
 
     step: int
     time: float  # s
@@ -40,9 +40,9 @@ class TellingMoment:
 def telling_moments(recording: Recording) -> list[TellingMoment]:
     """Choose the moments.
 
-    These are the initial state of many bodies; all impacts of a run with few, otherwise the hardest and the most
-    contacts; and the end. The worst moment of a run that went wrong, a deep overlap and a large integration error are
-    added.
+    They are the initial state, if there are many bodies; all impacts of a run with few impacts, otherwise the hardest
+    impacts and the moment with the most contacts; and the end. In addition, there are the worst moment of a run that
+    went wrong, a deep overlap, and a large integration error.
 
     Raises
     ------
@@ -128,7 +128,7 @@ def _frame(recording: Recording, row: int, heading: str) -> TellingMoment:
 
 
 def _add(chosen: list[TellingMoment], moment: TellingMoment) -> None:
-    """Add a moment, or its caption to another one of the same step."""
+    """Add a moment; if there is already a moment of the same step, add only the caption to it."""
     for place, other in enumerate(chosen):
         if other.step == moment.step:
             chosen[place] = replace(other, details=(*other.details, moment.heading))

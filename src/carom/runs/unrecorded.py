@@ -1,4 +1,4 @@
-"""What a recorder could not record: events of the recording, and lines on stderr. The watched run goes on."""
+"""Notes on everything that a recorder could not record: events of the recording, and lines on stderr."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ MOST_TEXTS = 20  # further texts are only counted
 
 
 class Unrecorded:
-    """Notes of what could not be recorded. Any thread may add some.
+    """Notes on states and contacts that could not be recorded. Any thread may add notes.
 
     Parameters
     ----------
@@ -33,9 +33,9 @@ class Unrecorded:
         self._lock = threading.Lock()
 
     def add(self, step: int, time: float, problem: Exception | str, consequence: str, *, ends: bool = False) -> None:
-        """Note a problem and its consequence; a text that differs only in its digits is counted, not repeated.
+        """Add a note on a problem and its consequence; a text that differs only in its digits is counted, not repeated.
 
-        A problem that ends the recording is no event, since it is the outcome.
+        A problem that ends the recording is not an event, since the outcome states it.
         """
         cause = problem if isinstance(problem, str) else sentence_of(problem)
         pattern, text = "".join(letter for letter in cause if not letter.isdigit()), f"{cause} {consequence}"
@@ -47,7 +47,7 @@ class Unrecorded:
             self.texts.append(text)
             if not ends:
                 self.events.append(Event(step, time, "WARN", text, KIND))
-        with contextlib.suppress(OSError, ValueError, AttributeError):  # a full, a closed or no stderr
+        with contextlib.suppress(OSError, ValueError, AttributeError):  # stderr may be full, closed or missing
             sys.stderr.write(f"carom: {self._path}: {text}\n")
             sys.stderr.flush()
 

@@ -19,7 +19,7 @@ from carom.registry import ExtensionError
 from carom.runs.run import run
 from carom.scene.schema import Scene
 
-# Together they need every kernel; add a scene for a kernel that none of them needs (a test checks this).
+# Together these scenes need every kernel. Add a scene for a kernel that none of them needs (a test checks this).
 _PAIR = [{"position": [-1.0, 0.0, 0.0], "mass": 1.0}, {"position": [0.9999, 0.1, 0.0], "mass": 1.0}]
 _CROWD = [{"count": 8, "radius": {"min": 0.1, "max": 0.4}, "velocity": {"dispersion": 1.0}}]
 SCENES: dict[str, dict[str, Any]] = {
@@ -145,6 +145,6 @@ def warm_up() -> Warmth:
             with contextlib.suppress(ExtensionError):  # a part that has been removed
                 run(Scene.from_dict({"title": name, **document}), folder / "warm-up.rrd", force=True)
         nothing = np.empty(0, dtype=np.int64)
-        number_sets(nothing, nothing, nothing)  # for the audit of other engines
+        number_sets(nothing, nothing, nothing)  # needed by the audit of other engines
         load_helpers()
     return Warmth(time.perf_counter() - began, compilations.count, cache_folder())

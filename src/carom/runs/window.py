@@ -71,7 +71,7 @@ class Window:
 
     @property
     def source(self) -> str:
-        """The source of its numbers, in words."""
+        """The source of the window's numbers, in words."""
         same = "with the same bits" if self.differs is None else f"with different bits from step {self.differs} on"
         return f"replayed from step {self.begin}, {same}"
 
@@ -175,7 +175,7 @@ def space_of(
     SceneError
         If the scene cannot run on this machine or in this version.
     RecordingError
-        If its bodies cannot be simulated.
+        If the bodies cannot be simulated.
     """
     try:
         space = Space(scene, threads, start_of(recording, scene, checkpoint), record_contacts=record_contacts)

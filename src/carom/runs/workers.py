@@ -180,7 +180,7 @@ class LocalWorkers:
 
     def _start(self) -> Connection:
         ours, theirs = Pipe()
-        with theirs, _signals_held():  # an interrupt during its start concerns this process
+        with theirs, _signals_held():  # an interrupt during a worker's start concerns only this process
             process = subprocess.Popen(
                 [sys.executable, "-P", "-c", _START, str(theirs.fileno()), str(private_folder())],
                 pass_fds=(theirs.fileno(),),

@@ -27,13 +27,15 @@ def geometric_means(one: Numbers, other: Numbers) -> Numbers:
 class ContactLaw:
     """A contact law: the impulses that a contact exerts.
 
-    carom compiles its functions with Numba, like those of a `carom.extend.BodyForce`. The first argument of each is a
-    record of the coefficients of the two materials: those of Coulomb's law (``restitution``, ``static_friction``,
-    ``kinetic_friction``) and those in the law's section. None stands for the function of Coulomb's law.
+    carom compiles its functions with Numba, like those of a `carom.extend.BodyForce`. The first argument of each
+    function is a record of the coefficients of the two materials: the coefficients of Coulomb's law (``restitution``,
+    ``static_friction``, ``kinetic_friction``) and those in the law's section. None selects the function of Coulomb's
+    law.
 
-    An angular impulse acts on body j, and the opposite one on body i. The function gets the angular impulse that would
-    end the relative rotation, and returns the one exerted. That may be smaller but not larger, since a contact only
-    dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of the body.
+    An angular impulse acts on body j, and the opposite one on body i. The function receives the angular impulse that
+    would end the relative rotation, and returns the exerted one. The exerted impulse must not be larger, since a
+    contact only dissipates. ``radius`` is the reduced radius r_i r_j / (r_i + r_j) in m or, at a plane, the radius of
+    the body.
     """
 
     section: type[Any] | None  # in the scene: a `carom.extend.Section` whose docstring says "[contact.NAME]: what it

@@ -144,7 +144,7 @@ def with_words(details: Sequence[Any]) -> Iterator[Any]:
 
 
 def written_path(detail: Any, data: Any) -> KeyPath:
-    """Return the path as the user wrote it: a radius given as a number has no `min`, a vector no `2`."""
+    """Return the path as the user wrote it: a radius given as a number has no `min`, and a vector has no `2`."""
     members = ("float", "nan", "literal")  # members of unions, which Pydantic adds to the path
     path: KeyPath = tuple(
         key

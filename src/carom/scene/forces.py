@@ -1,4 +1,4 @@
-"""The forces: when each is modelled, and the names of its recorded energies.
+"""The forces: the conditions under which each is modelled, and the names of its recorded energies.
 
 `FORCES` lists carom's own. A force of an installed package is a `BodyForce` or a `PairForce`, which acts in scenes with
 a section ``[forces.NAME]``. The parts of the model, `carom explain`, the energy terms and ledger entries of a
@@ -28,13 +28,13 @@ class ForceKind:
     potential: str = ""  # its term of the energy, if it has a potential
     loss: str = ""  # its entry in the ledger, if it has no potential
     legend: str = ""  # legend of its energy series
-    meaning: str = ""  # meaning of that series, for docs/recording.md
-    colour: str = ""  # colour of that series, a name in the palette of curves
+    meaning: str = ""  # meaning of the energy series, for docs/recording.md
+    colour: str = ""  # colour of the energy series, a name in the palette of curves
     flag: str = ""  # in the properties of a recording; by default `has_` and the short name
     pushes: Callable[[Scene], bool] = lambda scene: False  # whether it accelerates all bodies at rest equally
     differs: bool = False  # whether it accelerates bodies at rest differently, so that they may meet and press
     damps: bool = False  # whether it depends on velocities, and is solved within the drift
-    part: str = ""  # part without which that series is not recorded; by default the force itself
+    part: str = ""  # part of the model without which the energy series is not recorded; by default the force itself
     contradiction: Callable[[Scene], str] = lambda scene: ""  # why ``model.force`` cannot force it; empty if it can
 
     @property

@@ -60,13 +60,13 @@ def without_schema_line(text: str) -> str:
 INTRODUCTION = """\
 # The format of a scene
 
-A scene is a TOML file. This page lists all its sections and keys; it is made from the schema that carom reads scenes
-with. `carom new` writes a scene with comments on the most important keys. All keys are optional but those marked as
-needed, and a scene needs a body.
+A scene is a TOML file. This page lists all its sections and keys; it is generated from the schema of scenes.
+`carom new` writes a scene with comments on the most important keys. All keys are optional except
+those marked as needed, and a scene needs a body.
 
-Where a dimension is given, a number is in the SI unit, and a text may have another unit, such as `"3 km"`
+If a key has a dimension, a number is in the SI unit, and a text may have another unit, such as `"3 km"`
 ([units.md](units.md)). Editors that understand JSON schemas, such as those with Taplo or Even Better TOML, complete and
-check scenes. Write the schema with `carom scenes --schema > scene.schema.json`, and let the first line of a scene say
+check scenes. Write the schema with `carom scenes --schema > scene.schema.json`, and begin a scene with the line
 `#:schema ./scene.schema.json`.
 """
 
@@ -86,7 +86,7 @@ def _contact_laws() -> Iterator[str]:
 
 
 def _walls() -> Iterator[str]:
-    """Return a part for each shape of walls of carom."""
+    """Return a section of the page for each of carom's shapes of walls."""
     for name in registry.HOUSE["walls"]:
         section = shape_called(name).section
         yield _table(section, f"`wall.{name}`", inspect.getdoc(section) or "")

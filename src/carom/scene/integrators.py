@@ -1,14 +1,14 @@
-"""The table of integrators, which the scene's key, the checks, the step and the comparisons use.
+"""The table of integrators, used by the scene's key, the checks, the step and the comparisons.
 
 A step is a sequence of substeps: a kick with the old forces, a drift, and a kick with the new forces, for fractions of
 dt:
 
     v += a(x) before dt,    x += v drift dt,    v += a(x) after dt
 
-Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges the two: on
-a Kepler orbit, its energy oscillates a quarter as much, but its forces are those of the middle of the step. Yoshida's
-fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁ (Yoshida
-1990, Phys. Lett. A 150, 262).
+Leapfrog in kick-drift-kick form is of order 2 and symplectic at a constant step. Drift-kick-drift exchanges kicks and
+drifts: on a Kepler orbit, its energy oscillates a quarter as much, but its forces belong to the middle of the step.
+Yoshida's fourth order consists of three leapfrog steps of w₁ dt, w₀ dt, w₁ dt with w₁ = 1/(2 - 2^{1/3}), w₀ = 1 - 2 w₁
+(Yoshida 1990, Phys. Lett. A 150, 262).
 
 Installed packages may add such sequences. Two integrators are not such sequences: Gauss–Radau integration chooses its
 step by its error, Wisdom–Holman integration by the shortest orbit (`carom.physics.integrators.gauss_radau`,
@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 from carom import registry
 
-AUTO = "auto"  # value of time.integrator with which the scene decides
+AUTO = "auto"  # value of time.integrator with which carom chooses the integrator by the scene
 
 
 class Substep(NamedTuple):

@@ -80,7 +80,7 @@ class KeyPlaces:
         return lines_of(self.text)
 
     def of(self, path: KeyPath) -> str:
-        """Return the place of a key as the beginning of a message; empty if unknown."""
+        """Return the place of a key, as the first words of a message; empty if unknown."""
         for overridden, text in self.overrides.items():
             if path[: len(overridden)] == overridden:
                 return f"the override {text}: "
@@ -105,7 +105,7 @@ def naming_places(scene: Scene) -> Iterator[None]:
         raise SceneError(f"{scene.places.of(error.key)}{error}") from None
 
 
-# Parsing, validation and messages are recursive, or take time quadratic in the depth.
+# Limit on the nesting: parsing, validation and messages are recursive, or take time quadratic in the depth.
 DEEPEST = 32  # levels; the deepest key in a scene is group.0.radius.min
 
 _PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""

@@ -46,7 +46,7 @@ _LARGEST_BESIDES_BODIES = 4_000_000  # characters
 _LARGEST_BODY = 1000  # characters of a [[body]] with all its keys, a long name and comments
 _COMMENTED = 200_000  # characters; overrides keep the comments of texts up to this length, which takes a second
 MOST_MESSAGES = 8
-_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may have a million
+_MOST_DETAILS = 1000  # mistakes that are examined; a hostile text may contain a million
 _TOO_DEEP = f"tables or lists nested more than {DEEPEST} levels deep"
 
 

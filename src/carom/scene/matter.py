@@ -72,7 +72,7 @@ AnyMatter = TypeVar("AnyMatter", bound=Matter)
 class BodyMaterials:
     """The materials of the bodies of a scene."""
 
-    names: list[str]  # (a,) in the order of the first body with each
+    names: list[str]  # (a,) in the order of the first body with each material
     index: IntArray  # (n,) indices into `names`
 
 
@@ -81,8 +81,8 @@ class PairCoefficients:
     """Coefficients of the contacts between n bodies of a materials, and with p planes and walls.
 
     If all bodies have one material, there is one row for contacts between bodies, and one for each plane. Otherwise
-    each material has a + p rows: one for each material, and one for each plane. The contact of body i with body j > i,
-    or with plane j - n, has the row ``places[i, 0] + places[j, 1]``.
+    each material has a + p rows: one for contacts with each material, and one for each plane. The contact of body i
+    with body j > i, or with plane j - n, has the row ``places[i, 0] + places[j, 1]``.
     """
 
     rows: FloatArray  # (1 + p, 3), or (a (a + p), 3): the fields of `Coefficients`

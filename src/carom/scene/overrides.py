@@ -93,7 +93,7 @@ def forget_digest(document: Any, path: KeyPath) -> None:
 
 
 def keep_promised_duration(document: Any, before: dict[str, Any], overridden: Collection[KeyPath]) -> None:
-    """Store the original duration, to which promises about the end refer, if an override changes the duration."""
+    """If an override changes the duration, store the original one, to which promises about the end refer."""
     expect, duration = before.get("expect"), _duration(before)
     if ("expect",) in overridden or not isinstance(expect, dict) or "duration" in document["expect"]:
         return

@@ -117,7 +117,7 @@ def _refuse_claims(source: pa.NativeFile, begin: int, called: str, stored: int) 
 
 
 def _stores_each_row(kind: pa.DataType) -> bool:
-    """Return whether each value takes memory of its own; a few bytes may stand for any number of nulls or runs."""
+    """Return whether each value takes its own memory; a few bytes may represent any number of nulls or runs."""
     if pa.types.is_null(kind) or pa.types.is_run_end_encoded(kind):
         return False
     if pa.types.is_dictionary(kind):
@@ -192,7 +192,7 @@ class _TextTable(_ArrowTable):
         skipped, separator = (self._dialect.skipped, self._dialect.separator) if rows is None else (0, ",")
         options = pyarrow.csv.ReadOptions(column_names=self.names, skip_rows=skipped)
         parse = pyarrow.csv.ParseOptions(delimiter=separator)
-        # otherwise 007 would be read as a number, and null as a missing value
+        # read as bytes: otherwise 007 would become a number, and null a missing value
         kinds = dict.fromkeys(texts, pa.binary())
         convert = pyarrow.csv.ConvertOptions(include_columns=wanted, column_types=kinds)
         try:

@@ -112,9 +112,9 @@ class BodyColumns:
 
 _POSITIVE = ("density", "radius", "diameter")
 _NOT_NEGATIVE = ("mass", "inertia")  # both are 0 for a test particle
-_SIZES = ("radius", "diameter", "density")  # of these, 0 is a missing value
-_SAME_DISTANCE = 0.02  # relative difference: distances from the Sun are nearly those from the barycentre
-_DIMENSIONS = {  # dimensions whose product is that of a quantity
+_SIZES = ("radius", "diameter", "density")  # quantities for which 0 is a missing value
+_SAME_DISTANCE = 0.02  # relative; distances from the Sun nearly equal distances from the barycentre
+_DIMENSIONS = {  # dimensions whose product is the dimension of a quantity
     "position": (LENGTH,),
     "velocity": (VELOCITY,),
     "angular_velocity": (ANGULAR_VELOCITY,),
@@ -140,7 +140,7 @@ def read_columns(
     Returns
     -------
     columns, notes
-        The bodies, and notes on the columns that are used and those that are not.
+        The bodies, and notes on the columns that are used and on unused columns.
 
     Raises
     ------
@@ -220,7 +220,7 @@ class _Reader:
         for name, array in self._raw.items():
             if len(array) != self._rows:
                 raise SceneError(f"{called}: column {name} has {len(array)} rows, and {first} has {self._rows}")
-        self._row = np.arange(self._rows)  # in the file, of each row that is read
+        self._row = np.arange(self._rows)  # number in the file of each row that is read
         self.notes = list[str]()
         if section.missing is not None and section.missing.leave_out:
             self._leave_out()
@@ -320,7 +320,7 @@ class _Reader:
             raise question(self._called, column, "radius", "the distance from the origin, which it equals in each row")
 
     def _factor(self, quantity: str, column: str) -> float:
-        """Return the units of the simulation in one unit of a column."""
+        """Return the size of a column's unit in units of the simulation."""
         return column_factor(self._called, column, quantity, _DIMENSIONS[quantity], self._units)
 
     def _snapshot(self, quantity: str, name: str, array: Raw) -> Raw:
@@ -335,7 +335,7 @@ class _Reader:
 
     def _numbers(self, quantity: str, column: str) -> FloatArray:
         missing, key = self._section.missing, "radius" if quantity == "diameter" else quantity
-        stands = getattr(missing, key, None)  # for missing values
+        stands = getattr(missing, key, None)  # replaces missing values
         given = numbers_of(self._called, column, self._raw[column], with_gaps=stands is not None)
         factor = self._factor(quantity, column)
         values = given if factor == 1.0 else given * factor

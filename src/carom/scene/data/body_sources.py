@@ -43,7 +43,7 @@ class Wanted:
     """The [[bodies]] table whose bodies are requested."""
 
     section: BodyData
-    index: int  # its number among those of the scene
+    index: int  # its number among the [[bodies]] tables of the scene
     first: int  # number of its first body in the scene
     row: int  # number of its first body among the bodies of all [[bodies]]
     units: UnitSystem  # units of the numbers in files
@@ -117,7 +117,7 @@ def _digest(path: Path) -> str:
 
 @dataclass(frozen=True)
 class HeldBodies:
-    """Bodies in memory, of a scene from files, arrays or a recording.
+    """Bodies of a scene that are already in memory, from files, arrays or a recording.
 
     Parameters
     ----------
@@ -161,8 +161,8 @@ def take_over_laws(
     Returns
     -------
     taken, refuted
-        Plain numbers for keys of [gravity] that a file states and the scene does not. By the index of a [[bodies]]
-        table, how the scene or another file contradicts its file.
+        Plain numbers for keys of [gravity] that a file states and the scene does not. Descriptions of contradictions
+        between a file and the scene or another file, by the index of the file's [[bodies]] table.
     """
     is_off = scene.gravity.method == "none" or ("constant" in given and scene.gravity.constant == 0.0)
     taken, refuted = dict[str, float](), dict[int, str]()

@@ -22,15 +22,15 @@ MOST_BYTES = 100 * MOST_ROWS  # of one column as an array
 
 MOST_COLUMNS = 10_000
 
-ROOMY = 200_000_000  # bytes to which any file may decompress: 3 million identical bodies
+ROOMY = 200_000_000  # bytes to which any file may decompress, such as 3 million identical bodies
 NUMBER = 8  # bytes of a number in memory
-MOST_TIMES = 100  # largest ratio to the size of the file: distinct positions hardly compress
+MOST_TIMES = 100  # largest ratio of the decompressed size to the size of the file; distinct positions hardly compress
 
 STEP, BODY = "step", "body"  # columns written by `carom export`; a file with both may hold several steps
 
 _FORTRAN = re.compile(r"([+-]?\d*\.?\d*)[dD]?([+-]?\d+)")  # 1.0D-01, or 1.0-101 where the exponent has three digits
 _LONGEST_NUMBER = 60  # characters
-_EXACT = 2**53  # whole numbers below this are exact as floats
+_EXACT = 2**53  # whole numbers below this are represented exactly by floats
 
 Raw = NDArray[Any]  # (n,) or (n, 3), with steps first if there are several
 
@@ -119,7 +119,7 @@ def step_at(called: str, snapshot: int, steps: int, whose: str = "it") -> int:
 
 
 def periodic_note(called: str, size: Sequence[float] = ()) -> str:
-    """Return the note that the periodic box of a file, with its size if known, is ignored."""
+    """Return the note that a file's periodic box is ignored, with the size of the box if known."""
     shown = f" of {' × '.join(f'{length:g}' for length in size)}" if len(size) else ""
     return f'{called}: its box{shown} is periodic, which is ignored; set domain.boundary = "periodic" for that'
 
@@ -172,7 +172,7 @@ def flags_of(called: str, column: str, raw: Raw) -> BoolArray:
         return raw.astype(np.bool_)
     if raw.dtype.kind in "fiu":
         wrong = (raw != 0) & (raw != 1)
-    else:  # objects, if a row is empty
+    else:  # an array of objects, which occurs if a row is empty
         wrong = np.array([not isinstance(value, bool) for value in raw.tolist()])
     if wrong.any():
         row = int(np.argmax(wrong))

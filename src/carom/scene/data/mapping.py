@@ -115,7 +115,7 @@ def mapping_of(section: BodyData, names: Sequence[str], called: str) -> ColumnMa
 
 
 def with_material(section: BodyData, material: Material, names: Sequence[str]) -> BodyData:
-    """Return a table completed by its material, where neither the table nor a column has a value."""
+    """Return a table with values of its material for quantities that neither the table nor a column states."""
 
     def is_known(*quantities: str) -> bool:
         return any(
@@ -173,9 +173,9 @@ def elements_in(names: Sequence[str]) -> dict[str, str]:
 
 
 def column_factor(called: str, column: str, quantity: str, dimensions: Sequence[Dimension], units: UnitSystem) -> float:
-    """Return the units of the simulation in one unit of a column, which its name or the scene states.
+    """Return the size of a column's unit, stated by its name or the scene, in units of the simulation.
 
-    The dimension of the quantity is the product of these.
+    The dimension of the quantity is the product of ``dimensions``.
     """
     text = unit_in(column)
     if not text or units.dimensionless:

@@ -101,7 +101,7 @@ class OrbitTable(DataTable):
 
     @cached_property
     def _raw(self) -> dict[str, Raw]:
-        """The columns of all elements, read once: a text file is parsed whole for each read."""
+        """The columns of all elements; they are read once, because each read parses a whole text file."""
         return self._table.read([self._inner[name] for name in self._columns.values()])
 
     def _element(self, element: str) -> FloatArray:
@@ -117,14 +117,14 @@ class OrbitTable(DataTable):
         return values * self._factor(element, LENGTH) if element in ("a", "q") else values
 
     def _factor(self, element: str, dimension: Dimension) -> float:
-        """Return the units of the simulation in one unit of an element."""
+        """Return the size of an element's unit in units of the simulation."""
         return column_factor(self.called, self._columns[element], element, (dimension,), self._units)
 
     def _states(self) -> tuple[FloatArray, FloatArray]:
         """Return the positions and velocities (n, 3) at the epoch."""
         e = self._element("e")
         beta, q = self._shape(e)
-        # √μ t since the pericentre; for an ellipse within half a period of it
+        # √μ t since the pericentre, for an ellipse reduced to within half a period of the pericentre
         ellipse, root_mu = beta > 0.0, math.sqrt(self._mu)
         rate = np.abs(beta) * np.sqrt(np.abs(beta))  # rate of the mean anomaly with √μ t
         elapsed = self._elapsed(len(e)) * root_mu
@@ -205,7 +205,8 @@ def _plane_of_orbit(q: FloatArray, e: FloatArray, beta: FloatArray, time: FloatA
     """Return x, y and their rates over √μ, at a time since the pericentre in units of 1/√μ."""
     wanted, closed = np.abs(time), beta > 0.0
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        # Newton's method descends from above, since r grows with χ: from the apocentre, or from two bounds of χ
+        # Newton's method descends from above, since r grows with χ: it starts at the apocentre, or at the smaller of
+        # two bounds
         furthest = np.where(closed, math.pi / np.sqrt(np.abs(beta)), cube_root(6.0 * wanted / np.maximum(e, 1.0)))
         chi = np.minimum(wanted / q, furthest)
     for _ in range(_MOST_STEPS):

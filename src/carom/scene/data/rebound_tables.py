@@ -84,7 +84,9 @@ def _arrays(simulation: Any, n: int, called: str, notes: list[str]) -> dict[str,
 def _attracting(simulation: Any, mass: FloatArray, called: str, notes: list[str]) -> FloatArray:
     """Return the attracting masses: those of REBOUND's test particles attract nothing."""
     n, active = len(mass), int(simulation.N_active)
-    light = mass[active:] if 0 <= active < n else mass[n:]  # by default all are active: -1, or the largest integer
+    light = (
+        mass[active:] if 0 <= active < n else mass[n:]
+    )  # by default all are active: N_active is -1 or the largest integer
     if not light.any():
         return mass
     if simulation.testparticle_type == 0:

@@ -15,10 +15,10 @@ from carom.scene.data.mapping import printable
 
 
 class TextRows(DataTable):
-    """A table of such rows, each of which is checked."""
+    """A table of rows separated by blanks; each row is checked."""
 
     def __init__(self, called: str, names: Sequence[str], lines: Iterable[str], first: int) -> None:
-        """Read rows, the first of which has this line number; all must have a value for each name."""
+        """Read rows, of which each must have a value for each name; ``first`` is the line number of the first row."""
         refuse_many_columns(called, len(names))
         self.called, self.names = called, list(names)
         buffer = io.StringIO()

@@ -106,7 +106,7 @@ def _values(blocks: _Blocks, element: ElementTree.Element, kind: np.dtype[np.gen
         )
     refuse_bomb(blocks.called, count * kind.itemsize, blocks.stored)
     content = _unpacked(blocks, data, raw, count * kind.itemsize)
-    whole = len(content) - len(content) % kind.itemsize  # all that a truncated file has
+    whole = len(content) - len(content) % kind.itemsize  # bytes of complete numbers, also in a truncated file
     return np.frombuffer(content[:whole], kind).astype(kind.newbyteorder("="))
 
 

@@ -110,7 +110,7 @@ class _OrNames:
 
 
 class KeplerianOrbits(Section):
-    """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp, in degrees."""
+    """How a file of orbital elements is read. Its columns are a or q, e, i, om, w, and ma or tp (angles in degrees)."""
 
     central_mass: Annotated[Positive, MASS] = Field(description="kg, mass at rest at the origin; more than 0")
     epoch: Real | None = Field(
@@ -121,7 +121,7 @@ class KeplerianOrbits(Section):
 
 
 class Missing(Section):
-    """What stands for values that rows of a file lack: empty, not a number, or a size of 0."""
+    """Replacements for missing values in a file: used for entries that are empty, not a number, or a size of 0."""
 
     radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of bodies without a radius or diameter")
     mass: Annotated[NonNegative, MASS] | None = Field(None, description="kg, of bodies without a mass; 0 is a mass")
@@ -275,7 +275,7 @@ class Region(Section):
 
 
 class Velocity(Section):
-    """Velocities of a group: Maxwellian about a mean."""
+    """Velocities of a group: a Maxwellian distribution about a mean."""
 
     mean: Annotated[Vector, VELOCITY] = Field(ORIGIN, description="m/s, [x, y, z]")
     dispersion: Annotated[NonNegative, VELOCITY] = Field(
@@ -288,7 +288,7 @@ class Velocity(Section):
 
 
 class Spin(Section):
-    """Spins of a group: Maxwellian about its bulk rotation."""
+    """Spins of a group: a Maxwellian distribution about its bulk rotation."""
 
     dispersion: Annotated[NonNegative, ANGULAR_VELOCITY] = Field(
         0.0, description="rad/s, standard deviation of each component; not negative"

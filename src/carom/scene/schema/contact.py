@@ -260,7 +260,7 @@ class ContactSettings(Section):
 
     @property
     def laws(self) -> tuple[str, ...]:
-        """The names of the contact laws, without Coulomb's; none if that is the only one."""
+        """The names of the contact laws, without Coulomb's; none if Coulomb's is the only one."""
         names = [self.law] if isinstance(self.law, str) else self.law
         return tuple(name for name in dict.fromkeys(names) if name != DEFAULT_LAW)
 

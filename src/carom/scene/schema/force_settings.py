@@ -27,8 +27,8 @@ class Gravity(Section):
     opening_angle: Positive = Field(
         0.5,
         le=1,
-        description="radians; with a tree, boxes with a smaller angular radius attract as a whole; with "
-        "fast-multipole, pairs of boxes whose radii together have a smaller one; more than 0, at most 1",
+        description="radians; with a tree, a box whose angular radius is smaller attracts as a whole; with "
+        "fast-multipole, two boxes whose radii together subtend a smaller angle do; more than 0, at most 1",
     )
     quadrupoles: Annotated[bool, Field(strict=True)] = Field(
         True, description="tree only: false treats distant boxes as points, which is faster and less accurate"
@@ -59,7 +59,7 @@ class Drag(Section):
 
 
 class InstalledForces(Section):
-    """[forces]: a section for each force of an installed package that acts."""
+    """[forces]: the forces of installed packages, with a section for each force that acts."""
 
     @property
     def given(self) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class Forces(Section):
 
 
 def section_of(kind: str, name: str) -> Any:
-    """Return the scene's section for a part of an installed package; it says why a part cannot be loaded."""
+    """Return the section's model for a part of an installed package; it states why a part cannot be loaded."""
     try:
         return registry.load(kind, name).section
     except registry.ExtensionError as error:
