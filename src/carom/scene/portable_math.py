@@ -10,6 +10,7 @@ import numpy as np
 
 from carom.arrays import FloatArray
 
+ENDLESS = 2.0**1000  # m, the period of an axis that does not repeat: the nearest image of a point is the point itself
 NEWTON_STEPS = 6  # enough to reduce an error of a third of an octave to the last bit
 LN2_HIGH, LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # ln 2 in two parts, from fdlibm
 # fdlibm's minimax polynomials (Sun Microsystems, 1993): ln(1 + f) in s² = (f / (2 + f))², and eˣ in x²

@@ -274,6 +274,12 @@ def friction_of_impact(
 
 
 @inline
+def rebound(e: float, vn: float) -> float:
+    """Return the change of v_n by an impact in m/s, given v_n before it."""
+    return -(1.0 + e) * vn
+
+
+@inline
 def normal_loss(Jn: float, vn: float, Kn: float) -> float:
     """Return the energy in J that a normal impulse removes, given v_n before it and K_n = 1/m_i + 1/m_j."""
     return -Jn * (vn + 0.5 * Jn * Kn)

@@ -183,9 +183,22 @@ def limited(
 
 
 @inline
-def angular_loss(x: float, y: float, z: float, wx: float, wy: float, wz: float, K: float) -> float:
-    """Return the energy in J that an angular impulse in N m s removes, given Ω before it and K in 1/(kg m²)."""
-    return -(x * (wx + 0.5 * K * x) + y * (wy + 0.5 * K * y) + z * (wz + 0.5 * K * z))
+def angular_impulse_of_impact(
+    contact: ContactGeometry, material: Coefficients, normal: float, wx: float, wy: float, wz: float, K: float
+) -> tuple[float, float, float, float]:
+    """Return the angular impulse of an impact in N m s, and the energy in J that it takes out.
+
+    Parameters
+    ----------
+    contact, material
+        A record with the normal and the lever arms, and the coefficients.
+    normal
+        N s, the normal impulse.
+    wx, wy, wz, K
+        rad/s, Ω before it, and 1/(kg m²).
+    """
+    lx, ly, lz = limited(contact, material, normal, -wx / K, -wy / K, -wz / K)
+    return lx, ly, lz, -(lx * (wx + 0.5 * K * lx) + ly * (wy + 0.5 * K * ly) + lz * (wz + 0.5 * K * lz))
 
 
 @inline

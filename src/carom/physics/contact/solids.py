@@ -164,15 +164,9 @@ def bias_along_wall(
     solid: int,
     bias: float,
     radius: float,
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    tx: float,
-    ty: float,
-    tz: float,
+    place: Vector,
+    normal: Vector,
+    tangential: Vector,
     drift: float,
 ) -> float:
     """Return the speed at which a body may close so that it just touches a wall after a drift, in m/s.
@@ -183,9 +177,9 @@ def bias_along_wall(
         The solids, and the number of the solid that the body touches.
     bias
         m/s, the closing speed at which a body would just touch a plane.
-    radius, x, y, z
+    radius, place
         m, of the body and of its centre.
-    nx, ny, nz, tx, ty, tz
+    normal, tangential
         The normal, from the body to the wall, and the tangential velocity in m/s.
     drift
         s
@@ -219,24 +213,9 @@ def _nearest_point(surface: Any, solid: Any, x: Any, y: Any, z: Any) -> Any:
 
 
 @chosen_by_type(bias_along_wall)
-def _bias_along_wall(
-    surface: Any,
-    solid: Any,
-    bias: Any,
-    radius: Any,
-    x: Any,
-    y: Any,
-    z: Any,
-    nx: Any,
-    ny: Any,
-    nz: Any,
-    tx: Any,
-    ty: Any,
-    tz: Any,
-    drift: Any,
-) -> Any:
+def _bias_along_wall(surface: Any, solid: Any, bias: Any, *_: Any) -> Any:
     if _function_of(surface) is None:
-        return lambda surface, solid, bias, radius, x, y, z, nx, ny, nz, tx, ty, tz, drift: bias
+        return lambda surface, solid, bias, radius, place, normal, tangential, drift: bias
     return _bias_on_curve
 
 
@@ -245,18 +224,13 @@ def _bias_on_curve(
     solid: int,
     bias: float,
     radius: float,
-    x: float,
-    y: float,
-    z: float,
-    nx: float,
-    ny: float,
-    nz: float,
-    tx: float,
-    ty: float,
-    tz: float,
+    place: Vector,
+    normal: Vector,
+    tangential: Vector,
     drift: float,
 ) -> float:
     """Find `bias_along_wall` by Newton's method, from the condition that the distance after the drift is the radius."""
+    (x, y, z), (nx, ny, nz), (tx, ty, tz) = place, normal, tangential
     focal = nearest_point(surface, solid, x, y, z)[4]
     c, path = bias, drift * np.sqrt(tx * tx + ty * ty + tz * tz)
     if not 0.0 < path < LARGEST_ARC * focal:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from carom.arrays import BoolArray, FloatArray, IntArray
 from carom.errors import SceneError
-from carom.scene.schema.settings import ENDLESS
+from carom.scene.portable_math import ENDLESS
 from carom.scene.start import HalfSpaces
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from carom.scene.schema.settings import ENDLESS
+from carom.scene.portable_math import ENDLESS
 
 if TYPE_CHECKING:
     from carom.recording.export.export import Snapshot

@@ -55,6 +55,11 @@ class PartialCheckpoint(Checkpoint):
 
     present: IntArray  # (k,) numbers of the bodies that exist
 
+    @classmethod
+    def of(cls, whole: Checkpoint, present: IntArray, **others: Any) -> PartialCheckpoint:
+        """Return a checkpoint with a place for each body of the run, and other values of some fields."""
+        return cls(**_values_of(whole) | others, present=present)
+
     @property
     def fingerprint(self) -> int:
         """A fingerprint of the bodies that exist, which equals that of the frame."""
@@ -62,21 +67,25 @@ class PartialCheckpoint(Checkpoint):
 
     def among_present(self) -> Checkpoint:
         """Return the state of the bodies that exist."""
-        values = {field.name: getattr(self, field.name) for field in fields(Checkpoint)}
+        values = _values_of(self)
         for name in _OF_BODIES:
             values[name] = None if values[name] is None else values[name][self.present]
         return Checkpoint(**values)
 
 
+def _values_of(checkpoint: Checkpoint) -> dict[str, Any]:
+    return {field.name: getattr(checkpoint, field.name) for field in fields(Checkpoint)}
+
+
 def spread(found: Checkpoint, present: IntArray, bodies: int) -> PartialCheckpoint:
     """Spread the state of the bodies that exist over places for all bodies of the run."""
-    values = {field.name: getattr(found, field.name) for field in fields(found)}
+    wide = dict[str, FloatArray]()
     for name in _OF_BODIES:
-        if values[name] is not None:
-            wide = np.full((bodies, values[name].shape[1]), np.nan)
-            wide[present] = values[name]
-            values[name] = wide
-    return PartialCheckpoint(**values, present=present)
+        values = getattr(found, name)
+        if values is not None:
+            wide[name] = np.full((bodies, values.shape[1]), np.nan)
+            wide[name][present] = values
+    return PartialCheckpoint.of(found, present, **wide)
 
 
 def size(frame: Frame) -> int:

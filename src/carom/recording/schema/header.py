@@ -18,8 +18,8 @@ from carom.scene.data.body_columns import BodyColumns
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES
 from carom.scene.matter import KindOfContact, body_materials, kinds_of_contacts, material_called
+from carom.scene.portable_math import ENDLESS
 from carom.scene.schema import Scene
-from carom.scene.schema.settings import ENDLESS
 from carom.scene.schema.wall import Wall
 from carom.scene.start import HalfSpaces
 from carom.scene.units.dimension import OF_UNIT

@@ -57,20 +57,7 @@ class PartialFrame(Frame):
     @property
     def checkpoint(self) -> PartialCheckpoint:
         """The exact state, with NaN for bodies that do not exist."""
-        return PartialCheckpoint(
-            step=self.step,
-            time=self.time,
-            previous_dt=self.previous_dt,
-            position=self.position,
-            velocity=self.velocity,
-            acceleration=self.acceleration,
-            orientation=self.orientation,
-            angular_velocity=self.angular_velocity,
-            energy=self.energy,
-            contacts=None,
-            books=self.books,
-            present=self.present,
-        )
+        return PartialCheckpoint.of(super(PartialFrame, self).checkpoint, self.present)
 
 
 class Population:

@@ -21,7 +21,7 @@ from carom.recording.schema.stored_bodies import encode_bodies, encode_names
 from carom.recording.schema.time_scale import TimeScale
 from carom.scene.extensions import PROPERTY
 from carom.scene.forces import FORCES, GRAVITY, UNIFORM_FIELD
-from carom.scene.schema.settings import ENDLESS
+from carom.scene.portable_math import ENDLESS
 from carom.scene.units.dimension import LENGTH, MASS, TIME
 from carom.scene.wall_shapes import shape_called
 from carom.scene.wording import in_series

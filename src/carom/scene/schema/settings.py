@@ -19,6 +19,7 @@ from pydantic import (
 from carom import registry
 from carom.scene.integrators import AUTO, INTEGRATORS, described, integrator_called
 from carom.scene.parts import PARTS, unknown
+from carom.scene.portable_math import ENDLESS
 from carom.scene.schema.quantity import Count, Positive, Section
 from carom.scene.units.dimension import LENGTH, TIME
 
@@ -227,7 +228,6 @@ class Record(Section):
 
 
 Boundary = Literal["open", "periodic", "walls"]
-ENDLESS = 2.0**1000  # m; so far away, the nearest image of a point is the point itself, to the last bit
 
 
 class Domain(Section):

@@ -29,9 +29,9 @@ from carom.physics.jit.decorators import inline, kernel, long_kernel
 from carom.physics.jit.instructions import AHEAD, atomic_add, prefetch
 from carom.physics.jit.team import Team
 from carom.physics.vector import is_periodic
+from carom.scene.portable_math import ENDLESS
 
 WIDER = 1.0 + 1e-6  # margin of the cell width, so that rounding cannot move a neighbour beyond the neighbouring cells
-HUGE = 1e300  # m, less than `carom.scene.schema.settings.ENDLESS`, the period of an axis that does not repeat
 MOST_CELLS = 2**30  # along an axis; with more, the rounding of a cell index would exceed that margin
 MAX_CELLS_PER_BODY = 16  # in a grid that is numbered row by row
 SPARSE = 2.5  # cells per body; above this, cells are broader across rows
@@ -159,7 +159,7 @@ class Cells:
 @inline
 def repeats(size: float) -> bool:
     """Return whether space repeats along an axis with this entry of the box."""
-    return 0.0 < size < HUGE
+    return 0.0 < size < ENDLESS
 
 
 @kernel

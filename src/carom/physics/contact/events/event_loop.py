@@ -49,10 +49,11 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
     material_index,
     normal_loss,
+    rebound,
     restitution,
 )
 from carom.physics.contact.moving_walls import slip_at_wall
-from carom.physics.contact.rolling import angular_loss, limited, set_angular_impulse
+from carom.physics.contact.rolling import angular_impulse_of_impact, set_angular_impulse
 from carom.physics.contact.solver.body_state import slip_velocity
 from carom.physics.exponential import exponentials
 from carom.physics.jit.decorators import chosen_by_type, inline, inner, long_kernel
@@ -326,7 +327,7 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
     Kn = mi + mj
     slow = max(rest_speed(i, T), rest_speed(j, T) if j < n else 0.0)
     e = restitution(material, -vn, slow)
-    Jn = max(0.0, -(1.0 + e) * vn) / Kn
+    Jn = max(0.0, rebound(e, vn)) / Kn
     entry.restitution_loss, entry.stabilisation_gain = normal_loss(Jn, vn, Kn), 0.0
     if max(T.rest_speed[i], T.rest_speed[j]) > 0.0:
         landing = _landing_velocity(i, j, nx, ny, nz, ax * nx + ay * ny + az * nz, T)
@@ -361,8 +362,8 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
         K = T.inverse_inertia[i] + T.inverse_inertia[j]
         if exerts_torque(material) and K > 0.0:
             wx, wy, wz = between(omega, i, j)
-            lx, ly, lz = limited(entry, material, Jn, -wx / K, -wy / K, -wz / K)
-            entry.friction_loss += angular_loss(lx, ly, lz, wx, wy, wz, K)
+            lx, ly, lz, dissipated = angular_impulse_of_impact(entry, material, Jn, wx, wy, wz, K)
+            entry.friction_loss += dissipated
             set_angular_impulse(entry, lx, ly, lz)
             _spin_up(i, -1.0, lx, ly, lz, T)
             if j < n:

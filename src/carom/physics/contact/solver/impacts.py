@@ -37,14 +37,14 @@ from carom.physics.contact.law import (
     inverse_tangent_mass,
     material_index,
     normal_loss,
+    rebound,
     restitution,
     restitution_at_depth,
 )
 from carom.physics.contact.rolling import (
     angular_impulse,
-    angular_loss,
+    angular_impulse_of_impact,
     apply_angular_impulse,
-    limited,
     relative_spin,
     set_angular_impulse,
 )
@@ -97,7 +97,7 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
             an = ax * nx + ay * ny + az * nz
             if an > 0.0:
                 e = restitution_at_depth(e, vn, overlap, an)
-        change = -(1.0 + e) * vn
+        change = rebound(e, vn)
         biased = change + bias_rate * overlap
         if biased <= 0.0:
             continue
@@ -126,8 +126,8 @@ def _resolve(piece: int, system: ConstraintSystem) -> None:
             K = body_i.inverse_inertia + body_j.inverse_inertia
             if exerts_torque(material) and K > 0.0:
                 wx, wy, wz = relative_spin(body_i, body_j)
-                lx, ly, lz = limited(contact, material, Jn, -wx / K, -wy / K, -wz / K)
-                state.friction_loss += angular_loss(lx, ly, lz, wx, wy, wz, K)
+                lx, ly, lz, dissipated = angular_impulse_of_impact(contact, material, Jn, wx, wy, wz, K)
+                state.friction_loss += dissipated
                 apply_angular_impulse(body_i, body_j, lx, ly, lz)
                 if records:
                     given = system.recorded[c]

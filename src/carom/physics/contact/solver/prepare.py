@@ -147,9 +147,9 @@ def _prepare(piece: int, system: ConstraintSystem) -> float:
             if j >= count:
                 # slip of the body after the friction of the warm start, which is close to the final friction
                 fx, fy, fz = Kn * contact.friction_x, Kn * contact.friction_y, Kn * contact.friction_z
-                t = (-tx - fx, -ty - fy, -tz - fz)
-                n, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
-                bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, *place, *n, *t, drift)
+                along = (-tx - fx, -ty - fy, -tz - fz)
+                normal, place = (contact.nx, contact.ny, contact.nz), vector(system.position, i)
+                bias = bias_along_wall(system.surface, j - count, bias, contact.arm_i, place, normal, along, drift)
             # a resting contact closes no faster than this kick and half of the drift's acceleration can make it
             fastest = rest_speed * ((booked + 0.5 * drift) / dt)
             is_open = gap > TOUCHING * (contact.arm_i + contact.arm_j - gap)
