@@ -1,7 +1,7 @@
 """The types of arrays, for annotations; comments at each use give the shapes.
 
-A type of records is a Protocol, whose annotated fields are its table: `dtype_of` makes the type for NumPy of it, and
-kernels name it in their annotations, so that mypy refuses a field that does not exist.
+A type of records is a Protocol with annotated fields. `dtype_of` makes NumPy's type from these fields. Kernels name the
+Protocol in their annotations, so that mypy refuses a field that does not exist.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class RecordArray(Protocol[Record_co]):
 def dtype_of(record: type, size: int | None = None) -> np.dtype[np.void]:
     """Return the type of records whose fields are the annotations of a class, in their order.
 
-    They are float, int or bool, or state another type of NumPy, as ``Annotated[int, np.uint8]``.
+    A field is a float, an int or a bool, or names another type of NumPy, as ``Annotated[int, np.uint8]`` does.
 
     Parameters
     ----------

@@ -5,8 +5,8 @@ An installed package adds a part through an entry point, whose group is the kind
     [project.entry-points."carom.forces"]
     harmonic-trap = "carom_example.trap:TRAP"
 
-`carom.extend` has what such a part is made of. A part is imported when it is used for the first time. Using a name that
-two packages define, or carom and a package, is an error.
+`carom.extend` has the classes and functions for such parts. A part is imported when it is used for the first time.
+Using a name that two packages define, or carom and a package, is an error.
 """
 
 from __future__ import annotations

@@ -69,7 +69,7 @@ def announce_compilation(
     helped
         Whether the second process has already been started.
     scene
-        The scene, if it is known: walls and contact laws have kernels of their own, which take longer.
+        The scene, if it is known. Walls and contact laws need further kernels, which take longer to compile.
     """
     from carom.physics.jit.decorators import cache_folder, on_compilation
 

@@ -88,7 +88,7 @@ def contacts(
 ) -> None:
     """List who touches whom at a moment, or all impacts, with impulses, modes and energies, or measure statistics.
 
-    FILE may be the zip that `carom report` made. Contacts that the recording lacks are computed again.
+    FILE may be the zip that `carom report` made. Contacts missing from the recording are recomputed.
     """
     from carom.errors import RecordingError
     from carom.recording.edit.bundle import opened

@@ -126,7 +126,7 @@ def _check(path: Path, size: tuple[int, int], length: float, fps: float) -> None
 
 
 def _check_view(view: MovieView, event: str | None, bodies: str | None, camera: Camera | None) -> None:
-    """Refuse the choice of two bodies for a view that does not follow any, and that of a camera where they are."""
+    """Refuse a choice of two bodies for other views than the close-up, and a choice of camera for the close-up."""
     from carom.errors import RecordingError
 
     for option, given in (("--event", event), ("--bodies", bodies)):

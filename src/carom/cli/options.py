@@ -71,7 +71,7 @@ def bundled(incomplete: str) -> list[str]:
 
 
 def not_a_folder(path: Path) -> Path:
-    """Return the path of a recording; refuse a folder, which may have no name for other files to take."""
+    """Return the path of a recording; refuse a folder such as ``.``, after which no other file could be named."""
     from carom.errors import RecordingError
 
     with suppress(OSError):  # such as a name that is too long, which is refused when it is opened

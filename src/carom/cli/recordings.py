@@ -193,7 +193,7 @@ def export(
     everything: Annotated[bool, typer.Option("--all", help="Export all recorded frames instead of one step.")] = False,
     force: ForceOption = False,
 ) -> None:
-    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, those that it shows.
+    """Write the bodies, in double precision, for ParaView, OVITO, pandas or NumPy; of a clip, the bodies that it shows.
 
     States between checkpoints are computed again. With --all, a .vtk becomes a folder of files and a .vtk.series.
     """
@@ -218,7 +218,7 @@ def export(
         with replaying(recording) as watch:
             at = simulated_or_none(at, recording.units)
             steps, when = snapshots(recording, at, everything=everything, watch=watch), ""
-            if not everything:  # a moment stands for the end of its step
+            if not everything:  # a moment selects the end of its step
                 one = next(steps)
                 steps, when = iter([one]), f", t = {recording.units.text(one.state.time, TIME, '.9g')}"
             written, count = write(output, steps, everything)

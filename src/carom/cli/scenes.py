@@ -1,4 +1,4 @@
-"""`carom scenes`, `carom new` and `carom explain`: which scenes there are, a new one, and what one models and costs."""
+"""`carom scenes`, `carom new` and `carom explain`: list scenes, write a new one, show a scene's model and cost."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def picked(records: RecordArray[object], places: IntArray) -> Records:
 
 
 def columns(records: RecordArray[object], names: tuple[str, ...]) -> FloatArray:
-    """Return number fields that are adjacent in a record as a view, (m, k)."""
+    """Return a view, (m, k), of fields that are numbers and adjacent in a record."""
     kind, offset = _place_of(records.dtype, names)
     numbers: FloatArray = np.asarray(records).getfield(kind, offset)
     return numbers

@@ -54,7 +54,7 @@ class BatchStepper:
         self.timestep = timestep
         self._holder = holder
         self._held = False  # whether the holder has taken over
-        self._takes_back = world.scene.promise is not None  # without an accuracy, the bits of earlier versions
+        self._takes_back = world.scene.promise is not None  # never without an accuracy, as in earlier versions
         self._took_last = True  # whether the integrator took the last step, not the holder
 
     @property
@@ -170,7 +170,7 @@ class BatchStepper:
         holder.take_over()
 
     def _hold(self, holder: KickDriftStepper, goal: Goal) -> bool:
-        """Take a step with the holder. It has no solution within its steps, so they end at a pause."""
+        """Take a step with the holder. Its steps end at pauses, because it has no solution within a step."""
         contact, clock = self._world.contact, self._world.clock
         self._took_last = False
         if isinstance(goal.schedule, Pause):

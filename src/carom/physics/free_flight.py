@@ -116,7 +116,7 @@ class KeptState(NamedTuple):
 
 
 class FlightBuffers(NamedTuple):
-    """Memory."""
+    """Workspace of the steps."""
 
     limits: RecordArray[LimitsRecord]  # for the limits of the step, see `Timestep.buffer`
     potential: FloatArray  # (n,)
@@ -147,7 +147,7 @@ class FreeFlight:
     Attributes
     ----------
     arguments
-        Of the kernel, but the clock.
+        The arguments of the kernel except the clock.
     """
 
     def __init__(self, world: World, timestep: Timestep) -> None:
@@ -184,7 +184,7 @@ class FreeFlight:
         time, end, until
             s; the last step is cut to end at ``end``, but not at ``until``.
         most
-            Steps.
+            Largest number of steps.
         impact_energy
             J, the energy of recent impacts.
         """
@@ -197,7 +197,7 @@ class FreeFlight:
 def can_fly(world: World) -> bool:
     """Return whether a world has few enough bodies, and only forces that a kernel can sum."""
     is_audited = world.scene.expect.contact_audit is not None  # the audit needs each kick
-    loses_turns = world.is_periodic and world.contact is None  # a single step refuses too many crossings
+    loses_turns = world.is_periodic and world.contact is None  # only single steps refuse too many crossings
     known = world.forces.laws is not None
     return (
         len(world.bodies) <= MAX_IN_ONE_BLOCK

@@ -107,7 +107,7 @@ def quiet(schedule: Schedule, step: int, time: float) -> tuple[float, float]:
 def looks_before(schedule: Schedule) -> bool:
     """Return whether a schedule may read the state before each step.
 
-    Schedules of other types may, so they are evaluated before each step.
+    Those of this module do not; all others are therefore evaluated before each step.
     """
     return not isinstance(schedule, Every | At | Pause)
 
@@ -127,11 +127,11 @@ class Goal(NamedTuple):
     shows_end: bool = True  # whether a frame is due after the last step
 
     def is_reached(self, clock: Clock) -> bool:
-        """Whether a frame is due after the last step, by the schedule or at the end of the run."""
+        """Whether the last step has a frame, because the schedule has one there or the run ends."""
         return self.schedule(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def is_check(self, clock: Clock) -> bool:
-        """Whether errors are judged after the last step, by the schedule or at the end of the run."""
+        """Whether the last step has a check of errors, because `checks` has one there or the run ends."""
         return self.checks(clock.step, clock.before, clock.time) or (self.shows_end and clock.limit == "end")
 
     def quiet(self, clock: Clock) -> tuple[float, float]:

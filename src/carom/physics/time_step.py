@@ -71,7 +71,7 @@ class Timestep:
     rule
         (1,) `RULE`, the limits for `step_rule.target`.
     fixed_dt
-        s, a constant step instead of them; None if there is none.
+        s, a constant step instead of these limits; None if there is none.
     spares_held
         Whether the choice depends on accelerations supported by contacts.
     previous

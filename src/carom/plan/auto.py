@@ -22,13 +22,12 @@ BYTES_PER_BODY_AND_FRAME = 60  # centre, quaternion, and about one arrow or edge
 
 MAX_DT = 1.0  # s, the longest step of kicks and drifts, as in the reference engine
 
-STEP_GROWS_UP_TO = 100  # bodies; above this, "auto" steps are a tenth of the time of a fall through the smallest radius
-# of that time, per body; steps of fewer bodies are cheap, so they may be shorter and flights more accurate;
-STEP_PER_BODY = 1e-3
-# bodies held by contacts get the step of `STEP_GROWS_UP_TO` (docs/physics.md, 3)
+STEP_GROWS_UP_TO = 100  # bodies; with more, "auto" steps are a tenth of the time of a fall through the smallest radius
+STEP_PER_BODY = 1e-3  # fraction of that time for each body: steps of few bodies are cheap, so they may be shorter, for
+# accurate flights; bodies held by contacts always have the step for `STEP_GROWS_UP_TO` bodies (docs/physics.md, 3)
 
 SMOOTH_UP_TO = 8  # bodies without contacts; with more, a step that ignores the forces misses encounters, and
-# fourth order then costs more than it gains
+# fourth order costs more than it gains
 
 PAIRS_UP_TO = 100  # bodies up to which the step examines each pair; with more, that costs as much as gravity
 PAIR_FRACTION = 0.01  # of the shortest time of a pair: 890 steps in a circular orbit (docs/physics.md, 3)
@@ -48,8 +47,8 @@ TREE_FROM = 5000  # bodies, for "auto"; from here on, a tree takes a third to a 
 HELD_PART = 0.01  # largest motion of a held body in a step over its radius: 600 steps per revolution of a rolling pair
 WIDEST_HELD_PART = 0.1
 WIDEST_HELD = 3.0  # times the step of held bodies
-WIDEST_FALL = 0.5  # of the time of a fall through the smallest radius
-WIDEST_PULL_FRACTION = 0.1  # of the time of a pair: an orbit of 90 steps
+WIDEST_FALL = 0.5  # largest step, of the time of a fall through the smallest radius
+WIDEST_PULL_FRACTION = 0.1  # largest step, of the shortest time of a pair: 90 steps in a circular orbit
 
 
 def gravity_method(scene: Scene) -> Literal["direct", "tree", "fast-multipole", "none"]:

@@ -44,7 +44,7 @@ TREE_ERRORS = {  # of a cluster of 6000 points (docs/trade.md)
     "tree": _TreeError(6e-4, 4),  # with quadrupoles: 5 × 10⁻⁶ at 0.3, 1.2 × 10⁻⁴ at 0.7
     "fast-multipole": _TreeError(5e-4, 7),  # an upper bound: 1.8 × 10⁻⁸ at 0.3, 1.2 × 10⁻⁶ at 0.5, 1.7 × 10⁻⁵ at 0.7
 }
-MONOPOLES = 19.0  # largest factor on it without quadrupoles
+MONOPOLES = 19.0  # factor by which the error is larger without quadrupoles, at most
 SMALLEST_ANGLE = 0.1  # rad; below, a direct sum is as fast
 
 

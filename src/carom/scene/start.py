@@ -17,7 +17,7 @@ class InitialBodies:
     """The initial bodies in SI units: explicit bodies first, then those from data, then the groups."""
 
     name: Sequence[str]
-    group: IntArray  # (n,) index of the group; -1 for explicit bodies, -2, -3 … for those of each [[bodies]] table
+    group: IntArray  # (n,) index of the group; -1 for explicit bodies; -2, -3 … for the [[bodies]] tables
     position: FloatArray  # (n, 3)
     velocity: FloatArray  # (n, 3)
     angular_velocity: FloatArray  # (n, 3)
@@ -69,7 +69,7 @@ class HalfSpaces:
 
     @property
     def surface(self) -> FloatArray:
-        """What kernels find the tangent plane of each by, with `offset`."""
+        """The array from which kernels find tangent planes, together with `offset`."""
         return self.normal
 
     @property
@@ -84,7 +84,7 @@ class HalfSpaces:
 
     @property
     def curves(self) -> bool:
-        """Whether one of them is a wall, which need not be flat."""
+        """Whether there is a wall, which need not be flat, among them."""
         return False
 
     def depth(self, position: FloatArray, radius: FloatArray) -> FloatArray:

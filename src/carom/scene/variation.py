@@ -90,12 +90,12 @@ def _hashable(value: Any) -> Any:
 
 
 def combinations(axes: Mapping[str, Values], zipped: bool) -> list[dict[str, Any]]:
-    """Return the parameters of every run: all combinations of the values, or the lists side by side.
+    """Return the parameters of every run: all combinations of the values, or the k-th value of each key in run k.
 
     Raises
     ------
     ValueError
-        If lists that are combined side by side differ in length, or there are too many runs.
+        If zipped lists differ in length, or there are too many runs.
     """
     if zipped:
         lengths = {key: len(values) for key, values in axes.items()}

@@ -1,7 +1,7 @@
 """Shapes of walls: surfaces that bodies cannot pass through, besides planes.
 
-A shape is one module: its section in the scene, and the function that contacts are found with. A scene chooses a shape
-by the section of a [[wall]] that has its name.
+A shape is one module: its section in the scene, and the function that finds contacts with it. A [[wall]] has the shape
+after which its section is named.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ class Mesh(NamedTuple):
 class WallShape:
     """A shape of a wall.
 
-    carom compiles ``nearest`` with Numba, as the functions of a `carom.extend.BodyForce`. Its last result, the focal
-    distance, bounds the curvature: in a ball of that radius about the point, level surfaces of the distance bend
-    towards the bodies no more than about a centre outside of the ball. It is infinite where they do not bend so.
+    carom compiles ``nearest`` with Numba, like the functions of a `carom.extend.BodyForce`. Its last result, the focal
+    distance, bounds the curvature: where the level surfaces of the distance in a ball of that radius about the point
+    bend towards the bodies, their centres of curvature are outside the ball. It is infinite where they do not bend so.
     """
 
     section: type[Any]  # of the scene: a `carom.extend.Section` whose docstring says "[wall.NAME]: what it is"
     nearest: Callable[..., tuple[float, float, float, float, float]]  # (p, x, y, z) → the unit normal that points from
     # the nearest point of the wall to the bodies, (3,); the distance in m, negative behind it; the focal distance in m
-    mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach): what is within about reach of the centre
+    mesh: Callable[[Any, FloatArray, float], Mesh]  # (section, centre, reach) → what is within about reach of it
     fields: tuple[str, ...]  # of p
-    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # of its section, in SI units, by these names
+    parameters: Callable[[Any], Mapping[str, float]] = numbers_of  # (section) → the fields by name, in SI units
     thin: bool = False  # whether bodies may be on both sides, so that the distance is never negative
-    axis: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None  # of its section: a point in m and the direction
-    # of the axis of a surface of revolution, about which the wall may rotate
+    axis: Callable[[Any], tuple[FloatArray, FloatArray]] | None = None  # (section) → the axis of a surface of
+    # revolution, about which the wall may rotate: a point in m, and the direction
 
 
 def shape_called(name: str) -> WallShape:
@@ -65,14 +65,14 @@ def across(axis: FloatArray) -> FloatArray:
 
 
 def mesh_of_revolution(point: FloatArray, axis: FloatArray, profile: Sequence[tuple[float, float]]) -> Mesh:
-    """Return the surface that a line of points draws as it turns about an axis.
+    """Return the surface of revolution of a line of points.
 
     Parameters
     ----------
     point, axis
-        (3,) m, of the axis; (3,) its direction, a unit vector.
+        The axis: one of its points, (3,) m, and its direction, (3,), a unit vector.
     profile
-        Of each point of the line, the distance from the axis and that along it from ``point``, in m.
+        The points of the line: the distance (m) from the axis, and the height (m) along it above ``point``.
     """
     one = across(axis)
     angles = np.linspace(0.0, 2.0 * np.pi, SIDES, endpoint=False)[:, None]

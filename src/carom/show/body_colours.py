@@ -1,4 +1,4 @@
-"""The colours of the bodies of a recording: the only module that gives a body its colour, in every view and plot.
+"""The colours of the bodies of a recording; no other module decides on the colour of a body in a view or plot.
 
 The 3D views, the close-up, trails and curves of single bodies all use `BodyColours`. If colours change with time (by
 speed, graph or island), curves have other colours.
@@ -38,7 +38,7 @@ class BodyColours:
     Attributes
     ----------
     steps, times
-        (k,) and (k,) s, of the frames at which the colours may change; a single one if they never do.
+        (k,) and (k,) s, of the frames at which the colours may change; one frame if they are constant.
     colours
         (k, n) 0xRRGGBBAA.
     """
@@ -64,7 +64,7 @@ class BodyColours:
     def rows(self, header: Header) -> Rows:
         """Return rows that draw the bodies in these colours instead of the recorded ones."""
         flat, n = self.colours.ravel(), self.colours.shape[1]
-        # Rerun prefers static values of the same component, so these colours belong to another archetype
+        # static values of a component take precedence in Rerun, so these colours belong to another archetype
         archetype = rr.Points3D if shape(header) != "points" else rr.Ellipsoids3D
         columns = archetype.columns(colors=flat).partition([n] * len(self.steps))
         return Rows(paths.BODIES, Index(self.steps, self.times), columns, flat.nbytes)

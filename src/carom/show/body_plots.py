@@ -74,7 +74,7 @@ def asked_quantities(recording: Recording, text: str, *, one_unit: bool = False)
     Parameters
     ----------
     recording
-        Whose bodies they are.
+        The recording that contains the bodies.
     text
         ``BODY.QUANTITY``, separated by commas; a body is given by its number or its name.
     one_unit

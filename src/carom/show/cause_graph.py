@@ -78,7 +78,7 @@ class CauseGraph:
     asked: int
     edges: Sequence[GraphEdge]
     area: Area
-    heading: str = "Impulses"  # what the texts of edges are, with their unit
+    heading: str = "Impulses"  # the quantity in the labels of edges, with its unit
 
     def view(self) -> rrb.Spatial2DView:
         """Lay out the graph."""

@@ -52,8 +52,8 @@ _REACH = 3.0  # distance of an eye that follows points, over half the diagonal o
 _LABEL_HEIGHT, _LETTER_WIDTH = 25.0, 7.2  # points, with the margin of the label
 _BELOW = 32.0  # points, from the place of a label to its lower edge
 _ROUNDING = 1e-9  # of the faster spin; a slower one is rounding
-_TOUCHING = 1e-9  # of a radius; a gap that is rounding
-_UNSEEN = 1e-6  # size of the points that the eye follows, in radii of the smaller body
+_TOUCHING = 1e-9  # of a radius; a smaller gap is rounding
+_UNSEEN = 1e-6  # size of the invisible points that the camera follows, in radii of the smaller body
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class CloseUp:
         return _Arrows(SPIN, self.position[turning], vectors, labels)
 
     def _once(self, path: str, columns: rr.ComponentColumnList, count: int) -> Iterable[Rows]:
-        """Yield a row at the step, and an empty one at the viewer's next step; or a row at the instant."""
+        """Yield a row at the step or at the instant, and then an empty one, which clears it."""
         if self.instant is not None:
             empty = Index(np.array([self.step.step]), np.array([self.step.time]))
             both = [
@@ -346,10 +346,13 @@ def _touches(contact: Contact, position: FloatArray, radius: FloatArray) -> bool
 
 
 def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> FloatArray:
-    """Move labels, (k, 3) m, into the view, and up or down where they would cover one before them."""
+    """Move labels, (k, 3) m, into the view; move a label up or down if it would cover an earlier one."""
     point = 2.0 / area.height  # half heights of the view
     onto = eye.on_screen(places)
-    moved, drawn = onto.copy(), list[tuple[float, float, float]]()  # half the width, and the place
+    moved, drawn = (
+        onto.copy(),
+        list[tuple[float, float, float]](),
+    )  # half the width and the position of each label placed so far
     for k, text in enumerate(texts):
         wide, tall, low = np.array([_LETTER_WIDTH * (len(text) + 2) / 2, _LABEL_HEIGHT, _BELOW]) * point
         side = max(0.0, area.aspect - wide)
@@ -360,7 +363,9 @@ def _apart(places: FloatArray, texts: list[str], eye: View, area: Area) -> Float
         y = next(free, y)
         drawn.append((wide, x, y))
         moved[k] = x, y
-    metres = eye.slope * (eye.distance - (places - eye.target) @ eye.to_eye)  # of half the height, at each depth
+    metres = eye.slope * (
+        eye.distance - (places - eye.target) @ eye.to_eye
+    )  # half the height of the view at the depth of each label
     return np.asarray(places + metres[:, None] * ((moved - onto) @ eye.axes()))
 
 

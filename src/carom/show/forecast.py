@@ -40,7 +40,7 @@ _SURE = 1e-5  # spread over radius at which the first shade ends
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """What is drawn."""
+    """The content of the drawing."""
 
     title: str
     text: str  # Markdown

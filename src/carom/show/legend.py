@@ -82,11 +82,11 @@ def legend(
     Parameters
     ----------
     header
-        Of the recording.
+        What the recording states.
     by
         The property that sets the colours of the bodies.
     colours
-        (n,) of the bodies, if they are constant during the run.
+        (n,) colours of the bodies, if they are constant during the run.
     references
         The magnitudes in the middle of the scales, as recorded.
     frame

@@ -64,7 +64,7 @@ _SERIES = {
 _LARGEST = 100_000_000  # bytes of positions; of a longer recording, every k-th frame is shown
 _BATCH = 4_000_000  # bytes
 _SEEN = 0.02  # of the median radius: shorter lines are hidden inside the spheres
-_HALO = 1.04  # scale of B's spheres, which A's would hide at equal size
+_HALO = 1.04  # scale of B's spheres: at equal size, those of A would hide them
 
 
 @dataclass(frozen=True, slots=True)

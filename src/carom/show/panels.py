@@ -18,8 +18,8 @@ from carom.recording.write.rows import Index, Rows
 from carom.show.supplement import Static
 
 MOST_BANDS = 100
-MOST_POINTS = 1000  # of impacts; the software driver takes seconds for a picture of some more
-_BANDS = (palette.ORANGE, palette.YELLOW)  # in turns
+MOST_POINTS = 1000  # of impacts; with a few more, a picture takes the software driver seconds
+_BANDS = (palette.ORANGE, palette.YELLOW)  # of alternate impacts
 
 
 def impact_strip(recording: Recording) -> tuple[Curves, list[Rows], list[Static]]:

@@ -95,7 +95,7 @@ def render(
     request
         The moment and the bodies to show.
     out_png
-        Where to write the picture.
+        The PNG to write.
     size
         Width and height in pixels.
     view

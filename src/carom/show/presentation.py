@@ -46,7 +46,7 @@ _OF_STEP = (paths.TORQUE, paths.ANGULAR_ACCELERATION)  # sent for an instant wit
 
 @dataclass(frozen=True, slots=True)
 class Presentation:
-    """A moment of a recording, and what the viewer gets to show it."""
+    """A moment of a recording, and the data that the viewer needs to show it."""
 
     time: float  # s, at which the viewer pauses
     missing: str  # why it shows the previous frame; empty if it shows the step

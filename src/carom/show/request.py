@@ -1,4 +1,4 @@
-"""What a view of a recording shows: a moment, an event by its name, the two ends of a contact."""
+"""The request for a view of a recording: a moment, an event by its name, the two ends of a contact."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def shown_step(
     at
         s.
     within
-        The step to show if one step ends at this time and the next begins; by default the one that ends.
+        The step to show if the time is the end of one step and the start of the next; by default the former.
     dense
         Whether to add all steps up to the next recorded frame.
     watch
@@ -146,7 +146,7 @@ def at_impact(
     step
         The step.
     pair
-        Which two meet. Of several impacts, the nearest in time is chosen, then the fastest.
+        The two ends of the impact. Of several impacts, the nearest in time is chosen, then the fastest.
     header, origin
         Of the recording; origin (3,) m.
     near

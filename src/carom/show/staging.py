@@ -46,15 +46,15 @@ class Staging:
         Parameters
         ----------
         recording, header
-            The recording, and what it states.
+            The recording and its header.
         first
-            (n, 3) m from the origin, positions that are in view.
+            (n, 3) m from the origin, positions that must be in view.
         colours
-            (n,) of the trails.
+            (n,) colours of the trails.
         until
             s, the time up to which the motion should be in view.
         motion
-            Of the camera; by default it depends on the scene.
+            The camera's motion; by default it depends on the scene.
         """
         camera = CameraFit.of_scene(header, recording.origin, first, motion)
         trails = Trails(recording, header, colours) if has_trails(recording) else None

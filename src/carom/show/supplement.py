@@ -83,7 +83,7 @@ class Trails:
         self._colours = colours
 
     def show(self, camera: CameraFit, until: float = np.inf) -> None:
-        """Fit a camera to the paths up to a time (s), which are drawn, in a direction that suits all of the motion."""
+        """Fit a camera: the paths drawn up to a time (s) are in view, and its direction suits the whole motion."""
         position, past = self._position.astype(np.float64), self._times <= until
         camera.look(position[past])
         camera.look(position[~past], inside=False)

@@ -50,7 +50,7 @@ class Viewer:
     Parameters
     ----------
     options
-        Of Rerun's viewer.
+        Options of Rerun's viewer.
     screen
         WIDTHxHEIGHT of a virtual screen to show it on; by default the user's.
     folder
@@ -58,7 +58,7 @@ class Viewer:
     keep
         Options of `keeper`.
     environment
-        Of the process; by default that of this one.
+        Environment of the process; by default that of this process.
     """
 
     def __init__(
@@ -218,7 +218,7 @@ def start_live_viewer() -> str:
 
 
 def broken_off(said: str) -> str | None:
-    """Return the last message of a viewer that broke off; None if it did not."""
+    """Return the last message of a viewer that crashed; None if it did not crash."""
     found = _GLYPH.search(said)
     if found:
         return (
@@ -250,7 +250,7 @@ def _lacks_driver(said: str) -> bool:
 
 
 def reason_of(said: str) -> str:
-    """Return what the log of a viewer that ended says of the reason, with a remedy."""
+    """Return the reason why a viewer ended, according to its log, and a remedy."""
     return broken_off(said) or f"the viewer could not start: {_reason(said)}"
 
 

@@ -59,7 +59,7 @@ def axis(section: Cylinder) -> tuple[FloatArray, FloatArray]:
 
 
 def mesh(section: Cylinder, centre: FloatArray, reach: float) -> Mesh:
-    """Return a prism of the length of the scene."""
+    """Return a prism that is as long as the scene."""
     point, direction = axis(section)
     middle = (direction * (centre - point)).sum()
     ends = ((section.radius, middle - reach), (section.radius, middle + reach))

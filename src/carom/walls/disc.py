@@ -1,6 +1,6 @@
 """A flat round plate with an edge, solid from both sides.
 
-With ρ the distance of a point from the axis and h its height above the plate, the nearest point has min(ρ, R) and 0.
+For a point at the distance ρ from the axis, the nearest point of the plate is at min(ρ, R), in the same direction.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class Disc(Section):
     radius: Annotated[Positive, LENGTH] = Field(description="m, more than 0")
     centre: Annotated[tuple[Real, Real, Real], LENGTH] = Field((0.0, 0.0, 0.0), description="m, [x, y, z]")
     normal: tuple[Real, Real, Real] = Field(
-        (0.0, 0.0, 1.0), description="[x, y, z], at right angles to it; any length but 0"
+        (0.0, 0.0, 1.0), description="[x, y, z], perpendicular to the disc; any length but 0"
     )
 
     @model_validator(mode="after")
@@ -41,7 +41,7 @@ def parameters(section: Disc) -> Mapping[str, float]:
 
 
 def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Return the normal and the distance from the plate or its edge; nothing about it bends towards bodies."""
+    """Return the normal and the distance from the plate or its edge; none of its level surfaces is concave."""
     dx, dy, dz = x - p.x, y - p.y, z - p.z
     h = dx * p.axis_x + dy * p.axis_y + dz * p.axis_z
     rx, ry, rz = dx - h * p.axis_x, dy - h * p.axis_y, dz - h * p.axis_z

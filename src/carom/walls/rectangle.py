@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from carom.arrays import FloatArray
 from carom.extend import LENGTH, Mesh, Real, Section, WallShape
 
-LARGEST_COSINE = 1e-9  # of the angle between the sides; numbers with ten digits have less
+LARGEST_COSINE = 1e-9  # of the angle between the sides; rounding to ten digits causes less
 FIELDS = (
     *("x", "y", "z", "one_x", "one_y", "one_z", "other_x", "other_y", "other_z"),
     *("normal_x", "normal_y", "normal_z", "half_one", "half_other"),
@@ -52,7 +52,7 @@ def parameters(section: Rectangle) -> Mapping[str, float]:
 
 
 def nearest(p: Any, x: float, y: float, z: float) -> tuple[float, float, float, float, float]:
-    """Return the normal and the distance from the plate, its edges or corners; nothing bends towards bodies."""
+    """Return the normal and the distance from the plate, its edges or corners; no level surface is concave."""
     dx, dy, dz = x - p.x, y - p.y, z - p.z
     a = dx * p.one_x + dy * p.one_y + dz * p.one_z
     b = dx * p.other_x + dy * p.other_y + dz * p.other_z

@@ -37,7 +37,7 @@ ROUNDING = 1e-10  # upper bound of the rounding of a sum over 10⁶ bodies
 
 
 class BalanceAudit:
-    """Energy and momentum as of the last frame or check; the first entry is the start of the run.
+    """Energy and momentum as of the last frame or check, compared with those at the start of the run.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class BalanceAudit:
         return np.array([self.ledger.entry(entry), *self._momentum.expected])
 
     def exchange_up_to(self, entry: str, exchanged: FloatArray) -> None:
-        """Replace these numbers after steps that added to them."""
+        """Set what `exchanged` returns, after kernels have added to it."""
         self.ledger = self.ledger.with_loss(entry, float(exchanged[0]))
         self._momentum.expected = exchanged[1:].copy()
 

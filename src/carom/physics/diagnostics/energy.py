@@ -104,7 +104,7 @@ class EnergyAccount:
     Parameters
     ----------
     bodies
-        Of the run.
+        The bodies of the run.
     field
         (3,) m/s², the uniform field and the constant acceleration by a moving medium.
     anchored
@@ -128,7 +128,7 @@ class EnergyAccount:
 
         The first call sets the initial values.
 
-        ``judged`` marks a check, whose scale later checks keep.
+        ``judged`` marks a check; the scale of later checks is at least as large.
         """
         translational, rotational = motion.translational, motion.rotational
         others = dict(potentials)

@@ -97,9 +97,9 @@ class EnergyMonitor:
     tolerance
         Smallest rise to report, relative to the energy scale.
     names
-        Of the bodies.
+        Names of the bodies.
     integrator
-        Of the run; it determines the remedy for a large error.
+        The integrator of the run, which determines the remedy for a large error.
     units
         Units of the energies in warnings.
     """
@@ -119,7 +119,7 @@ class EnergyMonitor:
         Parameters
         ----------
         step, time, energy
-            Of the check; s.
+            Number, time (s) and energy of the step at the check.
         contact_gain
             Largest energy that contact impulses have added so far, relative to the energy scale.
         suspects

@@ -42,7 +42,7 @@ class Extremes:
 
     energy_error: Extreme | None = None  # |integration error| / scale
     energy_gain: Extreme = NOTHING  # rise of the total energy above its lowest value so far / scale
-    contact_gain: Extreme = NOTHING  # energy added by contact impulses, or returned / scale
+    contact_gain: Extreme = NOTHING  # energy that contact impulses have added or given back / scale
     kinetic: Extreme = NOTHING  # kinetic energy / scale at the last check, not the largest
     impact: Extreme | None = None  # J, largest ½ μ v_n² of an impact
     overlap: Extreme | None = None  # deepest overlap / smaller radius

@@ -79,7 +79,7 @@ def _add_up(
     linear: FloatArray,
     angular: FloatArray,
 ) -> tuple[float, float, float, float]:
-    """Write p and L; return the scales and energies of `Motion`."""
+    """Write p and L; return the scales and energies of `TotalMotion`."""
     linear_scale, angular_scale, translational, rotational = 0.0, 0.0, 0.0, 0.0
     lx, ly, lz = 0.0, 0.0, 0.0
     ax, ay, az = 0.0, 0.0, 0.0
@@ -167,7 +167,7 @@ class MomentumAccount:
 
     @property
     def expected(self) -> FloatArray:
-        """(6,) kg m/s and kg m²/s, the reference values of both momenta; set them after they have been added to."""
+        """(6,) kg m/s and kg m²/s, the reference values of both momenta, to which a caller may add."""
         return np.concatenate((self._linear, self._angular))
 
     @expected.setter
@@ -178,7 +178,7 @@ class MomentumAccount:
     def balance(self, motion: TotalMotion, time: float, judged: bool = True) -> Momentum:
         """Return the momenta at a time since the start (s).
 
-        ``judged`` marks the sums of a check, whose scales later checks keep.
+        ``judged`` marks a check; the scales of later checks are at least as large.
         """
         linear, angular, linear_scale, angular_scale, *_ = motion
         linear_scale, angular_scale = max(self._linear_scale, linear_scale), max(self._angular_scale, angular_scale)

@@ -134,7 +134,7 @@ class Activity:
 
 @kernel
 def remembered(energy: float, impacts: float) -> float:
-    """Return the energy (J) of recent impacts after a step, given that before it and that of the step's impacts."""
+    """Return the energy (J) of recent impacts after a step, from its value before and that of the step's impacts."""
     return energy + (impacts - energy / STEPS_REMEMBERED)
 
 
@@ -180,13 +180,13 @@ class PaceMonitor:
     Parameters
     ----------
     duration
-        s, of the scene.
+        s, the duration of the scene.
     first_dt
         s, the step at the start of the run.
     units
-        Of the scene.
+        Units of the scene.
     remedies
-        As from `remedies_of`.
+        The result of `remedies_of`.
     """
 
     def __init__(

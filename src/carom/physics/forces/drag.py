@@ -61,7 +61,7 @@ class DragLaw(NamedTuple):
 
     rate: float  # 1/s
     wind: FloatArray  # (3,) m/s², u/τ
-    outer: FloatArray  # (3,) m/s², with the other forces that are the same for all bodies
+    outer: FloatArray  # (3,) m/s², u/τ plus the other accelerations that are the same for all bodies
     sums: RecordArray[DragSumsRecord]  # (2,) of a step
     exchanged: FloatArray  # (7,) as in `Damping`
 

@@ -104,7 +104,7 @@ class Damping(Force, Protocol):
     Attributes
     ----------
     law
-        Its arguments for `kick_before_drift` and `kick_after_drift` in kernels, a named tuple.
+        A named tuple, from which `kick_before_drift` and `kick_after_drift` in kernels compute the force.
     exchanged
         (7,) what the medium has exchanged in the run, to which these kernels add: the energy that left the bodies in J,
         and the momentum and angular momentum that the balance expects, in N s and N m s.

@@ -31,7 +31,7 @@ _OWNS = 4  # NumPy's flag of an array that owns its memory; Numba's types do not
 _entries: dict[tuple[Callable[..., Any], Any], Callable[..., Any]] = {}
 _compiles_all = False
 
-# calls of some kernels that each save 0.17 ms, by which `entry_if_worthwhile` decides
+# for `entry_if_worthwhile`: numbers of calls of a kernel, each of which saves 0.17 ms
 WORTH_COMPILING = 100_000  # 17 s, where compilation takes 5 s, or 13 s on a busy machine
 WORTH_LOADING = 5_000  # 0.9 s
 
@@ -155,7 +155,7 @@ def entry_of(function: Callable[..., Any], *arguments: Any) -> Callable[..., Any
 
 
 def entry_if_worthwhile(function: Callable[..., Any], calls: float, *arguments: Any) -> Callable[..., Any] | None:
-    """Return `entry_of` a kernel that long runs are faster with; None if its compilation takes longer than it saves.
+    """Return `entry_of` a kernel that speeds up long runs; None if its compilation takes longer than it saves.
 
     The decision depends on numbers of calls, never on a clock, and must not change bits.
 

@@ -68,7 +68,7 @@ class Promise(Section):
         "went; not negative",
     )
     integrator: Literal["wisdom-holman"] | None = Field(
-        None, description="the integrator, if the trial runs chose another than the scene"
+        None, description="the integrator, if the trial runs chose another one than the scene"
     )
     lyapunov: Annotated[Real, RATE] = Field(description="1/s, largest Lyapunov exponent, measured over the trial runs")
     error: Annotated[tuple[NonNegative, ...], Field(min_length=1)] = Field(
@@ -115,7 +115,7 @@ class Sweep(Section):
         {}, description='values by key: a list, or text such as "0.1:0.9:5" or "1e-3:1:4log"'
     )
     seeds: Count | None = Field(
-        None, description="runs of each combination, with seeds counted up from the scene's own; 1 or more"
+        None, description="runs of each combination, with consecutive seeds from the scene's own; 1 or more"
     )
     zip: Annotated[bool, Field(strict=True)] = Field(
         False,

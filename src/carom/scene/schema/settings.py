@@ -121,8 +121,8 @@ class Time(Section):
     )
     encounters: Literal["resolve", "ignore"] = Field(
         "resolve",
-        description="wisdom-holman only: whether Gauss–Radau takes over in close encounters of light bodies and then "
-        "integrates all bodies, or the encounters are not resolved, for many bodies of negligible mass",
+        description='wisdom-holman only: "resolve" integrates all bodies with Gauss–Radau during close encounters of '
+        'light bodies; "ignore", for many bodies of negligible mass, does not resolve them',
     )
 
     @model_validator(mode="after")

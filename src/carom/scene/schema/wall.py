@@ -29,7 +29,7 @@ class WallMotion(Section):
 class Wall(Surface):
     """[[wall]]: a wall with the section of its shape.
 
-    Its coefficients hold for all contacts with it; those that it does not give follow from both materials.
+    Its coefficients apply to all contacts with it; missing ones are combined from both materials.
     """
 
     name: str = Field("", description="shown in warnings")

@@ -139,7 +139,7 @@ class UnitSystem:
         return nearest_float(Fraction(repr(number)) / self._size(dimension)) if self.own else number
 
     def factor(self, dimension: Dimension) -> float:
-        """Return the units of the simulation in one unit of the scene's plain numbers; 1 in SI."""
+        """Return the factor that converts the scene's plain numbers to the units of the simulation; 1 in SI."""
         return nearest_float(self._size(dimension)) if self.converts else 1.0
 
     def agrees(self, other: UnitSystem, dimension: Dimension) -> bool:
@@ -188,7 +188,7 @@ class UnitSystem:
         return composed([(self.given.get(name, NAMED[name].unit), powers[name]) for name in _IN_PRINT])
 
     def _size(self, dimension: Dimension) -> Fraction:
-        """Return the SI units in one unit of the scene, exactly."""
+        """Return the exact size of the scene's unit, in SI units."""
         if dimension not in self._sizes:
             size = Fraction(1)
             if not self.dimensionless and dimension.plain in self.given:

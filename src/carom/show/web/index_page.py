@@ -28,7 +28,7 @@ class Figure:
 
 @dataclass(frozen=True, slots=True)
 class About:
-    """What a page says about a recording."""
+    """The content of a page about a recording."""
 
     title: str
     file: str  # name of the recording when it is downloaded

@@ -35,9 +35,10 @@ class Hosted:
     Attributes
     ----------
     link
-        With a secret: whoever knows it can open the recording.
+        An address that contains a secret: whoever knows it can open the recording.
     command_line
-        Without it, since other users can read the command lines of a browser; leads this user to `link`, nobody else.
+        An address without the secret, for a browser's command line, which other users can read. It leads this user, and
+        nobody else, to `link`.
     """
 
     link: str

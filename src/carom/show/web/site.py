@@ -38,7 +38,7 @@ class PageNames:
     Parameters
     ----------
     stem
-        Of the files of one of several recordings, of letters, digits and hyphens; empty for the only one.
+        Begins the names of a recording's files: letters, digits and hyphens; empty if there is one recording only.
     """
 
     stem: str = ""

@@ -68,8 +68,8 @@ from carom.scene.start import half_spaces
 
 STEP_FRACTION = 0.17506702932189996  # η
 LARGEST_CHANGE = 4.0  # a step that was too long by more than this factor is repeated; no step grows by more
-SHRINKING = 2.0  # a step is repeated again only if the wanted fraction of it rises by at least this factor
-LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the same after an impact, since the previous step had another velocity
+SHRINKING = 2.0  # a step is repeated again only if the last repetition raised the wanted fraction of it by this factor
+LARGEST_CHANGE_AFTER_IMPACT = 1.5  # the largest change after an impact, since the previous step had other velocities
 MOST_CORRECTIONS = 4  # of the length of a step that ends at an impact; two are enough to reach rounding
 IMPACT_ROUNDING = 2.0**-51  # of that length
 LIMITS = ("error", "cap", "fixed", "end", "impact")  # limits that set a step
@@ -256,7 +256,7 @@ def advance(
             dt, limit = wanted, ERROR
             wanted = attempt(motion, run, dt)
             if not wanted > SHRINKING * fraction * dt:
-                break  # the acceleration starts at 0, so it has changed within the time since the start
+                break  # an acceleration that starts at 0 changes within any step, however short
         next_dt = min(wanted, LARGEST_CHANGE * dt)
         if solids is not None:
             displacement = max_displacement(motion, planes, dt)

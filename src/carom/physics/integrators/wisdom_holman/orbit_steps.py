@@ -32,8 +32,8 @@ class RunRecord(Protocol):
 
     start: float  # s, the time at which the present series of equal steps began
     count: int  # steps since then
-    dt: float  # s, the present time
-    time: float  # s
+    dt: float  # s
+    time: float  # s, the present time
     before: float  # s, the time before the last step
     steps: int  # steps in this call
     close: int  # 1 if the next step would meet a close encounter
