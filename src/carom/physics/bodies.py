@@ -12,7 +12,7 @@ from carom.scene.start import InitialBodies
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """The possible ends of a contact: n bodies, followed by p planes, which never move.
+    """The possible ends of a contact: n bodies, followed by p planes and walls, whose velocities here are 0.
 
     The arrays of `Bodies` are views of the first n rows.
     """
@@ -21,7 +21,7 @@ class Ends:
     acceleration: FloatArray  # (n + p, 3) m/s²
     angular_velocity: FloatArray  # (n + p, 3) rad/s; (0, 3) where nothing spins
     inverse_mass: FloatArray  # (n + p,) 1/kg; 0 for planes and fixed bodies, infinite for test particles
-    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 or infinite for the same
+    inverse_inertia: FloatArray  # (n + p,) 1/(kg m²); 0 for planes and fixed bodies, infinite for test particles
     radius: FloatArray  # (n + p,) m; infinite for a plane
 
 

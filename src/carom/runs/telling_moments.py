@@ -20,7 +20,7 @@ from carom.show.request import Request
 from carom.show.supplement import has_trails
 
 MOST_IMPACTS = 10  # number of impacts up to which each impact is a moment
-HARDEST = 3  # number of impacts that are moments if there are more
+HARDEST = 3  # number of impacts, the hardest ones, that are moments in a run with more than `MOST_IMPACTS`
 FAINTEST = 0.01  # of the largest impulse; weaker impacts explain nothing
 DEEP = 0.01  # of the smaller radius; a shallower overlap explains nothing
 

@@ -75,8 +75,8 @@ def examined_other(
         for fault in seen.faults
     }
     criteria = [
-        # a run that ended early might have exceeded a limit later; and since energy absorbed by contacts cannot be
-        # separated from the integrator's error, only a lower bound of that error is measured
+        # A run that ended early might have exceeded a limit later. Where bodies touched, only a lower bound of the
+        # integrator's error is known, because the energy that contacts absorbed cannot be separated from it.
         _entry(v, judged=not v.met) if not whole or (v.name == "energy_error" and touched) else _entry(v)
         for v in verdicts
         if v.name != "contact_audit" and not v.name.startswith("warned_")

@@ -23,7 +23,7 @@ PRESSURE = Dimension("pressure", "Pa", (-1, -2, 1, 0), "3 kPa")
 
 
 def measure(interval: Interval) -> Statistic:
-    """Measure the mean stress over the volume of the box, or times the volume without a box."""
+    """Measure the mean stress in the box; without a box, the stress times the unknown volume."""
     moving, recording = interval.moving, interval.recording
     weighted = peculiar(interval.velocities[:, moving], recording.bodies.mass[moving])
     kinetic = np.einsum("kna,knb->ab", weighted, weighted) / len(weighted)

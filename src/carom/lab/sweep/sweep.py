@@ -56,7 +56,7 @@ class Conductor:
         self._watch = watch
         self._left: set[str] = set()  # names of the runs that have not ended
         self._dropped = 0  # runs that the scheduler dropped, or whose report it lost
-        self._unsaved = ""  # the error by which the manifest could not be written
+        self._unsaved = ""  # the error that prevented the manifest from being written; empty if none did
 
     def conduct(self, points: list[SweepPoint], interrupts: Interrupts) -> str:
         """Execute runs; return why this ended early, or an empty text.

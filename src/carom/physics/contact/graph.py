@@ -25,7 +25,7 @@ from carom.physics.jit.instructions import from_front, lowest_bit
 from carom.physics.jit.vectors import WIDTH
 
 OVERFLOW = 64  # colour of contacts that do not fit into 64 colours; they are resolved last, one by one
-CONTACTS_PER_PIECE = 256  # contacts at most, except to fill a block; they take an iteration a few microseconds
+CONTACTS_PER_PIECE = 256  # at most, unless a block needs more to be full; an iteration over them takes microseconds
 
 
 @dataclass(frozen=True, slots=True)

@@ -308,7 +308,7 @@ class RecordLanes:
         return gathered(self._builder, [self._builder.load(at) for at in places])
 
     def change(self, **fields: Lanes) -> None:
-        """Change fields of lines that have been read, but not yet in memory."""
+        """Change fields of lines that have been read; `write` then changes memory."""
         for name, value in fields.items():
             line, place = self._place_of(name)
             self._lines[line][place] = value

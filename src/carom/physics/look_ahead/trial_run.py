@@ -22,7 +22,7 @@ from carom.scene.start import InitialBodies
 
 LEAST = 5.0  # nominal s
 PART_OF_RUN = 0.1  # of the nominal time of the run itself, if that is larger
-MOST = 60.0  # nominal s, because chattering contacts could take infinitely many steps
+MOST = 60.0  # nominal s, an upper limit, because chattering contacts could take infinitely many steps
 # Nominal s, accurate to a factor of two: a call from Python, a step in a kernel, and the part of a body or contact in a
 # step.
 CALL, CALL_WITH_CONTACTS = 2e-5, 1e-4

@@ -457,7 +457,7 @@ def _largest(values: FloatArray, radius: FloatArray) -> float:
 
 
 def _outermost(position: FloatArray, radius: FloatArray) -> IntArray:
-    """Return which of many bodies are the outermost that must be inside the view, in each of `_OUTWARD`."""
+    """Return, for each direction in `_OUTWARD`, the outermost of many bodies that must still be inside the view."""
     order = np.argsort(-(position @ _OUTWARD.T + radius[:, None]), axis=0)
     beyond = np.cumsum(_weights(radius)[order], axis=0) >= _ESCAPING
     return np.unique(order[np.argmax(beyond, axis=0), np.arange(len(_OUTWARD))])

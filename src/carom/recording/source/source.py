@@ -18,8 +18,8 @@ from carom.recording.schema.properties import LARGEST
 from carom.recording.source.engine_contacts import has_forces
 from carom.scene.start import HalfSpaces
 
-MASSLESS = 1e-30  # of the largest mass; the mass of a test particle, in place of 0
-DRAWN_RADIUS = 0.01  # of the bodies' extent; the radius of a point mass, in place of 0
+MASSLESS = 1e-30  # of the largest mass; it replaces the mass 0 of a test particle
+DRAWN_RADIUS = 0.01  # of the bodies' extent; it replaces the radius 0 of a point mass
 ROUGHLY = 0.01  # largest relative error of the length of a quaternion
 SPHERE = 0.4  # moment of inertia / (m r²)
 

@@ -143,7 +143,7 @@ def _pass_through(
 
 
 FILE_BYTES = 300_000  # layout, styles and footer (docs/recording.md, Size)
-SHARE = 0.22  # of everything else in the file; including data not counted here, a fifth of the whole file
+SHARE = 0.22  # of all other data of the file that are counted here; a fifth of the whole file, which has more
 _ARROWS, _SCENES = 0.02, 0.04  # of everything else: arrows, and frames at impacts
 _FEW_SCENES = 0.1 * FILE_BYTES  # bytes of frames at impacts that each recording may have
 _HARDER = 1.25  # impulse over that of every impact with a frame, above which an impact gets a frame beyond the budget

@@ -124,7 +124,9 @@ class Missing(Section):
     """Replacements for missing values in a file: used for entries that are empty, not a number, or a size of 0."""
 
     radius: Annotated[Positive, LENGTH] | None = Field(None, description="m, of bodies without a radius or diameter")
-    mass: Annotated[NonNegative, MASS] | None = Field(None, description="kg, of bodies without a mass; 0 is a mass")
+    mass: Annotated[NonNegative, MASS] | None = Field(
+        None, description="kg, of bodies without a mass; a mass of 0 is kept"
+    )
     density: Annotated[Positive, DENSITY] | None = Field(None, description="kg/m³, of bodies without a density")
     leave_out: Annotated[bool, Field(strict=True)] = Field(
         False, description="true: leave out the rows without a position, such as those of bodies that have merged"

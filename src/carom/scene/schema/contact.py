@@ -181,7 +181,7 @@ class ContactSettings(Section):
         "or from 0 (staged)",
     )
     colouring: Literal["contacts", "bodies"] = Field(
-        "contacts", description="what the graph colouring that finds parallel contacts colours: contacts or bodies"
+        "contacts", description="what gets the colours that show which contacts are independent: contacts or bodies"
     )
     stabilisation: Literal["split", "baumgarte", "none"] = Field(
         "split",
