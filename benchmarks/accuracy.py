@@ -1,17 +1,17 @@
-"""Measures whether runs keep the accuracy that they were asked for, when that ends, and what it costs.
+"""Measures whether runs keep the requested accuracy, for how long, and at what cost.
 
     python benchmarks/accuracy.py                        # 40 random scenes and those of docs/trade.md; goes on where it
     python benchmarks/accuracy.py --random 8 --scenes figure-eight --requests 1e-2,1e-6       # was interrupted
     python benchmarks/accuracy.py --table                # the table of docs/validation.md, from the rows so far
 
 Each scene runs with each request, on one thread. The error is the largest rms distance from a reference over the size
-of the system, up to the horizon that the run names. The reference is that of `impact_reference`, which uses nothing of
-carom's physics. Where bodies come to rest, it ends, and a run whose steps are four times finer takes its place, for the
-settings as well. The measured horizon is the time at which the distance exceeds the request.
+of the system, up to the horizon that the run states. The reference comes from `impact_reference`, which uses nothing of
+carom's physics. It ends where bodies come to rest. From there on, the reference is a run with four times finer steps,
+also for the settings. The measured horizon is the time at which the distance exceeds the request.
 
-The cost is the CPU time of the run with its look ahead, over that of the cheapest of the settings among which `carom
-tune` searches that keeps the request as far: integrators and steps that differ by factors of two, impacts at their own
-times. Steps are halved until they keep the request, or cost more than the run.
+The cost is the CPU time of the run with its look-ahead, over that of the cheapest plain setting that keeps the request
+for as long. Plain settings are those among which `carom tune` searches: integrators, and steps that differ by factors
+of two, with impacts at their own times. Steps are halved until they keep the request or cost more than the run.
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ TRADE = (
 )
 REQUESTS = "1e-2,1e-4,1e-6,1e-8,1e-10"
 SAMPLES = 64
-FINER = 4.0  # times as fine as the run is the one that it is compared with after bodies have come to rest
+FINER = 4.0  # ratio of the steps of a run to those of its reference after bodies have come to rest
 BUDGET = 60.0  # s of computing for a reference
-LONGEST_RUN = 6.0  # s of computing; a longer run is compared as far as it came
+LONGEST_RUN = 6.0  # s of computing; of a longer run, the part computed by then is compared
 COARSEST, FINEST = 4.0, 2.0**-12  # factors on the step of the settings
 REPEATED_BELOW = 0.1  # s, runs that are timed three times
-FRAMES = 600  # of a recording; a setting with fewer than this part of the run's frames is left out, as by `carom tune`
+FRAMES = 600  # of a recording; a setting that records fewer of the run's frames is left out, as by `carom tune`
 FEWEST_FRAMES = 0.95
 FREE = ("fixed_dt", "target_dx", "cfl", "pull_fraction", "smoothing", "velocity_limit", "integrator")
 TIMING = "contact.timing"
@@ -130,7 +130,7 @@ class Run(NamedTuple):
 
 
 def follow(scene: Scene, times: FloatArray) -> Run:
-    """Run a scene to as many of the times as it reaches; steps end there."""
+    """Run a scene to as many of the times as it reaches; a step ends at each of them."""
     began, steps = time.process_time(), 0
     found: list[FloatArray] = []
     try:
@@ -159,7 +159,7 @@ def run_freely(scene: Scene) -> int:
 
 
 def least(act: Callable[[], Any]) -> float:
-    """Return the least CPU time of an act in s, of three if it is short."""
+    """Return the CPU time of a call in s; of a short one, the least of three."""
     spent = math.inf
     for _ in range(3):
         began = time.process_time()
@@ -172,7 +172,7 @@ def least(act: Callable[[], Any]) -> float:
 
 @dataclass
 class Case:
-    """A scene, its reference and what plain settings gave so far."""
+    """A scene, its reference, and the results of plain settings so far."""
 
     scene: Scene
     times: FloatArray
@@ -191,7 +191,7 @@ class Case:
         return cls(scene, times, size, solve(scene, times, BUDGET))
 
     def apart(self, a: FloatArray, b: FloatArray) -> FloatArray:
-        """Return the largest rms distance so far over the size, as far as both paths go."""
+        """Return the running maximum of the rms distance over the size, up to the end of the shorter path."""
         k = min(len(a), len(b))
         if k == 0:
             return np.zeros(0)
@@ -201,7 +201,7 @@ class Case:
         return np.asarray(np.maximum.accumulate(np.sqrt(np.mean(np.sum(d * d, axis=2), axis=1))) / self.size)
 
     def measure(self, request: float) -> dict[str, Any]:
-        """Run with a request and compare."""
+        """Run with a request, and compare the run with the reference."""
         scene, solved = self.scene, len(self.reference.position)
         row: dict[str, Any] = {"scene": scene.title, "bodies": scene.count, "request": request}
         asked = scene_from_text(scene.toml, scene.title, [f"time.accuracy={request!r}"])
@@ -251,7 +251,7 @@ class Case:
     def cheapest(
         self, request: float, reference: FloatArray, kept: float, most: float, frames: int
     ) -> dict[str, Any] | None:
-        """Return the cheapest plain setting up to a cost that keeps a request and frames as far; None if none does."""
+        """Return the cheapest plain setting, up to a cost, that keeps a request and frames as long, or None."""
         best: tuple[float, GridPoint] | None = None
         for name in self.integrators():
             step = COARSEST
@@ -276,7 +276,7 @@ class Case:
         return None if best is None else {"cost": best[0], "setting": best[1].setting(self.scene).name}
 
     def integrators(self) -> list[str]:
-        """Name the integrators of the search, of which euler is never cheaper than leapfrog."""
+        """Name the integrators of the search, without euler, which is never cheaper than leapfrog."""
         own, others = integrator(self.scene).name, knobs(self.scene).get(INTEGRATOR, ())
         radau = ("gauss-radau15",) if self.scene.count <= 1000 else ()
         return [
@@ -291,7 +291,7 @@ class Case:
 
 
 def main() -> None:
-    """Measure what is missing, write the rows, and print the totals."""
+    """Measure the missing rows, write all rows, and print the totals."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--random", type=int, default=40)
     parser.add_argument("--only", type=lambda text: [int(each) for each in text.split(",")], help="these random scenes")

@@ -3,8 +3,8 @@
     python benchmarks/contacts.py [--bodies 100000 ...] [--rounds 9] [--only search|sweeps|busy]
 
 "Touching" is a jittered lattice of equal spheres in random numbering; "1:100" has radii by a power law of exponent
--3.5; "planet" is one body under 10⁴ pebbles. A sweep is one visit of every contact with friction and spin, its line
-search in it. "Busy" runs the sweeps while another process keeps a core busy.
+-3.5; "planet" is one body under 10⁴ pebbles. A sweep visits every contact once, with friction and spin, and includes
+its line search. "Busy" runs the sweeps while another process keeps a core busy.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def solver_of(position: FloatArray, radius: FloatArray, team: Team) -> ContactSo
 
 
 def holding(solver: ContactSolver) -> Callable[[], object]:
-    """Return a call that holds the contacts, from no impulses on, in so many sweeps."""
+    """Return a function that holds the contacts by a fixed number of sweeps, starting without impulses."""
 
     def hold() -> None:
         for name in IMPULSES:

@@ -1,13 +1,13 @@
-"""What recording every step costs other engines: 1000 spheres that pile up, or that pull each other.
+"""The cost of recording every step of other engines: 1000 spheres that pile up, or that attract each other.
 
 python benchmarks/engine_recorder.py [--every N] [ENGINE …]
 
-Each so many steps are recorded, by default as many as the source says; the column "every" has their number.
+Every N-th step is recorded, by default as the source chooses; the column "every" has N.
 
-CPU time of the engine's own thread, which other work on the machine changes less than the time on the clock: a run gets
-longer by it where another core is free. "read" is what the engine takes to hand over its state, "recorder" is the rest
-of `frame`. Each is a median, and in brackets the least tenth of the calls, as on a machine that is quiet. "threads" is
-what the recorder's threads spend on the frame besides, on the audit, the encoding and the file.
+Times are CPU times of the engine's own thread, by which a run gets longer if another core is free. Other work on the
+machine changes them less than wall time. "read" is the time in which the engine returns its state, and "recorder" the
+rest of `frame`. Each is a median, with the fastest tenth of the calls in brackets, as on a quiet machine. "threads" is
+the time of the recorder's own threads for a frame: audit, encoding and writing.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class Clocked:
 
 
 def measured(begin: Callable[[], Stepper], every: int | None, folder: Path) -> tuple[int, list[list[float]], float]:
-    """Return the steps of a frame, and in s what steps, reading, the rest of `frame`, and other threads take."""
+    """Return the steps per frame, and the times (s) of steps, reading, the rest of `frame`, and other threads."""
     step, make = begin()
     for _ in range(SETTLING):
         step()

@@ -1,4 +1,4 @@
-"""How long `carom why` and `carom fork` take, and whether fork and diff agree on λ: prints a table.
+"""Prints the times of `carom why` and `carom fork`, and the λ of fork and diff, which should agree.
 
 python benchmarks/failures.py      (one or two minutes on two quiet cores; kernels must be compiled)
 """

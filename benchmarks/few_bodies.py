@@ -1,19 +1,19 @@
-"""Few bodies beside REBOUND, on one thread: the time of a step, and time and error of whole runs.
+"""Few bodies in carom and in REBOUND, on one thread: the time of a step, and the times and errors of whole runs.
 
     python benchmarks/few_bodies.py steps [--repeats N] [--output FILE.json]
     python benchmarks/few_bodies.py errors [--repeats N] [--periods N] [--output FILE.json]
 
-Both programs take the same scenes and run in turns; times are medians of the CPU time over the repeats, without the
-start of the program.
+Both programs run the same scenes in turns. Times are medians of the CPU time over the repeats, without the start of the
+program.
 
-*steps* is the CPU time of a step of a star and its planets: leapfrog with a constant step, leapfrog with the step by
-the shortest time of a pair, which REBOUND does not have, and Gauss–Radau integration beside IAS15, both at their
+*steps* is the CPU time of a step of a star and its planets: leapfrog with a constant step; leapfrog with a step by
+the shortest time of a pair, which REBOUND does not have; and Gauss–Radau integration compared with IAS15, both at their
 defaults.
 
 *errors* compares Gauss–Radau integration with IAS15. The error of a binary is that of its phase, as a time over the
-period: the root mean square over 24 places on the orbit at which it begins, since a single run may err little by luck.
-Elsewhere it is the relative error of the energy, summed in extended precision; of the planets, the root mean square
-over nine systems with other phases.
+period. It is the root mean square over 24 initial positions on the orbit, since a single run may err little by chance.
+For other problems, it is the relative error of the energy, summed in extended precision; for the planets, the root mean
+square over nine systems with different phases.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Problem(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What a run ended with."""
+    """The result of a run."""
 
     seconds: float
     steps: int
@@ -102,7 +102,7 @@ def planets(periods: float, seed: int = 8) -> Problem:
 
 
 def scene_of(problem: Problem, **time_keys: Any) -> Scene:
-    """Write a problem as a scene that checks nothing on the way."""
+    """Write a problem as a scene without checks during the run."""
     rows = zip(problem.mass.tolist(), problem.position.tolist(), problem.velocity.tolist(), strict=True)
     return Scene.from_dict(
         {
@@ -116,7 +116,7 @@ def scene_of(problem: Problem, **time_keys: Any) -> Scene:
 
 
 def with_carom(problem: Problem) -> Run:
-    """Run it with ``gauss-radau15``."""
+    """Run a problem with ``gauss-radau15``."""
     space = Space(scene_of(problem, integrator="gauss-radau15"), threads=1)
     began = time.process_time()
     for _ in space.run(schedule=at(())):
@@ -125,7 +125,7 @@ def with_carom(problem: Problem) -> Run:
 
 
 def rebound_simulation(problem: Problem, integrator: str) -> rebound.Simulation:
-    """Set it up for REBOUND."""
+    """Set up a problem in REBOUND."""
     simulation = rebound.Simulation()
     simulation.integrator = integrator
     for m, (x, y, z), (vx, vy, vz) in zip(problem.mass, problem.position, problem.velocity, strict=True):
@@ -134,7 +134,7 @@ def rebound_simulation(problem: Problem, integrator: str) -> rebound.Simulation:
 
 
 def with_rebound(problem: Problem) -> Run:
-    """Run it with IAS15 at its defaults."""
+    """Run a problem with IAS15 at its defaults."""
     simulation = rebound_simulation(problem, "ias15")
     began = time.process_time()
     simulation.integrate(problem.duration)
@@ -168,7 +168,7 @@ def carom_steps(problem: Problem, **time_keys: Any) -> Steps:
 
 
 def rebound_steps(problem: Problem, integrator: str) -> Steps:
-    """Return the same for REBOUND."""
+    """Return a function that takes steps of REBOUND and returns the CPU time of one in s."""
     simulation = rebound_simulation(problem, integrator)
     simulation.dt = LEAP
 
@@ -217,7 +217,7 @@ def print_steps(rows: list[dict[str, Any]]) -> None:
 
 
 def phase_error(problem: Problem, run: Run) -> float:
-    """Return by how much of a period a binary is late or early after whole periods."""
+    """Return the phase error of a binary after whole periods, as a fraction of the period."""
     apart = (run.position[1] - run.position[0]) - (problem.position[1] - problem.position[0])
     speed = problem.velocity[1] - problem.velocity[0]
     return float(np.linalg.norm(apart) / np.linalg.norm(speed) / (2.0 * np.pi))

@@ -1,12 +1,12 @@
-"""Steps of few bodies in contact beside MuJoCo's, on one thread.
+"""Steps of few bodies in contact, in carom and in MuJoCo, on one thread.
 
     python benchmarks/few_contacts.py [--rounds 9] [--save]
 
 Three balls of which two touch at rest, a ball that slides on a table, and a ball that falls in a viscous medium. carom
-takes all steps in one kernel; `single` takes each by itself, as shorter runs do. MuJoCo has no attraction between
-bodies: its two touching balls press on each other by the depth at which they begin, for as long as its soft contact
-lasts. Its medium acts on the ball as on a box, with other coefficients. The ball slides fast enough to go on until the
-end.
+takes all steps in one kernel; `single` takes them one by one, as shorter runs do. MuJoCo has no attraction between
+bodies: its two touching balls press on each other because of their initial overlap, for as long as the soft contact
+lasts. Its medium acts on the ball as on a box, with other coefficients. The sliding ball is fast enough to slide until
+the end.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ def in_carom(scene: dict[str, Any], steps: int, single: bool = False) -> Callabl
 
 
 def in_mujoco(scene: dict[str, Any]) -> Callable[[], object]:
-    """Return a function that takes as many steps of MuJoCo of much the same scene."""
+    """Return a function that takes as many steps of MuJoCo, in nearly the same scene."""
     down = -scene["gravity"].get("uniform", [0.0, 0.0, 0.0])[2]
     medium = 'density="1.2" viscosity="0.05"' if "drag" in scene else ""
     balls = "".join(
@@ -80,7 +80,7 @@ def in_mujoco(scene: dict[str, Any]) -> Callable[[], object]:
 
 
 def compare(rounds: int) -> list[dict[str, Any]]:
-    """Return the time of a step in µs, for each scene and each way."""
+    """Return the time of a step in µs, for each scene and each contender."""
     rows = []
     for name, scene in SCENES.items():
         with compiling_all():  # otherwise the kernel is compiled for longer runs only

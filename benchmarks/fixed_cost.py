@@ -1,4 +1,4 @@
-"""A step where little is to be solved: small scenes, and many bodies with few contacts, on one and two threads.
+"""The fixed cost of a step: small scenes, and many bodies with few contacts, on one and two threads.
 
     python benchmarks/fixed_cost.py [--rounds 7] [--label 5f80859] [--dry]
 

@@ -3,8 +3,8 @@
     python benchmarks/gate.py [--save]
 
 Each ratio is of CPU times on one thread, measured in turns in one process, so that a busy machine slows both sides.
-`--save` writes the ratios of this machine to `results/gate.json`; another processor has others. Exits with 1 if one of
-them has grown by more than `TOLERANCE`. A peer that is not installed is left out, and named.
+`--save` writes the ratios of this machine to `results/gate.json`; another processor has others. Exits with 1 if a
+ratio has grown by more than `TOLERANCE`. Peers that are not installed are left out and listed.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Gravity beside its peers, in one run: the same bodies, rounds interleaved, medians compared.
+"""Gravity of carom and of its peers, in one run: the same bodies, interleaved rounds, medians.
 
     python benchmarks/gravity.py [direct] [tree] [--bodies N ...] [--shapes plummer ball] [--peers pytreegrav rebound
                                  fmm3d] [--methods tree fast-multipole] [--rounds N]
 
 `direct` compares the sum over all pairs with REBOUND's basic gravity. `tree` compares trees at equal error: each
 method of carom gets the largest opening angle, in steps of 0.005, whose median and 99th percentile of the error are
-both no larger than the peer's. FMM3D, which is for high accuracy, gets the tolerance that leaves it at 10⁻⁴ in the
-last of them. Without `--bodies` that is for 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape
-and one peer at a time). Peers run on one thread, as carom does for the ratio; carom's time on two stands beside it.
+both no larger than the peer's. FMM3D, which is made for high accuracy, gets the tolerance at which its 99th percentile
+is 10⁻⁴. By default, there are 10⁵ bodies; at 10⁶ a peer takes a minute a round (`--rounds 1`, one shape and one peer at
+a time). Peers run on one thread, as carom does for the ratio; carom's time on two threads is also given.
 Rows take the place of those of the same method, bodies, shape and peer in benchmarks/results/gravity.json.
 """
 
@@ -38,7 +38,7 @@ Force = Callable[[], FloatArray]  # computes the accelerations, (n, 3)
 DIRECT_BODIES = [1024, 4096, 16384]
 TREE_BODIES = [100_000]
 SAMPLE = 1000  # bodies whose error is measured
-ENOUGH = 5e-3  # 99th percentile of the error that a step of 10⁶ bodies is asked for
+ENOUGH = 5e-3  # required 99th percentile of the error in a step of 10⁶ bodies
 PEERS = ("rebound", "pytreegrav", "fmm3dpy")
 CHOICES = ("pytreegrav", "rebound", "fmm3d")  # of trees
 METHODS = ("tree", "fast-multipole")  # of carom
@@ -86,7 +86,7 @@ def _carom(gravity: DirectGravity | TreeGravity | FastMultipoleGravity, position
 
 
 def rebound_force(position: FloatArray, mass: FloatArray, method: str, theta: float = 0.5) -> Force:
-    """Return a leapfrog step of almost no length: the velocities after it are the accelerations times its length."""
+    """Return a leapfrog step of almost no length, after which velocities are accelerations times that length."""
     simulation = rebound.Simulation()
     if method == "tree":
         simulation.root_size = 2.5 * float(np.abs(position).max())
@@ -126,7 +126,7 @@ def fmm3d_force(position: FloatArray, mass: FloatArray, tolerance: float) -> For
 
 
 def peer_force(peer: str, shape: str, position: FloatArray, mass: FloatArray) -> tuple[str, Force]:
-    """Return a peer as its users run it, and what that is."""
+    """Return a peer as its users run it, and a description of these settings."""
     if peer == "rebound":
         return "REBOUND, tree, 0.5", rebound_force(position, mass, "tree", 0.5)
     if peer == "fmm3d":
@@ -219,7 +219,7 @@ def compare_trees(
 def _compare_tree(
     method: str, shape: str, position: FloatArray, mass: FloatArray, errors: Errors, peer: str, rounds: int
 ) -> dict[str, Any]:
-    """Compare with a peer at its error; without one, take the error that is enough."""
+    """Compare with a peer at the peer's error; without a peer, use the error `ENOUGH`."""
     row: dict[str, Any] = {"method": method, "bodies": len(mass), "shape": shape}
     contenders: dict[str, Force] = {}
     limits = np.inf, ENOUGH

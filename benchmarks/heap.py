@@ -1,13 +1,13 @@
-"""A heap of spheres in a box, falling, settling and at rest, beside Box3D with four substeps.
+"""A heap of spheres in a box, falling, settling and at rest, in carom and in Box3D with four substeps.
 
     python benchmarks/heap.py [--bodies 1000 10000] [--threads 1 2] [--rounds 5] [--calm 20] [--only NAME ...] [--dry]
 
 Spheres of radius 0.1 m fall from a jittered lattice into a box that they fill to about its width; friction 0.5,
-restitution 0, 60 steps a second, sleep off in Box3D and in all but one of carom's runs. carom runs with its defaults,
-with the settings of `SETTINGS`, and `--only` names those to run. "Falling" is the first three seconds, "at rest" what
-follows `--calm` seconds. The engines take turns in one process. A step's time is the median of the rounds: CPU time of
-the process with one thread, wall time with more. Residual motion is the root mean square of the speeds at rest, most of
-it in spheres that roll; overlaps are the deepest that were seen, in radii.
+restitution 0, 60 steps a second, sleep off in Box3D and in all but one of carom's runs. carom runs with its defaults
+and with the settings of `SETTINGS`, of which `--only` selects some. "Falling" is the first three seconds, and "at rest"
+the time after `--calm` seconds. The engines take turns in one process. A step's time is the median of the rounds: CPU
+time of the process with one thread, wall time with more. Residual motion is the root mean square of the speeds at rest,
+mostly of rolling spheres. Overlaps are the deepest observed ones, in radii.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FloatArray = NDArray[np.float64]
 RADIUS, SPACING, FRICTION = 0.1, 2.4, 0.5  # m, radii, 1
 RATE, FALL, TURN = 60, 180, 10  # steps a second; steps; steps before the next engine's turn
 SUBSTEPS = 4  # of Box3D
-WARM_UP = 1000  # bodies of a heap that does not count
+WARM_UP = 1000  # bodies of a heap that loads the kernels and is not measured
 SETTINGS: dict[str, dict[str, Any]] = {  # sections [contact] of carom's runs
     "carom": {},
     "as needed": {"sweeps": "as-needed"},

@@ -1,13 +1,13 @@
-"""Wisdom–Holman integration beside REBOUND's: CPU time and error of whole runs, on one thread.
+"""Wisdom–Holman integration in carom and in REBOUND: CPU times and errors of whole runs, on one thread.
 
     python benchmarks/hierarchies.py [--repeats N] [--periods N] [--output FILE.json]
 
-All take the same scenes and run in turns. Times are medians of the CPU time over the repeats, without the start of the
-program. All steps are a twentieth of the shortest period, except that carom chooses its own in encounters. WHFast runs
-at its defaults, and at its fastest with a corrector of order 17. Errors are that of the energy, summed in extended
-precision, and the largest one of a position over its distance from the dominant body, from a run of ``gauss-radau15``.
-Of an encounter, the table has the largest and the median error of the energy in eight passages at 0.1 Hill radii from
-different sides.
+All integrators run the same scenes in turns. Times are medians of the CPU time over the repeats, without the start of
+the program. All steps are a twentieth of the shortest period, except that carom chooses its own in encounters. WHFast
+runs at its defaults, and at its fastest with a corrector of order 17. There are two errors: that of the energy, summed
+in extended precision, and the largest error of a position relative to a run of ``gauss-radau15``, over the distance
+from the dominant body. For an encounter, the table has the largest and the median error of the energy in eight passages
+at 0.1 Hill radii from different sides.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def encounter(mass: float, seed: int) -> Problem:
 
 
 def with_carom(integrator: str, *, own_step: bool = False, **keys: str) -> Solver:
-    """Return a solver by an integrator of carom, which may choose its step."""
+    """Return a solver that uses an integrator of carom, which may choose its step."""
 
     def solve(problem: Problem, dt: float) -> Run:
         steps = {} if own_step else {"fixed_dt": dt}
@@ -101,7 +101,7 @@ def with_carom(integrator: str, *, own_step: bool = False, **keys: str) -> Solve
 
 
 def with_rebound(integrator: str, **options: int) -> Solver:
-    """Return a solver by an integrator of REBOUND."""
+    """Return a solver that uses an integrator of REBOUND."""
 
     def solve(problem: Problem, dt: float) -> Run:
         simulation = rebound.Simulation()

@@ -1,9 +1,9 @@
-"""How soon `carom hunt` finds planted faults: writes results/hunt.json.
+"""Measures how soon `carom hunt` finds planted faults; writes results/hunt.json.
 
 python benchmarks/hunt.py [PART OF A NAME]      (some minutes; kernels must be compiled)
 
-Each fault gets 300 s of CPU time of one core. The scenes are those of one seed; what a sound engine breaks in them, if
-anything, does not count as a find.
+Each fault gets 300 s of CPU time of one core. All scenes have the same seed. Laws that they break without
+a fault, if any, do not count as finds.
 """
 
 from __future__ import annotations

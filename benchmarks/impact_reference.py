@@ -1,8 +1,8 @@
-"""Independent solutions of spheres that fly and bounce, to compare runs with; nothing of carom's physics is used.
+"""Independent solutions for spheres that fly and bounce, as references for runs; nothing of carom's physics is used.
 
-Where bodies do not pull each other, flights are parabolas and times of impact the roots of quadratics, in extended
-precision. Where they do, REBOUND's IAS15 takes the steps. Between its ends a step is a polynomial of degree five, on
-which the first pair that touches is found. The time of touching is then refined with IAS15 itself, from the beginning
+Where bodies do not attract each other, flights are parabolas and times of impact the roots of quadratics, in extended
+precision. Where they do, REBOUND's IAS15 takes the steps. A polynomial of degree five between the ends of each step
+serves to find the first pair that touches. The time of touching is then refined with IAS15 itself, from the beginning
 of the step. An impact follows Newton's restitution and Coulomb's friction at the one contact point.
 
 A solution ends where bounces become too short, because resting contacts are not impacts.
@@ -25,17 +25,19 @@ from carom.scene.start import half_spaces
 
 FloatArray = NDArray[Any]
 
-SHORTEST = 1e-9  # of the duration: flights between two bounces of the same pair; after a shorter one it rests
-WITHIN = np.linspace(0.0, 1.0, 33)  # parts of a step at which distances are looked at
+SHORTEST = (
+    1e-9  # of the duration: shortest flight between two bounces of a pair; after a shorter one, the pair is at rest
+)
+WITHIN = np.linspace(0.0, 1.0, 33)  # fractions of a step at which distances are examined
 TOUCHING = 1e-12  # of the sum of radii
 IMAGES = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)  # of a periodic box
-NEWTON = 6  # most refinements of a time of touching
+NEWTON = 6  # largest number of refinements of a time of touching
 FIRST_STEP = 1e-3  # of the duration, after an impact; IAS15 repeats it if it is too long
 
 
 @dataclass
 class Solution:
-    """Positions at the first of the given times, (K, n, 3) m, and why there are no more."""
+    """Positions at the given times up to its end, (K, n, 3) m, and the reason why it ended."""
 
     position: FloatArray
     ended: str = ""
@@ -43,7 +45,7 @@ class Solution:
 
 
 class Spheres:
-    """The spheres of a scene at its start, and what they bounce on; column n + p stands for half-space p."""
+    """The spheres of a scene at its start, and the half-spaces that they bounce on; column n + p is half-space p."""
 
     def __init__(self, scene: Scene, precision: type[Any]) -> None:
         state, planes = Space(scene, 1).state, half_spaces(scene)
@@ -92,12 +94,12 @@ class Spheres:
 
 
 def solve(scene: Scene, times: FloatArray, budget: float) -> Solution:
-    """Solve a scene from its start, at times in s, for at most so many seconds of computing.
+    """Solve a scene from its start, at times in s; ``budget`` limits the seconds of computing.
 
     Raises
     ------
     ValueError
-        If its bodies are fixed, damped, or pull each other in a uniform field or a periodic box.
+        If its bodies are fixed, damped, or attract each other in a uniform field or a periodic box.
     """
     pulled, bent = scene.gravity.constant > 0.0 and scene.gravity.method != "none", any(scene.gravity.uniform)
     periodic = scene.domain.boundary == "periodic"
@@ -123,11 +125,11 @@ class _Solver:
         return Solution(np.array(self.samples, dtype=float).reshape(shape), ended, self.impacts)
 
     def go(self) -> str:
-        """Go to the last time; say why it ended before, or nothing."""
+        """Advance to the last time; return the reason if it ended before, otherwise nothing."""
         raise NotImplementedError
 
     def strike(self, time: float, i: int, j: int) -> bool:
-        """Resolve an impact; tell whether it followed the last one of the pair too soon to be one."""
+        """Resolve an impact; return whether it followed the pair's last one so soon that the pair counts as resting."""
         soon = time - self.last.get((i, j), -np.inf) < self.shortest
         self.last[i, j] = time
         self.impacts.append(float(time))
@@ -140,7 +142,7 @@ class _Solver:
 
 
 class _Free(_Solver):
-    """Spheres that do not pull each other: parabolas, each since the last impact of its body."""
+    """Spheres that do not attract each other: each moves on a parabola from its last impact on."""
 
     precision = np.longdouble
 
@@ -177,7 +179,7 @@ class _Free(_Solver):
         self.time = time
 
     def foresee(self, due: FloatArray, i: int) -> None:
-        """Write when body i meets each other body and plane."""
+        """Write the times at which body i meets each other body and plane."""
         s = self.spheres
         nearest, w, R = s.x - s.x[i], s.v - s.v[i], s.radius + s.radius[i]
         if s.box is not None:
@@ -210,7 +212,7 @@ def _fall(height: Any, speed: Any, pull: Any) -> Any:
 
 
 class _Pulled(_Solver):
-    """Spheres that pull each other, by IAS15."""
+    """Spheres that attract each other, integrated by IAS15."""
 
     def go(self) -> str:
         s = self.spheres
@@ -252,7 +254,7 @@ class _Pulled(_Solver):
         return x, v
 
     def at(self, before: Any, time: float) -> tuple[FloatArray, FloatArray]:
-        """Return the state at a time within the step that begins with a simulation."""
+        """Return the state at a time within the step that begins at the state of a simulation."""
         if time <= before.t:
             return self.state(before)
         inner = before.copy()
@@ -274,7 +276,7 @@ class _Pulled(_Solver):
         end: tuple[FloatArray, FloatArray],
         pairs: tuple[NDArray[np.int64], NDArray[np.int64]],
     ) -> tuple[float, tuple[int, int]] | None:
-        """Return when within a step a pair touches first, as a time in s, and the pair."""
+        """Return the time (s) at which a pair first touches within a step, and the pair."""
         s = self.spheres
         way = _quintic(dt, *begin, self.pull(begin[0]), *end, self.pull(end[0]))  # (6, n, 3)
         reach = 2.0 * float(np.sqrt((np.abs(way[1:]).sum(0) ** 2).sum(1)).max())
@@ -329,14 +331,14 @@ class _Pulled(_Solver):
 def _quintic(
     dt: float, x: FloatArray, v: FloatArray, a: FloatArray, y: FloatArray, w: FloatArray, b: FloatArray
 ) -> FloatArray:
-    """Return the coefficients in h, (6, n, 3), of the polynomial with given positions, velocities and pulls."""
+    """Return the coefficients in h, (6, n, 3), of the polynomial with given positions, velocities and accelerations."""
     c0, c1, c2 = x, dt * v, 0.5 * dt * dt * a
     p, q, r = y - c0 - c1 - c2, dt * w - c1 - 2.0 * c2, dt * dt * b - 2.0 * c2
     return np.array([c0, c1, c2, 10 * p - 4 * q + 0.5 * r, -15 * p + 7 * q - r, 6 * p - 3 * q + 0.5 * r])
 
 
 def _root(path: FloatArray, touching: float, gap: FloatArray) -> float | None:
-    """Return the first part of the step at which a pair touches while it closes."""
+    """Return the first fraction of the step at which a pair touches while it closes."""
 
     def at(h: float) -> float:
         d = (h ** np.arange(6)) @ path
@@ -360,7 +362,7 @@ def _root(path: FloatArray, touching: float, gap: FloatArray) -> float | None:
 
 
 def _lowest(at: Any, a: float, b: float) -> float:
-    """Return where a function is least in an interval, by golden section."""
+    """Return the position of a function's minimum in an interval, by golden-section search."""
     golden = (5.0**0.5 - 1.0) / 2.0
     for _ in range(40):
         p, q = b - golden * (b - a), a + golden * (b - a)

@@ -1,12 +1,12 @@
-"""Measures whether individual time steps, in powers of two, would pay for a cluster with a tree.
+"""Measures whether individual time steps, in powers of two, would make the tree faster in a cluster.
 
     python benchmarks/individual_steps.py
 
-In Plummer spheres, each body gets the step that its own motion requires: a fraction of the shortest time of its pairs,
-as `carom.physics.step_rule` has it, and of its fall to the centre. With a shared step, all take the shortest one. With
-individual ones, a body is advanced at its own power of two, but the tree is built anew and all bodies are predicted at
-every shortest step. The tree walks for groups of neighbours at once, so a group is walked whenever one of its bodies is
-due. The times of building, walking and predicting are measured, on one thread.
+In Plummer spheres, each body gets the step that its own motion requires: a fraction of the shortest time of its pairs
+(see `carom.physics.step_rule`) or of its fall to the centre. With a shared step, all bodies take the shortest one. With
+individual steps, a body is advanced at its own power of two, but each shortest step builds the tree anew and predicts
+the positions of all bodies. Groups of neighbours share a walk, so a group walks whenever one of its bodies is due. The
+times of building, walking and predicting are measured, on one thread.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def required(x: FloatArray, v: FloatArray, softening: float) -> FloatArray:
 
 
 def seconds(act: Callable[[], object]) -> float:
-    """Return the least CPU time of an act in s."""
+    """Return the least CPU time of a call in s."""
     spent = []
     for _ in range(9):
         began = time.process_time()

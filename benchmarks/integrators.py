@@ -1,10 +1,10 @@
-"""Where a fourth-order integrator is worth its three forces a step: clusters of few bodies that cannot touch.
+"""Where a fourth-order integrator is worth its three sums of forces a step: clusters of few bodies that cannot touch.
 
 python benchmarks/integrators.py                        prints the table of docs/trade.md
 
-Yoshida's method with some multiples of leapfrog's step is held against leapfrog with that step itself: errors of the
-positions against the exact course, force sums as the cost, both as the median of the ratios over clusters. Nothing is
-timed, so that the table is the same on any machine.
+Yoshida's method with multiples of leapfrog's step is compared with leapfrog. Errors are those of the positions,
+relative to the exact motion; the cost is the number of force sums. Both are medians of the ratios over clusters.
+Nothing is timed, so the table is the same on any machine.
 """
 
 from __future__ import annotations
@@ -48,14 +48,14 @@ def with_step(scene: Scene, integrator: str, factor: float) -> Scene:
 
 
 def measure(scene: Scene, exact: Trajectory, integrator: str, factor: float) -> tuple[float, float, float]:
-    """Return rms error of the positions over the size, largest of the energy, and force sums."""
+    """Return the rms error of the positions over the size, the largest energy error, and the number of force sums."""
     run = follow(Space(with_step(scene, integrator, factor), 1), sample_times(scene))
     apart, _ = scale_of(scene, exact).apart(run, exact)
     return float(np.sqrt(np.mean(apart**2))), run.energy_error, float(run.steps * INTEGRATORS[integrator].force_sums)
 
 
 def ratios(count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return leapfrog's errors and sums, (3,), and Yoshida's over them, (steps, 3): medians over the clusters."""
+    """Return medians over the clusters: leapfrog's errors and sums, (3,), and Yoshida's over these, (steps, 3)."""
     own, fourth = [], []
     for seed in SEEDS:
         scene = cluster(count, seed)

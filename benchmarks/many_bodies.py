@@ -1,11 +1,11 @@
-"""Time and memory of runs of 10² to 10⁷ bodies that pull each other by the tree, every frame recorded.
+"""Time and memory of runs of 10² to 10⁷ bodies with gravity by the tree, with every frame recorded.
 
     python benchmarks/many_bodies.py [--bodies N ...] [--method tree] [--most GIGABYTES]
 
-A ball of points at rest, given as arrays, without contacts: a frame has positions only, and a checkpoint velocities and
-accelerations, too. Each size has a process of its own. CPU time is that of the whole process, with the recorder and
-helper threads. Peak memory is the largest resident set, all libraries included; a process that needs more than
-`--most` GB is killed.
+A ball of points at rest, given as arrays, without contacts: a frame has positions only, and a checkpoint also
+velocities and accelerations. Each size has a process of its own. CPU time is that of the whole process, with the
+recorder and helper threads. Peak memory is the largest resident set, all libraries included; a process that needs more
+than `--most` GB is killed.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STEPS_OF_ALL = 3_000_000  # bodies times steps, but at least `FEWEST` steps and 
 FEWEST, MOST = 3, 300
 DT = 0.01  # s
 LIMIT = 16.0  # GB
-LOOK = 0.05  # s, between two looks at the memory
+LOOK = 0.05  # s, between two measurements of the memory
 
 
 def scene(n: int, method: str, steps: int) -> Scene:
@@ -51,7 +51,7 @@ def scene(n: int, method: str, steps: int) -> Scene:
 
 
 def measure(n: int, method: str) -> dict[str, Any]:
-    """Run in this process; return what it took."""
+    """Run in this process; return its time and memory."""
     steps = max(FEWEST, min(MOST, STEPS_OF_ALL // n))
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "run.rrd"
@@ -72,7 +72,7 @@ def measure(n: int, method: str) -> dict[str, Any]:
 
 
 def measure_apart(n: int, method: str, most: float) -> dict[str, Any]:
-    """Run in a process of its own, and kill it if it takes more than this many GB."""
+    """Run in a process of its own, which is killed if it takes more than ``most`` GB."""
     command = [sys.executable, __file__, "--one", str(n), "--method", method]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     while child.poll() is None:

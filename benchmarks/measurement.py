@@ -1,4 +1,4 @@
-"""What benchmarks share: interleaved rounds, the machine they ran on, and a file for the numbers."""
+"""Common parts of the benchmarks: interleaved rounds, a description of the machine, and files for the results."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from carom.physics.jit import cores
 from carom.runs.environment import environment
 
 RESULTS = Path(__file__).parent / "results"
-clock = time.perf_counter  # of `medians`; the gate sets that of CPU time, since it compares one thread with one
+clock = time.perf_counter  # used by `medians`; the gate replaces it by CPU time, since it compares single threads
 
 
 def medians(
@@ -23,8 +23,8 @@ def medians(
 ) -> dict[str, float]:
     """Return the median seconds of each contender, called in turn, round after round.
 
-    So many ``cold`` rounds before, in which kernels and caches warm up, do not count. Another process or a hot
-    processor slows all alike. After ``budget`` seconds no further round begins.
+    The first ``cold`` rounds, in which kernels and caches warm up, do not count. Another process or a hot processor
+    slows all contenders equally. After ``budget`` seconds no further round begins.
     """
     spent: dict[str, list[float]] = {name: [] for name in contenders}
     began = time.perf_counter()
@@ -40,20 +40,20 @@ def medians(
 
 
 def forget_peak() -> None:
-    """Begin anew to note the most memory that this process has; Linux only."""
+    """Reset the peak memory of this process; Linux only."""
     Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def peak_megabytes() -> int:
-    """Return the most memory that this process has had since then, in MB."""
+    """Return the peak memory of this process since the last reset, in MB."""
     status = Path("/proc/self/status").read_text(encoding="utf-8")
     return int(status.partition("VmHWM:")[2].split()[0]) // 1024
 
 
 def merge(name: str, results: dict[str, list[dict[str, Any]]], *peers: str) -> Path:
-    """Save rows beside those that are there already: a row takes the place of the one that tells of the same things.
+    """Add rows to a file of results; a row replaces the row of the same case.
 
-    What a row tells of are its words and whole numbers; what was measured are all the others.
+    The texts and whole numbers of a row identify its case; all other values are measurements.
     """
     path = RESULTS / f"{name}.json"
     known: dict[str, Any] = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
@@ -69,7 +69,7 @@ def _subject(row: dict[str, Any]) -> tuple[tuple[str, str | int], ...]:
 
 
 def save(name: str, results: dict[str, Any], *peers: str) -> Path:
-    """Write results with the machine and the versions, those of the peers, too."""
+    """Write results with a description of the machine, and the versions of carom and its peers."""
     about = {key: value for key, value in environment(cores()).items() if key != "command"}
     about["cores"] = about.pop("threads")
     about |= {f"version.{peer}": importlib.metadata.version(peer) for peer in peers}

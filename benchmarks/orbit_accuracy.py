@@ -1,10 +1,10 @@
-"""Measures whether many orbits keep the accuracy that they were asked for, by Kepler's equation.
+"""Measures whether many orbits keep the requested accuracy, by Kepler's equation.
 
     python benchmarks/orbit_accuracy.py --json results/orbit_accuracy.json     # a quarter of an hour
     python benchmarks/orbit_accuracy.py --periods 10,100 --requests 1e-4,1e-8
 
 Two bodies of equal mass go around each other with gauss-radau15, on one thread, from the apocentre on. The error is the
-largest rms distance from the solution over the size of the system, at 41 times up to the horizon that the run names.
+largest rms distance from the solution over the size of the system, at 41 times up to the horizon that the run states.
 """
 
 from __future__ import annotations

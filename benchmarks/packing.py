@@ -1,9 +1,9 @@
-"""Dense random packings: how long `arrangement = "compressed"` takes, and what it makes.
+"""Dense random packings: the time of `arrangement = "compressed"`, and the properties of its packings.
 
     python benchmarks/packing.py [--bodies N ...] [--packing P ...]
 
 Equal spheres of radius 1 m in a periodic box. Times are CPU seconds with warm kernels, the random start included.
-`near` is the mean number of neighbours nearer than 1.01 diameters; `overlap` is the deepest one over the radius.
+`near` is the mean number of neighbours nearer than 1.01 diameters; `overlap` is the deepest overlap over the radius.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SIZES, PACKINGS = [1000, 10_000, 100_000], [0.3, 0.4, 0.5, 0.6]
 
 
 def measured(n: int, packing: float) -> dict[str, Any]:
-    """Place spheres twice, and measure what was made."""
+    """Place spheres twice, and measure the packing."""
     side = float(np.cbrt(n * 4.0 / 3.0 * math.pi / packing))
     scene = Scene.from_dict(
         {

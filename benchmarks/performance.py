@@ -18,7 +18,7 @@ BOUND = 2.69e9  # pairs/s: one square root and one division each, on a core of t
 
 
 def results(name: str) -> dict[str, Any]:
-    """Read what a benchmark saved."""
+    """Read the results that a benchmark saved."""
     found: dict[str, Any] = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
     return found
 

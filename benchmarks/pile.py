@@ -1,10 +1,10 @@
-"""How still a pile lies, and what it costs: the `lasting` solver beside the `staged` one.
+"""The residual motion of a pile and its cost, with the `lasting` and the `staged` solver.
 
 python benchmarks/pile.py
 
 Writes benchmarks/results/pile.json: the table of docs/physics.md, section 9. The scene is extremes/pile-1000 with a
-coarser step. One thread; every contender runs once, a minute or two in all: what counts are the digits, the times are
-good for a ratio.
+coarser step. Every contender runs once on one thread, a minute or two in all. The digits of the residual motion are
+the result; the times are accurate enough for a ratio.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CONTENDERS = (("staged", 8), ("staged", 100), ("lasting", 2), ("lasting", 8), ("
 
 
 def settle(solver: str, sweeps: int) -> dict[str, Any]:
-    """Let the pile fall and lie; say how still it is at the end."""
+    """Let the pile fall and come to rest; return its residual motion."""
     changes = ["time.cfl=0.05", "record.every=1000", f'contact.solver="{solver}"', f"contact.sweeps={sweeps}"]
     scene = Scene.load(extreme_scenes()["extremes/pile-1000"], changes)
     space = Space(scene, threads=1)

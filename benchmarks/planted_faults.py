@@ -1,7 +1,7 @@
 """Faults planted in the engine while a context lasts, each in a scene of 200 to 500 bodies that shows it.
 
-Compiled kernels cannot be patched, so a fault replaces the Python that calls them, or spoils what they wrote. A few
-bodies take many steps in one kernel, which would leave out such a fault; every fault switches that off.
+Compiled kernels cannot be patched, so a fault replaces the Python that calls them, or falsifies their results. Few
+bodies take many steps in one kernel, which would skip such a fault, so every fault switches that kernel off.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from carom.physics.integrators import kick_drift
 from carom.physics.step import KickDriftStepper
 
 Document = dict[str, Any]
-Plant = Callable[[], dict[Any, dict[str, Any]]]  # what to replace: attributes of classes and modules
+Plant = Callable[[], dict[Any, dict[str, Any]]]  # returns the replacements: attributes of classes and modules
 
 GAS: Document = {  # 300 spheres that spin and bounce in a periodic box
     "title": "Gas",
@@ -53,7 +53,7 @@ PILE: Document = {  # 250 balls of two sizes that fall onto a floor between wall
     "domain": {"boundary": "walls", "size": [6.5, 6.5, 10]},
     "time": {"duration": 1.0},
 }
-CLOUD: Document = {  # 200 boulders that pull each other together
+CLOUD: Document = {  # 200 boulders that collapse under their gravity
     "title": "Cloud",
     "group": [
         {"count": 200, "radius": 1.0, "mass": 1.0, "region": {"radius": 10}, "velocity": {"dispersion": 0.3}},
@@ -74,7 +74,7 @@ ERROR = "PhysicsError"
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A fault: what it is called, the scene and the condition that show it, and what it replaces."""
+    """A fault: its name, the scene and the condition that show it, and its replacements."""
 
     name: str
     scene: Document
@@ -83,7 +83,7 @@ class Fault:
 
     @contextmanager
     def planted(self) -> Iterator[None]:
-        """Have the fault in this process."""
+        """Plant the fault in this process while the context lasts."""
         with ExitStack() as stack:
             slow = {KickDriftStepper: {"advance": lambda self, goal, checked: self._advance_once(goal, checked)}}
             for place, names in (slow | self.plant()).items():
@@ -93,13 +93,13 @@ class Fault:
 
 
 def _ledger(change: Callable[[np.ndarray], np.ndarray]) -> Plant:
-    """Change what contacts report, (m, 3) J: restitution, friction, stabilisation."""
+    """Change the ledger of contacts, (m, 3) J: restitution, friction, stabilisation."""
     book = BalanceAudit.book
     return lambda: {BalanceAudit: {"book": lambda self, work: book(self, change(np.array(work)))}}
 
 
 def _resolve(spoil: Callable[[Bodies, np.ndarray, np.ndarray, np.ndarray], None]) -> Plant:
-    """Spoil velocities after contacts were resolved, given the bodies, the pairs, and velocities and spins before."""
+    """Falsify velocities after contacts were resolved, given bodies, pairs, and velocities and spins before."""
     resolve, drift = ContactPipeline.resolve, EventDrivenDrift._resolve
 
     def resolved(self: Any, *given: Any) -> None:
@@ -187,7 +187,7 @@ def _not_the_last(self: Any, position: np.ndarray, pairs: np.ndarray) -> np.ndar
 
 
 def _after(name: str, spoil: Callable[[np.ndarray, np.ndarray, float], None]) -> Plant:
-    """Spoil what a kick or a drift has changed, from the change a second and dt."""
+    """Falsify the result of a kick or a drift, given its rate of change and dt."""
     right = getattr(kick_drift, name)
 
     def spoilt(changed: np.ndarray, rate: np.ndarray, dt: float, *given: Any) -> None:
@@ -281,7 +281,7 @@ def _lost_impact() -> dict[Any, dict[str, Any]]:
 
 
 def _push(spoil: Callable[[Bodies, np.ndarray], None]) -> Plant:
-    """Spoil positions after overlaps were corrected, given the bodies and the positions before."""
+    """Falsify positions after overlaps were corrected, given the bodies and the positions before."""
     correct = ContactSolver.correct_positions
 
     def spoilt(self: Any, most: int) -> None:

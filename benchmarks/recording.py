@@ -1,12 +1,12 @@
-"""What recording every step costs: runs with a recording beside the same runs without one.
+"""The cost of recording every step: runs with a recording compared with the same runs without one.
 
     python benchmarks/recording.py            # all scenes, 7 rounds
     python benchmarks/recording.py --rounds 15 marbles-in-a-box
     python benchmarks/recording.py --details  # what exact states take, and memory
 
-Rounds are interleaved and medians compared. "Only steps" has no frames. "Frames for nobody" hands out every frame, with
-its energy, momentum and fingerprint. CPU time is that of the physics thread, of the recorder's Python and of all other
-threads; it says where the time goes even on a busy machine, where wall time does not.
+Rounds are interleaved and medians compared. "Only steps" makes no frames. "Frames for nobody" makes every frame, with
+its energy, momentum and fingerprint, but does not record it. CPU time is that of the physics thread, of the recorder's
+Python and of all other threads; it shows where the time goes even on a busy machine, where wall time is misleading.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ VARIANTS = ("only steps", "frames for nobody", 'impacts = "none"', 'impacts = "a
 
 @dataclass(frozen=True)
 class Taken:
-    """What one run took, in s."""
+    """The times of one run, in s."""
 
     wall: float
     physics: float  # CPU of the thread that steps
@@ -64,7 +64,7 @@ def scene(name: str, impacts: str) -> Scene:
 
 @contextmanager
 def timed_threads() -> Iterator[dict[str, float]]:
-    """Note the CPU time of the physics thread and of the recorder's."""
+    """Measure the CPU times of the physics thread and of the recorder's thread."""
     spent = {"physics": 0.0, "recorder": 0.0}
 
     def timed(part: str, function: Callable[..., Any]) -> Callable[..., Any]:
@@ -83,7 +83,7 @@ def timed_threads() -> Iterator[dict[str, float]]:
 
 
 def measure(name: str, variant: str, path: Path) -> tuple[Taken, int]:
-    """Run a scene in one variant; return what it took, and its steps."""
+    """Run a scene in one variant; return its times and its number of steps."""
     space = recording_space(scene(name, "none" if "auto" not in variant else "auto"))
     with timed_threads() as spent:
         began, cpu, own = time.perf_counter(), _cpu(), time.thread_time()
@@ -104,13 +104,13 @@ def _cpu() -> float:
 
 
 def only_steps(space: Space) -> None:
-    """Step as often, with no energies but the regular checks."""
+    """Take the same steps, with no energies except those of the regular checks."""
     while space.time < space.scene.time.duration:
         space.compute_dynamics(space.step + 1)
 
 
 def frames_for_nobody(space: Space) -> None:
-    """Hand out every frame."""
+    """Make every frame, without recording it."""
     for _ in space.run():
         pass
 
@@ -147,7 +147,7 @@ def recorded(space: Space, folder: str) -> tuple[float, Outcome]:
 
 
 def recorded_without_exact_states(space: Space, folder: str) -> float:
-    """Record without fingerprints and checkpoints: such a file would be looked at, but not replayed."""
+    """Record without fingerprints and checkpoints; such a file could be viewed, but not replayed."""
     nothing = mock.patch("carom.physics.frame.fingerprint_of", lambda time, arrays: 0)
     never: Any = mock.patch("carom.recording.write.recorder.CheckpointPlan.chosen", lambda plan, batch: [])
     with nothing, never:
@@ -155,7 +155,7 @@ def recorded_without_exact_states(space: Space, folder: str) -> float:
 
 
 def details(rounds: int) -> None:
-    """Say what exact states take of a recording with 1000 bodies, the size of its file, and memory."""
+    """Print the cost of exact states in a recording of 1000 bodies, the size of its file, and the memory."""
     whole, bare = [], []
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(rounds):
@@ -168,7 +168,7 @@ def details(rounds: int) -> None:
 
 
 def peak_memory(duration: float) -> float:
-    """Peak resident memory in MB of a process that records so long a run."""
+    """Return the peak resident memory in MB of a process that records a run of this duration."""
     code = f"import recording; recording.record_once({duration})"
     here = Path(__file__).parent
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=here)

@@ -1,11 +1,11 @@
-"""What spin costs where nothing needs it: a frictionless scene beside carom with every line of spin deleted by hand.
+"""The cost of spin where nothing needs it: a frictionless scene, in carom and in a copy without any code for spin.
 
     python benchmarks/requirements.py [--rounds 12]
 
-The hand is a program: it copies the package and takes out of the kernels of the contacts whatever asks whether bodies
-spin, and what they do if so. Contenders run in processes of their own, in turns, all through the same steps of the same
-scene; their states must be the same, bit for bit. Two scenes: elastic spheres in a periodic box, filled to 0.3, all of
-whose contacts are impacts; and spheres that fall on a floor between walls and come to rest on each other.
+A program makes the copy: from the kernels of the contacts, it removes every test of whether bodies spin, and the code
+that runs if they do. Contenders run in processes of their own, in turns, through the same steps of the same scene.
+Their states must be equal, bit for bit. Two scenes: elastic spheres in a periodic box, filled to 0.3, all of whose
+contacts are impacts; and spheres that fall on a floor between walls and come to rest on each other.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ import carom
 from measurement import save
 
 STEPS = 50  # a round
-BODIES = 12  # to a side of the heap; 16 of the gas
+BODIES = 12  # along a side of the heap; 16 along a side of the gas
 
 WORKER = """
 import json, sys, time
@@ -80,7 +80,7 @@ def scenes() -> dict[str, dict[str, Any]]:
 
 
 class _NoSpin(ast.NodeTransformer):
-    """Deletes what kernels do if bodies spin, and the question whether they do."""
+    """Deletes the code that kernels run if bodies spin, and the test of whether they do."""
 
     def visit_Assign(self, node: ast.Assign) -> ast.AST | None:
         if isinstance(node.targets[0], ast.Name) and node.targets[0].id == "spins":
@@ -124,7 +124,7 @@ def without_spin(folder: Path) -> Path:
 
 
 class Contender:
-    """A process that steps a scene when it is told to."""
+    """A process that steps a scene on request."""
 
     def __init__(self, scene: dict[str, Any], source: Path | None = None) -> None:
         paths = [] if source is None else [str(source)]
@@ -135,7 +135,7 @@ class Contender:
         self._say(json.dumps(scene))
 
     def step(self, count: int) -> tuple[float, int, int]:
-        """Do so many steps; return the seconds, a hash of positions and velocities, and the number of contacts."""
+        """Take ``count`` steps; return the seconds, a hash of positions and velocities, and the number of contacts."""
         self._say(str(count))
         assert self._process.stdout is not None
         seconds, bits, contacts = json.loads(self._process.stdout.readline())

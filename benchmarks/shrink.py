@@ -1,4 +1,4 @@
-"""How small `carom shrink` makes scenes with planted faults, and in what time: writes results/shrink.json.
+"""Measures how small `carom shrink` makes scenes with planted faults, and its time; writes results/shrink.json.
 
 python benchmarks/shrink.py [PART OF A NAME]      (some minutes; kernels must be compiled)
 """
@@ -56,7 +56,7 @@ def measured(fault: Fault) -> dict[str, Any]:
 
 
 def shows_without(fault: Fault, document: dict[str, Any]) -> bool:
-    """Tell whether a reduced scene fails without the fault, too."""
+    """Return whether a reduced scene also fails without the fault."""
     try:
         Reducer(condition_from(fault.condition), inf).reduce(Scene.from_dict(document))
     except ExperimentError:

@@ -1,11 +1,12 @@
-"""The memory of a run of hours or days: how it grows with what is recorded, and with the messages in the file.
+"""The memory of a run of hours or days, and its growth with the recorded time and the messages in the file.
 
     python benchmarks/soak.py                      # 5 minutes that stand for 100
     python benchmarks/soak.py --minutes 30 --faster 40
     python benchmarks/soak.py --apart              # batches are never joined, as in versions before 26 November 2026
 
-A gas of 20 bodies is recorded at 10 frames a second. Everything goes faster by a factor, the batches too: a second of
-the recorder lasts 1/20 s. Memory is that of the whole process, which also holds the physics and the compiled kernels.
+A gas of 20 bodies is recorded at 10 frames a second. Everything is faster by a factor, including the batches: a second
+of the recorder lasts 1/20 s. Memory is that of the whole process, which also holds the physics and the compiled
+kernels.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ SCENE: dict[str, Any] = {
 
 
 class Sample(NamedTuple):
-    """How far a recording has got."""
+    """The state of a recording at one moment."""
 
     hours: float  # of the run that it stands for
     frames: int
@@ -60,7 +61,7 @@ def memory() -> float:
 
 
 def soak(path: Path, minutes: float, faster: float, apart: bool) -> list[Sample]:
-    """Record for so long, and print and return samples."""
+    """Record for some minutes; print and return samples."""
     space = recording_space(Scene.from_dict(SCENE), 1)
     found = list[Sample]()
     with ExitStack() as stack:

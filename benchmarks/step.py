@@ -1,14 +1,14 @@
-"""A whole step of colliding spheres beside REBOUND's and MuJoCo's, and how carom's grows from 10⁴ to 10⁶ bodies.
+"""The time of a whole step of colliding spheres in carom, REBOUND and MuJoCo, and its growth from 10⁴ to 10⁶ bodies.
 
     python benchmarks/step.py [--only peers|scaling|gravity] [--bodies 1000 4000 ...] [--rounds 7]
 
 Elastic spheres of radius 1 m with 1 m/s, in a cube of disordered lattice sites filled to 0.3, steps of 0.02 s, no
-gravity, impacts at the end of the step. What differs: REBOUND ("hardsphere", search by tree or direct, leapfrog) has
-neither spin nor friction, is compared in open space, where the crowd expands slowly, and resolves each pair once a
-step; carom sweeps until nothing closes. MuJoCo has springs instead of impulses, so that a collision is a contact for
-some steps, is compared within walls and solves for all contacts at once (CG). carom has no friction beside REBOUND and
-friction 0.5 beside MuJoCo. Contacts are those of the last step. `gravity` lets the crowd pull itself together, by the
-tree and with lasting contacts.
+gravity, impacts at the end of the step. The engines differ. REBOUND ("hardsphere", search by tree or direct, leapfrog)
+has neither spin nor friction, and resolves each pair once a step; carom sweeps until nothing closes. They are compared
+in open space, where the crowd expands slowly. MuJoCo has springs instead of impulses, so that a collision is a contact
+for some steps, and solves for all contacts at once (CG). It is compared within walls. carom has no friction beside
+REBOUND and friction 0.5 beside MuJoCo. Contacts are those of the last step. With `gravity`, the crowd contracts by its
+own gravity (tree, lasting contacts).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from measurement import forget_peak, medians, peak_megabytes, save
 FloatArray = NDArray[np.float64]
 
 SPACING, DT, STEPS = 2.4, 0.02, 20  # lattice sites a side apart: a filling of 0.30
-LATE = {"timing": "end-of-step"}  # as the peers do; by itself carom takes times of impact where nothing presses
+LATE = {"timing": "end-of-step"}  # as the peers do; by default carom uses times of impact
 PULL = 1e-3  # m³ kg⁻¹ s⁻²: a free fall of the crowd takes a minute
 SOFT = 2.0e3  # N/m for each kg, MuJoCo's springs: a collision takes some four steps
 
@@ -160,7 +160,7 @@ def measure_scaling(sizes: list[int], rounds: int, constant: float = 0.0) -> dic
 
 
 def bare_loop(threads: int) -> Callable[[], object]:
-    """Return a loop that needs nothing but cores: what two threads gain at all while this is measured."""
+    """Return a loop that needs nothing but cores; its gain from two threads is the largest possible one at present."""
     team, x = Team(threads), np.ones(500_000)
     return lambda: team.divide(len(x), 10_000, _roots, x)
 

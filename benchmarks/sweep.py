@@ -1,11 +1,11 @@
-"""How much a second worker gives, and what a run of a sweep costs besides itself.
+"""The gain from a second worker, and the overhead of a run of a sweep.
 
 python benchmarks/sweep.py [--runs 201]
 
-Writes benchmarks/results/sweep.json. The runs are made in rounds, by one worker and by two in
-turn, so that whatever else the machine does falls on both; what counts is the median. The time of a sweep is from the
-first run of each worker to the end of the last run: starting the workers is told on its own. What a run costs besides
-itself is its share of that time less its own wall time.
+Writes benchmarks/results/sweep.json. Rounds with one worker and with two alternate, so that
+other work on the machine slows both; the median counts. The time of a sweep is from the first run of each worker to the
+end of the last run; the start of the workers is reported separately. The overhead of a run is its share of that time
+minus its own wall time.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ spin = { dispersion = 1.0 }
 
 
 class Times:
-    """When each run ended."""
+    """The times at which the runs ended."""
 
     def __init__(self) -> None:
         self.ends: list[float] = []

@@ -3,7 +3,7 @@
     python benchmarks/trade_figures.py              from benchmarks/results/trade/*.json into docs/
     python benchmarks/trade_figures.py FOLDER…      first takes the tradeoff.json of each folder, by its name
 
-A table has the scene as written and all settings that are on the front of position or energy, or may be. It replaces
+A table has the scene as written, and all settings that are or may be on the front of position or energy. It replaces
 the one between the comments `<!-- table: NAME -->` and `<!-- end -->`.
 """
 
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def table(document: dict[str, Any]) -> str:
-    """Return the table of a study, cheapest first, and below it what holds for all of its rows."""
+    """Return the table of a study, the cheapest setting first, and a note on all of its rows."""
     measured = [entry for entry in document["settings"] if entry["status"] == "measured" and entry["cost"]]
     shown = [entry for entry in measured if entry["name"] == "as written" or any(map(entry["marks"].get, FRONTS))]
     rows = [f"| setting | cost, s | steps | {' | '.join(ERRORS.values())} |", "|---" * (3 + len(ERRORS)) + "|"]
@@ -64,7 +64,7 @@ def _error(entry: dict[str, Any], error: str) -> str:
 
 
 def _below(document: dict[str, Any], hidden: int) -> str:
-    """Say what is not in the table, how sure the reference is, and how noisy the costs are."""
+    """Describe the omitted settings, the uncertainty of the reference, and the noise of the costs."""
     reference, load = document["reference"], document.get("load", 0.0)
     ended = [f"{e['name']} {e['reason']}" for e in document["settings"] if e["status"] in ("stopped", "failed")]
     horizon, end = (SI.text(reference[key], TIME) for key in ("horizon", "duration"))

@@ -1,4 +1,4 @@
-"""What docs/validation.md says, measured: prints its numbers and draws its figures into docs/.
+"""Measures the numbers of docs/validation.md and prints them; draws its figures into docs/.
 
 PYTHONPATH=tests python benchmarks/validation.py      (needs the extra "plot"; some minutes)
 """
@@ -157,7 +157,7 @@ def packings() -> None:
     frictions = (0.0, 0.03, 0.1, 0.3, 1.0, 10.0)
     filled, touching = [], []
     for friction in frictions:
-        smooth = friction == 0.0  # slow to find its place: nothing holds it but the last contact that it needs
+        smooth = friction == 0.0  # slow to settle: nothing holds it except the last contact that it needs
         space = pour(
             2000, 12.0, friction, settling=0.5 if smooth else 0.2, until=110.0, sweeps=30 if smooth else 8, seed=1
         )

@@ -372,7 +372,7 @@ def _field_of_the_earth(scene: Scene) -> list[str]:
 
 
 def _default_radius(scene: Scene) -> list[str]:
-    """Return a sentence about the first body that its mass and the default radius make lighter than any solid."""
+    """Return a sentence about the first body whose mass gives, with the default radius, a density below any solid's."""
     light = [
         (number, density)
         for number, body in enumerate(scene.body)

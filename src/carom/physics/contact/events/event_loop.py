@@ -379,8 +379,9 @@ def collide(i: int, j: int, entry: ImpactRecord, T: Trajectories) -> None:
 def _landing_velocity(i: int, j: int, nx: float, ny: float, nz: float, an: float, T: Trajectories) -> float:
     """Return the normal velocity at which two bodies must separate to touch again only at the end of the drift.
 
-    In m/s, for a relative acceleration an in m/s² that presses them together; -infinity if it does not. Bodies that
-    separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until then.
+    The result is in m/s, for a relative acceleration an in m/s²; -infinity unless an presses them together.
+    Bodies that separate more slowly would overlap at the end: the force keeps acting, and nothing holds them until
+    then.
     """
     if not an < 0.0:
         return -np.inf
