@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 
 import carom
+from carom.lab.why.history import question_of
+from carom.lab.why.why import why
 from carom.recording.layout.canvas import Area
 from carom.recording.read.moment import frame_of
 from carom.recording.read.recorded_contacts import rows_of_engine
@@ -216,3 +218,72 @@ def test_invalid_contacts_are_noted_and_their_frame_has_the_pairs_that_touch(
     recording = Recording.open(tmp_path / "run.rrd")
     forces = [recording.contacts(0.1 * step)["normal_force"][0].as_py() for step in range(1, 5)]
     assert recording.frames == 5 and forces == pytest.approx([3.0, 0.0, 3.0, 3.0], rel=1e-6)
+
+
+def rest_in_box3d(path: Path) -> float:
+    robox3d = pytest.importorskip("robox3d")
+    world = robox3d.World(gravity=tuple(G), substeps=4)
+    world.create_body(position=(0.0, 0.0, -1.0), kind="static").add_box((5.0, 5.0, 1.0))
+    for place in (0.1, 0.4):
+        ball = world.create_body(position=(10.0 * place, 0.0, place), kind="dynamic")
+        ball.add_sphere(0.1, density=1.0 / (4.0 / 3.0 * np.pi * 1e-3), restitution=0.0)
+    floor = carom.record.Plane((0.0, 0.0, 1.0), 0.0, "floor")
+    with carom.record.Recorder(carom.record.box3d(world, (floor,), contacts=True), path) as recorder:
+        for _ in range(300):
+            world.step(0.002)
+            recorder.frame()
+    assert recorder.problems == []
+    return 1e-6  # in single precision
+
+
+def rest_in_newton(path: Path) -> float:
+    import newton
+    import warp
+
+    dt = 0.002
+    config = newton.ModelBuilder.ShapeConfig(density=0.0)
+    builder = newton.ModelBuilder(gravity=tuple(G))
+    for place in (0.1, 0.4):
+        at, tensor = (
+            warp.transform((10.0 * place, 0.0, place), warp.quat_identity()),
+            warp.mat33(np.diag(np.full(3, 0.004))),
+        )
+        ball = builder.add_body(xform=at, mass=1.0, inertia=tensor, lock_inertia=True)
+        builder.add_shape_sphere(ball, radius=0.1, cfg=config)
+    builder.add_shape_plane(plane=(0.0, 0.0, 1.0, 0.0), width=0.0, length=0.0, cfg=config)
+    model = builder.finalize(device="cpu")
+    solver, pipeline = newton.solvers.SolverXPBD(model, iterations=8), newton.CollisionPipeline(model)
+    contacts, states, control, steps = pipeline.contacts(), [model.state(), model.state()], model.control(), 0
+    observables = solver.observables({"contact_f"}, contacts=contacts)
+    source = carom.record.newton(model, lambda: (states[0], steps * dt), (contacts, observables.contact_f))
+    with carom.record.Recorder(source, path) as recorder:
+        for steps in range(1, 301):  # noqa: B007 - the source reads it
+            states[0].clear_forces()
+            pipeline.collide(states[0], contacts)
+            solver.step(states[0], states[1], control, contacts, dt, observables=observables)
+            states.reverse()
+            recorder.frame()
+    assert recorder.problems == []
+    return 2.0 * 0.1 * 2.0**-24 / dt**2 / 9.81  # it moves positions of 0.1 m, rounded to single precision
+
+
+@pytest.mark.parametrize(
+    "rest",
+    [
+        pytest.param(rest_in_box3d, id="box3d"),
+        # Warp compiles its kernels for half a minute, once on a machine
+        pytest.param(rest_in_newton, marks=[pytest.mark.needs("newton"), pytest.mark.slow], id="newton"),
+    ],
+)
+def test_a_floor_holds_a_ball_by_its_weight_and_has_stopped_one_that_fell(
+    rest: Callable[[Path], float], tmp_path: Path
+) -> None:
+    rounding = rest(tmp_path / "run.rrd")
+    recording = Recording.open(tmp_path / "run.rrd")
+    for row, ball in zip(recording.contacts(0.6).to_pylist(), (0, 1), strict=True):
+        assert (row["i"], row["j"], row["nz"]) == (ball, 2, -1.0)
+        assert row["normal_force"] == pytest.approx(9.81, rel=rounding)
+        assert [row["x"], row["z"]] == pytest.approx([1.0 + 3.0 * ball, 0.0], abs=0.01)  # Box3D removes overlaps slowly
+    # the ball rests at the end, so that the floor gave what its weight had; Box3D counts a substep of an impact twice
+    (account,) = why(recording, question_of(recording, "1", None, None)).accounts
+    assert 1.0 - 1e-3 <= account.by_contacts[2] / (9.81 * 0.6) <= 1.05

@@ -15,13 +15,16 @@ from typing import Any
 import numpy as np
 
 from carom import Scene
+from carom.arrays import FloatArray, Records, SingleArray
 from carom.errors import RecordingError
 from carom.extend import engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of, refuse
-from carom.record import Model, Plane, State, StateMemory
+from carom.record import CONTACT, Model, Plane, State, StateMemory
 
 PACKAGE = "robox3d"
+_NEAR = 0.2  # of the distance of a contact point from the centre: largest distance from its plane
+_PARALLEL = 1e-4  # 1 - cosine of the angle between the normal of a contact and of a plane
 MOST_SHAPES = 64  # shapes examined for each body
 
 
@@ -37,9 +40,11 @@ class Box3DSource:
         A robox3d.World, with its bodies and shapes.
     planes
         The planes of its static shapes, such as the top of a large box; Box3D itself has none.
+    contacts
+        Whether to record the forces of contacts; see `Box3DForces`.
     """
 
-    def __init__(self, world: Any, planes: tuple[Plane, ...] = ()) -> None:
+    def __init__(self, world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> None:
         package = engine_package(PACKAGE)
         self._world, self._backend = world, engine_package(f"{PACKAGE}._ffi", PACKAGE)
         lib, bodies = self._backend.lib, list(world.bodies)
@@ -50,6 +55,7 @@ class Box3DSource:
             raise RecordingError("box3d: the world has no dynamic body")
         chosen, moves = [bodies[k] for k in shown], dynamic[shown]
         self._group = package.BodyGroup(chosen)
+        self._forces = Box3DForces(self._backend, world, chosen, planes) if contacts else None
         jointed = bool(lib.b3World_GetCounters(world.id).jointCount)
         known = [sized[k] for k in shown]
         mass = np.array([body.mass for body in chosen])
@@ -85,11 +91,85 @@ class Box3DSource:
         self._group.poses(poses)
         self._group.velocities(rates)
         into.state.time = self._world.time
+        if self._forces is not None:
+            into.state.contacts = self._forces.read(poses[:, :3])
 
 
-def box3d(world: Any, planes: tuple[Plane, ...] = ()) -> Box3DSource:
+def box3d(world: Any, planes: tuple[Plane, ...] = (), contacts: bool = False) -> Box3DSource:
     """Return the source of a robox3d.World; see `Box3DSource`."""
-    return Box3DSource(world, planes)
+    return Box3DSource(world, planes, contacts)
+
+
+class Box3DForces:
+    """Reads the forces of contacts between the recorded bodies, and with planes.
+
+    Box3D has the impulses of its last substep, and sums over all substeps in which each counts up to twice. The force
+    is that of the last substep. In a step with an impact, to which the last substep does not apply, it is the sum over
+    the step. Friction is always that of the last substep.
+
+    Parameters
+    ----------
+    backend
+        robox3d._ffi.
+    bodies
+        The recorded bodies, in their order.
+    planes
+        The planes of static shapes.
+    """
+
+    def __init__(self, backend: Any, world: Any, bodies: list[Any], planes: tuple[Plane, ...]) -> None:
+        self._ffi, self._lib, self._world, self._bodies = backend.ffi, backend.lib, world, bodies
+        self._number = {body.id.index1: k for k, body in enumerate(bodies)}
+        moves = [self._lib.b3Body_GetType(body.id) == self._lib.b3_dynamicBody for body in bodies]
+        self._inverse_mass = [1.0 / body.mass if one else 0.0 for body, one in zip(bodies, moves, strict=True)]
+        self._normal = np.array([plane.normal for plane in planes], dtype=np.float64).reshape(-1, 3)
+        self._offset = np.array([plane.offset for plane in planes], dtype=np.float64)
+
+    def read(self, position: SingleArray) -> Records:
+        """Return the contacts, (m,) `CONTACT`, of bodies at (n, 3) m."""
+        lib, rows = self._lib, []
+        for k, body in enumerate(self._bodies if self._world.last_dt else ()):  # 0 before the first step
+            capacity = lib.b3Body_GetContactCapacity(body.id)
+            if capacity == 0:
+                continue
+            found = self._ffi.new("b3ContactData[]", capacity)
+            for contact in found[0 : lib.b3Body_GetContactData(body.id, found, capacity)]:
+                shapes = (contact.shapeIdA, contact.shapeIdB)
+                ends = [self._number.get(lib.b3Shape_GetBody(shape).index1, -1) for shape in shapes]
+                if ends[0] == k or ends[0] < 0:  # otherwise it is reported with the other body, too
+                    rows += self._rows(contact, ends, position[k].astype(np.float64), is_first=ends[0] == k)
+        return np.array(rows, CONTACT)
+
+    def _rows(self, contact: Any, ends: list[int], centre: FloatArray, is_first: bool) -> list[tuple[Any, ...]]:
+        """Return the points of a contact of a body at (3,) m, one of the ends; unknown ends are -1."""
+        rows, step, substep = [], self._world.last_dt, self._world.last_substep_dt
+        mobility = sum(self._inverse_mass[end] for end in ends if end >= 0)
+        for manifold in contact.manifolds[0 : contact.manifoldCount]:
+            normal, friction = _vector(manifold.normal), _vector(manifold.frictionImpulse)
+            for point in manifold.points[0 : manifold.pointCount]:
+                arm = _vector(point.anchorA if is_first else point.anchorB)
+                place, outward = centre + arm, -normal if is_first else normal
+                near = _NEAR * float(np.linalg.norm(arm))
+                pair = [self._plane(outward, place, near) if end < 0 else end for end in ends]
+                if -1 in pair:  # a shape that is neither a recorded body nor a plane
+                    continue
+                impulse = point.normalImpulse * step / substep  # N s, if all substeps are like the last one
+                stops = max(0.0, -point.normalVelocity) / mobility if mobility else 0.0
+                if not stops <= impulse <= point.totalNormalImpulse:
+                    impulse = point.totalNormalImpulse
+                share = friction / (substep * manifold.pointCount)
+                rows.append((*pair, place, normal, impulse / step, share))
+        return rows
+
+    def _plane(self, normal: FloatArray, point: FloatArray, near: float) -> int:
+        """Return the end that is the plane with a normal (3,) near (m) a point (3,) m, or -1."""
+        off = np.abs(self._normal @ point - self._offset)
+        own = np.flatnonzero((off < near) & (self._normal @ normal > 1.0 - _PARALLEL))
+        return len(self._bodies) + int(own[np.argmin(off[own])]) if len(own) else -1
+
+
+def _vector(value: Any) -> FloatArray:
+    return np.array([value.x, value.y, value.z])
 
 
 def _sphere_of(backend: Any, body: Any) -> tuple[float, bool] | None:

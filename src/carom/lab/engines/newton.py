@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 from carom import Scene
-from carom.arrays import FloatArray, SingleArray
+from carom.arrays import FloatArray, Records, SingleArray
 from carom.errors import RecordingError
 from carom.extend import Coefficients, engine_package, named_version
 from carom.lab.compared_run import Setting
 from carom.lab.engines.stepped import EngineSimulation, SteppedEngine, dt_of, problem_of
-from carom.record import Model, Plane, State
+from carom.record import CONTACT, Model, Plane, State
 
 WORLD = -1  # the body that owns static shapes
 _NAMES = ("body_label", "body_key")  # attributes with the names, in newer and older versions
@@ -38,9 +38,11 @@ class NewtonSource:
     now
         Returns the present state and its time in s, ``lambda: (state_0, time)``: Newton's states do not contain their
         time, and a step swaps them.
+    forces
+        newton.Contacts that the solver steps with, and the array ``contact_f`` of the observables that it fills.
     """
 
-    def __init__(self, model: Any, now: Callable[[], tuple[Any, float]]) -> None:
+    def __init__(self, model: Any, now: Callable[[], tuple[Any, float]], forces: tuple[Any, Any] | None = None) -> None:
         package = engine_package("newton")
         self._now, self._centre = now, model.body_com.numpy().astype(np.float64)
         self._off_centre = bool(self._centre.any())  # whether any centre of mass is not the origin of its body
@@ -77,6 +79,8 @@ class NewtonSource:
             gravity=gravity[0].astype(np.float64),
             planes=[_plane(place[k], number) for number, k in enumerate(static)],
         )
+        self._forces, self._end_of = forces, np.where(owner == WORLD, -1, owner)
+        self._end_of[static] = len(mass) + np.arange(len(static))
 
     def state(self) -> State:
         """Return the present state."""
@@ -85,12 +89,36 @@ class NewtonSource:
         position = pose[:, :3]
         if self._off_centre:
             position = position + _turned(pose[:, 3:].astype(np.float64), self._centre)
-        return State(float(time), position, rate[:, :3], pose[:, 3:], rate[:, 3:])
+        contacts = None if self._forces is None else self._contacts(pose.astype(np.float64), *self._forces)
+        return State(float(time), position, rate[:, :3], pose[:, 3:], rate[:, 3:], contacts)
+
+    def _contacts(self, pose: FloatArray, contacts: Any, force: Any) -> Records:
+        """Return the contacts of the last step with their forces, (m,) `CONTACT`, between bodies and planes."""
+        count = int(contacts.rigid_contact_count.numpy()[0])
+        shapes = [getattr(contacts, f"rigid_contact_shape{k}").numpy()[:count] for k in (0, 1)]
+        ends = np.stack([self._end_of[each] for each in shapes], axis=1).reshape(-1, 2)
+        known = np.flatnonzero((ends >= 0).all(axis=1) & (ends[:, 0] != ends[:, 1]))
+        found = np.zeros(len(known), CONTACT)
+        found["i"], found["j"] = ends[known].T
+        found["normal"] = contacts.rigid_contact_normal.numpy()[known]
+        # points, and their offsets by the thickness of a shape, are in the frame of its body
+        moving = (ends[known] >= len(pose)).argmin(axis=1)
+        body = ends[known, moving]
+        place = [
+            getattr(contacts, f"rigid_contact_point{k}").numpy() + getattr(contacts, f"rigid_contact_offset{k}").numpy()
+            for k in (0, 1)
+        ]
+        local = np.stack(place)[moving, known].astype(np.float64)
+        found["point"] = pose[body, :3] + _turned(pose[body, 3:], local)
+        on_second = -force.numpy()[known, :3].astype(np.float64)
+        found["force"] = np.einsum("ij,ij->i", on_second, found["normal"])
+        found["friction"] = on_second - found["force"][:, None] * found["normal"]
+        return found
 
 
-def newton(model: Any, now: Callable[[], tuple[Any, float]]) -> NewtonSource:
+def newton(model: Any, now: Callable[[], tuple[Any, float]], forces: tuple[Any, Any] | None = None) -> NewtonSource:
     """Return the source of a newton.Model; see `NewtonSource`."""
-    return NewtonSource(model, now)
+    return NewtonSource(model, now, forces)
 
 
 def _plane(place: SingleArray, number: int) -> Plane:
