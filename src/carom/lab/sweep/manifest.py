@@ -213,7 +213,7 @@ class SweepRun:
     name: str
     parameters: dict[str, Any]
     seed: int
-    status: str = PENDING  # "done": run and recording are complete; "failed": they are not
+    status: str = PENDING  # "done": run and recording are complete; "failed": one of them is not
     outcome: str = ""  # a status of `Outcome`, or "refused", "error", or "lost" with its workers
     reason: str = ""  # a sentence; empty when completed
     wall_time: float | None = None  # s

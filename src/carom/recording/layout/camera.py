@@ -44,10 +44,8 @@ _FILLED = 0.9  # fraction of the picture's shorter side that the bodies of the f
 _LOOSE = 1.7  # largest distance, over the smallest at which the first moment is inside; its bodies then fill 53 %
 _LOOSE_PATHS = 25.0  # the same for paths; an orbit of e = 0.7 at pericentre needs 23 if width is 3.3 heights
 _SMALL = 400.0  # largest height of the picture, over the median radius, for which all motion of few bodies is inside
-_MOST, _LARGEST = (
-    20_000,
-    1000,
-)  # number of bodies above which only every k-th and the largest are measured; of the latter
+_MOST = 20_000  # number of bodies above which only every k-th and the `_LARGEST` largest are measured
+_LARGEST = 1000
 _MOST_SPHERES = 4000  # stored spheres of all moments; of more, only the outermost in each of many directions are stored
 
 _UP = np.array([0.0, 0.0, 1.0])

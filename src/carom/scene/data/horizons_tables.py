@@ -95,7 +95,7 @@ def _block(before: str, rows: str, called: str, snapshot: int, index: int) -> _B
 
 
 def _table(title: str, rows: str) -> list[tuple[str, Sequence[str]]]:
-    """Read a table with commas."""
+    """Read a comma-separated table."""
     names = [name.strip() for name in title.split(",")]
     if not set(_VECTOR) <= set(names):
         return []

@@ -310,8 +310,8 @@ class BodyGroup(Matter):
     )
     arrangement: Literal["random", "compressed", "cubic", "fcc", "hcp"] = Field(
         "random",
-        description="random, up to a packing of 0.38; compressed: random up to 0.62, or more with unequal radii, "
-        "together with all groups in the same region; or a lattice",
+        description="random positions, up to a packing of 0.38; compressed, random positions up to 0.62 (more with "
+        "unequal radii), shared with all compressed groups in the same region; or a lattice",
     )
     spacing: Annotated[Positive, LENGTH] | None = Field(
         None, description="m, distance of neighbours on a lattice; by default the bodies fill the region"
